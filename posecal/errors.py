@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 
-__all__ = ["PosecalError", "PoseDataError", "PoseFileError", "raise_all"]
+__all__ = ["PoseDataError", "PoseFileError", "PosecalError", "raise_all"]
 
 
 class PosecalError(Exception):

@@ -4,14 +4,13 @@ The field numbers the same joints in different orders, so posecal joins by name 
 There is one tree of joints; a *joint set* such as ``h36m-17`` is a tuple of names on it, and the bones of any
 named selection follow from the tree: a joint's parent is its nearest ancestor that is present.
 
-Names are Human3.6M's. Other spellings of a joint (``right_ankle``, ``RAnkle``, ``Pelvis``) mean the same joint;
-joints that only lie near each other (MPII's upper neck, Human3.6M's neck/nose) stay different.
+Names are Human3.6M's. Other spellings (``right_ankle``, ``RAnkle``, ``Pelvis``) mean the same joint; joints that only
+lie near each other (MPII's upper neck, Human3.6M's neck/nose) stay different.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -45,7 +44,7 @@ _TREE: dict[str, tuple[str | None, tuple[float, float, float]]] = {
 }
 
 REST_POSE: dict[str, tuple[float, float, float]] = {name: rest for name, (_, rest) in _TREE.items()}
-"""A standing person in millimetres, round numbers: x to the person's left, y forwards, z up, hip at the origin."""
+"""A standing person in round millimetres: x to the person's left, y forwards, z up, hip at the origin."""
 
 _H36M_17 = (
     *("Hip", "RHip", "RKnee", "RFoot", "LHip", "LKnee", "LFoot", "Spine", "Thorax"),

@@ -46,7 +46,7 @@ def millimetres_per(unit: str) -> float:
     2.0
     >>> millimetres_per("inch")
     Traceback (most recent call last):
-    posecal.errors.PoseDataError: unit: 'inch'; expected mm, cm, m, or the millimetres in one unit as a number (25.4) or fraction (1/0.0036).
+    posecal.errors.PoseDataError: unit: 'inch'; expected mm, cm, m, or the millimetres in one unit...
     """
     named = MILLIMETRES.get(unit.strip().lower())
     if named is not None:
