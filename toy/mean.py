@@ -2,9 +2,9 @@ r"""Does minMPJPE keep the mean?
 
 The paper's supplement A.2: in one dimension, with hypotheses ``μ + σ z_i`` and ``z*`` the ``z_i`` nearest to the
 truth, the derivative of the expected squared minMPJPE vanishes where ``E[x] − μ = σ E[z*]`` (the supplement drops
-the σ). The paper simulates E[z*] and finds it close to a scaled sigmoid of ``E[x] − μ``, so that the root is at the
-mean. Here E[z*] is a quadrature, the sigmoid is fitted to it, and the root is found: at the mean for a Gaussian
-truth, where symmetry puts it, and beside the mean for a skewed one.
+the σ). The paper simulates E[z*] and finds it close to a scaled sigmoid of ``E[x] − μ``, so that the root is at
+the mean. Here E[z*] is a quadrature, the sigmoid is fitted to it, and the root is found: at the mean for a
+Gaussian truth, where symmetry puts it, and beside the mean for a skewed one.
 
 Conventions: the offset is ``E[x] − μ``; lengths share the data's unit, z has none.
 """
@@ -20,7 +20,7 @@ import numpy.typing as npt
 from scipy import optimize, special
 
 from posecal.errors import PoseDataError
-from toy.best_of import gauss_legendre, nearest_points
+from toy.nearest import gauss_legendre, nearest_points
 
 __all__ = ["SigmoidFit", "best_offset_skewed", "expected_z", "fit_sigmoid", "largest_of", "nearest_z"]
 
