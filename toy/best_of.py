@@ -195,7 +195,14 @@ def nll(sigma: float, *, D: int, truth_sigma: float = 0.5) -> float:
 
 
 def simulated_min_mpjpe(
-    sigma: float, *, N: int, D: int, poses: int, rng: np.random.Generator, truth_sigma: float = 0.5
+    sigma: float,
+    *,
+    N: int,
+    D: int,
+    poses: int,
+    rng: np.random.Generator,
+    truth_sigma: float = 0.5,
+    offset: float = 0.0,
 ) -> tuple[float, float]:
     r"""Draw truths and hypotheses, and average the distance of the nearest.
 
@@ -214,7 +221,9 @@ def simulated_min_mpjpe(
     rng : numpy.random.Generator
         Where the draws come from.
     truth_sigma : float
-        The truth's standard deviation per coordinate.
+        The truth's standard deviation per coordinate, above 0.
+    offset : float
+        Distance between the two means, in the unit of ``sigma``.
 
     Returns
     -------
@@ -240,14 +249,14 @@ def simulated_min_mpjpe(
     >>> abs(mean - 5 * (2 / np.pi) ** 0.5) < 4 * error
     True
     """
-    check(N, D, sigma=sigma, truth_sigma=truth_sigma)
+    check(N, D, sigma=sigma, truth_sigma=truth_sigma, offset=offset)
     if poses < 2:
         raise PoseDataError(f"poses: {poses}; expected at least 2, for the standard error.")
     nearest = np.empty(poses)
     block = max(1, 2_000_000 // N)
     for start in range(0, poses, block):
         m = min(block, poses - start)
-        truth = truth_sigma * np.sqrt(rng.chisquare(D, m))
+        truth = truth_sigma * np.sqrt(rng.noncentral_chisquare(D, (offset / truth_sigma) ** 2, m))
         along = truth - sigma * rng.standard_normal((N, m))
         across = sigma**2 * rng.chisquare(D - 1, (N, m)) if D > 1 else 0.0
         nearest[start : start + m] = np.sqrt((along**2 + across).min(axis=0))

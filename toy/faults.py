@@ -1,9 +1,9 @@
 r"""Which faults can a sampler have that are known by name?
 
-Each fault takes the exact posterior of a scene and gives hypotheses that are wrong in one way. Most leave the truth
-as it is. Five need a truth of another shape than a Gaussian world has (correlated as asked, stretched in depth,
-always on one side, in two depth modes) and change its deviation from the posterior mean; they say so in their
-sentence, and the truth comes back with the hypotheses.
+Each fault takes the exact posterior of a scene and gives hypotheses that are wrong in one way. Most leave the
+truth as it is. Five need a truth of another shape than a Gaussian world has (correlated as asked, stretched in
+depth, always on one side, in two depth modes) and change its deviation from the posterior mean; they say so in
+their sentence, and the truth comes back with the hypotheses.
 
 In :meth:`~toy.pose_world.PoseWorld.independent_joints` every fault shows its textbook number: the deviations are
 ``σ z`` with independent standard normal z. In another world a fault is the same act on that world's posterior.
@@ -146,7 +146,8 @@ def _shifted(case: Case, N: int) -> tuple[Floats, Floats]:
 
 
 def _one_sided(case: Case, N: int) -> tuple[Floats, Floats]:
-    return case.deviations(N), np.abs(case.truth_deviation)
+    distance = np.linalg.norm(case.truth_deviation, axis=-1, keepdims=True)
+    return case.deviations(N), distance * _DEPTH
 
 
 def _scaled_joints(cycle: list[float]) -> Callable[[Case, int], tuple[Floats, Floats]]:
@@ -184,7 +185,7 @@ def _depth_modes(case: Case, N: int) -> tuple[Floats, Floats]:
 
     def in_two_modes(deviation: Floats) -> Floats:
         side = case.rng.choice([-1.0, 1.0], (*deviation.shape[:-2], 1, 1))
-        return np.asarray(deviation + 1.5 * side * case.joint_sd * _DEPTH)
+        return np.asarray(deviation + 3 * side * case.joint_sd * _DEPTH)
 
     radius = np.linalg.norm(in_two_modes(case.deviations(N)), axis=-1, keepdims=True)
     direction = case.rng.standard_normal((N, M, len(case.world.joints), 3))
@@ -234,7 +235,11 @@ FAULTS: dict[str, Fault] = {
     for fault in (
         Fault("perfect", "Nothing: hypotheses are drawn from the exact posterior.", _perfect),
         Fault("shifted", "The mean is 1.2 sd too deep and the spread 1.23 times too wide.", _shifted),
-        Fault("one-sided", "The truth is above the mean in every coordinate, at its right distance.", _one_sided),
+        Fault(
+            "one-sided",
+            "The truth is always behind the mean, at its right distance; the model is on all sides.",
+            _one_sided,
+        ),
         Fault(
             "cancelling-joints",
             "The spread is 0.75 times right in one half of the joints, 1.24 times in the other.",
@@ -267,7 +272,7 @@ FAULTS: dict[str, Fault] = {
         ),
         Fault(
             "depth-modes",
-            "The truth lies before or behind the mean, the model on a shell all around it.",
+            "The truth is 3 sd before or behind the mean, the model as far from it in any direction.",
             _depth_modes,
         ),
         Fault("ignored-image", "The model draws from the prior, whatever it sees.", _ignored_image),

@@ -22,7 +22,15 @@ from scipy import optimize, special
 from posecal.errors import PoseDataError
 from toy.nearest import gauss_legendre, nearest_points
 
-__all__ = ["SigmoidFit", "best_offset_skewed", "expected_z", "fit_sigmoid", "largest_of", "nearest_z"]
+__all__ = [
+    "SigmoidFit",
+    "best_offset_skewed",
+    "expected_z",
+    "fit_sigmoid",
+    "largest_of",
+    "nearest_z",
+    "simulated_z",
+]
 
 Floats = npt.NDArray[np.float64]
 
@@ -120,6 +128,43 @@ def expected_z(offset: npt.ArrayLike, *, sigma: float, truth_sigma: float, N: in
     v, weights = gauss_legendre(-7.5, 7.5, 96)
     u = (np.asarray(offset, float)[..., None] + truth_sigma * v) / sigma
     return np.asarray(np.sum(weights * _density(v) * nearest_z(u, N=N), axis=-1))
+
+
+def simulated_z(
+    offset: float, *, sigma: float, truth_sigma: float, N: int, poses: int, rng: np.random.Generator
+) -> tuple[float, float]:
+    """Draw truths and hypotheses, and average the z of the nearest.
+
+    Parameters
+    ----------
+    offset, sigma, truth_sigma, N
+        As in :func:`expected_z`.
+    poses : int
+        Number of independent truths, each with hypotheses of its own.
+    rng : numpy.random.Generator
+        Where the draws come from.
+
+    Returns
+    -------
+    mean, standard_error : float
+        Without a unit.
+
+    Notes
+    -----
+    Differs from the published code: not in it.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> mean, error = simulated_z(30, sigma=1, truth_sigma=1, N=2, poses=2000, rng=rng)
+    >>> abs(mean - np.pi**-0.5) < 4 * error
+    True
+    """
+    truth = offset + truth_sigma * rng.standard_normal(poses)
+    z = rng.standard_normal((N, poses))
+    nearest = np.abs(truth - sigma * z).argmin(axis=0)
+    chosen = z[nearest, np.arange(poses)]
+    return float(chosen.mean()), float(chosen.std(ddof=1) / math.sqrt(poses))
 
 
 def largest_of(N: int) -> float:

@@ -1,0 +1,54 @@
+"""How does a file come to be whole or not at all?
+
+It is written under a temporary name in its own folder and then takes its name in one step.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from posecal.errors import PoseFileError
+
+__all__ = ["whole_file"]
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Give a temporary path to write to, which becomes ``path`` when all has gone well.
+
+    Parameters
+    ----------
+    path : Path
+        What the file is to be called.
+
+    Yields
+    ------
+    Path
+        A name with the same ending in the same folder.
+
+    Raises
+    ------
+    PoseFileError
+        Where the folder is not there or can't be written to.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     with whole_file(Path(folder) / "a.txt") as part:
+    ...         _ = part.write_text("all of it")
+    ...     print([file.name for file in Path(folder).iterdir()])
+    ['a.txt']
+    """
+    part = path.with_name(f".{path.stem}.part{os.getpid()}{path.suffix}")
+    try:
+        yield part
+        os.replace(part, path)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise PoseFileError(f"{path}: can't be written ({reason}). Choose a folder that is there.") from error
+    finally:
+        part.unlink(missing_ok=True)
