@@ -164,7 +164,8 @@ def simulated_coverage(
     Returns
     -------
     ndarray, shape (21,)
-        Shares at :data:`LEVELS`, with a standard error below 1/√(2 draws) for curves near the diagonal.
+        Shares at :data:`LEVELS`; 0 and 1 at the ends, where the ball is a point and the whole space. The standard
+        error is √((ω(1−ω) + ω'² q(1−q)) / draws): the truths' share and the hypotheses' quantile.
 
     Raises
     ------
@@ -186,6 +187,6 @@ def simulated_coverage(
     model = spread * np.linalg.norm(rng.standard_normal((draws, D)), axis=1)
     truth = rng.standard_normal((draws, truth_D))
     truth[:, 0] += offset
-    radii = np.quantile(model, LEVELS[:-1])
+    radii = np.quantile(model, LEVELS[1:-1])
     within = (np.linalg.norm(truth, axis=1)[:, None] <= radii).mean(axis=0)
-    return np.append(within, 1.0)
+    return np.concatenate([[0.0], within, [1.0]])

@@ -12,7 +12,6 @@ Conventions: the offset is ``E[x] − μ``; lengths share the data's unit, z has
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -258,15 +257,48 @@ def fit_sigmoid(offset: npt.ArrayLike, z: npt.ArrayLike) -> SigmoidFit:
     return SigmoidFit(float(scale), float(slope), float(np.abs(error).max()), float(np.sqrt(np.mean(error**2))))
 
 
-def _root_of_derivative(mean_z: Callable[[float], float], sigma: float, reach: float) -> float:
-    root: float = optimize.brentq(lambda a: a - sigma * mean_z(a), -reach, reach, xtol=1e-10)
-    return root
+def expected_z_skewed(offset: npt.ArrayLike, *, sigma: float, N: int) -> Floats:
+    r"""Give E[z*] for an exponential truth of deviation 1 whose mean lies ``offset`` above the hypotheses'.
+
+    .. math:: E[z^*] = ∫_0^∞ E\left[z^* \,\middle|\, \frac{a + e − 1}{σ}\right] e^{−e}\, de
+
+    Parameters
+    ----------
+    offset : array_like, shape (...)
+        a = E[x] − μ, in units of the truth's standard deviation.
+    sigma : float
+        The hypotheses' standard deviation, above 0, in the same unit.
+    N : int
+        Number of hypotheses.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        Without a unit; not odd in the offset.
+
+    Raises
+    ------
+    PoseDataError
+        Where N is below 1.
+
+    Notes
+    -----
+    Differs from the published code: not in it.
+
+    Examples
+    --------
+    >>> abs(float(expected_z_skewed(0.0, sigma=1.0, N=1))) < 1e-12
+    True
+    """
+    e, weights = gauss_legendre(0, 40, 160)
+    u = (np.asarray(offset, float)[..., None] + e - 1) / sigma
+    return np.asarray(np.sum(weights * np.exp(-e) * nearest_z(u, N=N), axis=-1))
 
 
 def best_offset_skewed(*, sigma: float, N: int) -> float:
-    r"""Give the offset that minimises the squared minMPJPE of an exponential truth of mean and deviation 1.
+    r"""Give the offset that minimises the squared minMPJPE of an exponential truth of deviation 1.
 
-    .. math:: a = σ\, E[z^*], \quad x = a + μ + (e − 1), \quad e ∼ \mathrm{Exp}(1)
+    .. math:: a = σ\, E[z^*]
 
     Parameters
     ----------
@@ -299,9 +331,10 @@ def best_offset_skewed(*, sigma: float, N: int) -> float:
     >>> abs(best_offset_skewed(sigma=1.0, N=1)) < 1e-9
     True
     """
-    e, weights = gauss_legendre(0, 40, 160)
 
-    def mean_z(a: float) -> float:
-        return float(np.sum(weights * np.exp(-e) * nearest_z((a + e - 1) / sigma, N=N)))
+    def half_derivative(offset: float) -> float:
+        return offset - sigma * float(expected_z_skewed(offset, sigma=sigma, N=N))
 
-    return _root_of_derivative(mean_z, sigma, reach=2.0)
+    reach = sigma * largest_of(N) + 1
+    root: float = optimize.brentq(half_derivative, -reach, reach, xtol=1e-10)
+    return root

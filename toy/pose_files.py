@@ -11,9 +11,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from posecal.errors import PoseFileError
 from toy.faults import Case, Fault
-from toy.whole_file import whole_file
+from toy.whole_file import make_folder, whole_file
 
 __all__ = ["write_case"]
 
@@ -24,7 +23,7 @@ def write_case(folder: Path, case: Case, fault: Fault, N: int) -> tuple[npt.NDAr
     Parameters
     ----------
     folder : Path
-        Where ``hyps.npz`` and ``gt.npz`` go; made where it is not there, in a folder that is.
+        Where ``hyps.npz`` and ``gt.npz`` go; made where it is not there.
     case : Case
         A scene and its exact posterior.
     fault : Fault
@@ -50,12 +49,7 @@ def write_case(folder: Path, case: Case, fault: Fault, N: int) -> tuple[npt.NDAr
     ``occluded`` where it does not; ``occluded`` (M, K), the joints without a keypoint; and ``keypoints_2d``
     (M, K, V), mm, NaN where there is none.
     """
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        raise PoseFileError(
-            f"{folder}: can't be made ({error.strerror}). Make the folder above it first."
-        ) from error
+    make_folder(folder)
     hypotheses, truth = (drawn.astype(np.float32) for drawn in fault.apply(case, N))
     scene = case.scene
     sequence = np.array([f"s{number:03d}" for number in scene.sequence])

@@ -12,7 +12,28 @@ from pathlib import Path
 
 from posecal.errors import PoseFileError
 
-__all__ = ["whole_file"]
+__all__ = ["make_folder", "whole_file"]
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder, in a folder that is there; do nothing where it is there itself.
+
+    Parameters
+    ----------
+    path : Path
+        The folder.
+
+    Raises
+    ------
+    PoseFileError
+        Where it can't be made.
+    """
+    try:
+        path.mkdir(exist_ok=True)
+    except OSError as error:
+        raise PoseFileError(
+            f"{path}: can't be made ({error.strerror}). Make the folder above it first."
+        ) from error
 
 
 @contextmanager
