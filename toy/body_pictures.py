@@ -92,6 +92,7 @@ def pendulum(time: Floats, positions: Floats, observed: Floats, energy: Floats) 
             reach = 1.05 * (path.shape[1] - 1)
             ax.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel="x (m)", title=f"pendulum {number}")
             ax.set_aspect("equal")
+            ax.set_xticks([-2, 0, 2])
         axes[0].set_ylabel("y (m)")
         axes[0].legend(loc="upper left", handletextpad=0, borderpad=0.1, labelspacing=0.2)
         drift = np.abs(energy / energy[:, :1] - 1)[:, 1:]

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
@@ -23,11 +22,12 @@ __all__ = ["collapse", "curves", "landscape", "mean", "sigma_map"]
 Floats = npt.NDArray[np.float64]
 
 
-def _bars(ax: Axes, values: Sequence[float], label: str) -> None:
-    bars = ax.bar(["minMPJPE-\noptimal", "oracle"], values, color=[PINK, GOLD], edgecolor=INK, linewidth=0.6)
+def _bars(ax: Axes, values: tuple[float, float], label: str) -> None:
+    bars = ax.bar(["optimum", "oracle"], values, color=[PINK, GOLD], edgecolor=INK, linewidth=0.6)
     ax.bar_label(bars, [f"{value:.3g}" for value in values], padding=1, fontsize=7)
-    ax.set_ylabel(label)
-    ax.margins(y=0.18)
+    ax.tick_params("x", labelsize=7)
+    ax.set_title(label)
+    ax.margins(y=0.12)
 
 
 def sigma_map(
@@ -61,34 +61,37 @@ def sigma_map(
         A map and two bar plots.
     """
     with style():
-        figure = Figure(figsize=(5.5, 2.9))
-        map_ax, error_ax, nll_ax = figure.subplots(1, 3, width_ratios=[2.9, 1, 1])
+        figure = Figure(figsize=(6.4, 2.7))
+        map_ax, error_ax, nll_ax = figure.subplots(1, 3, width_ratios=[2.6, 1, 1])
         norm = TwoSlopeNorm(truth_sigma, 0, 1.5 * truth_sigma)
         image = map_ax.pcolormesh(
             hypotheses, dimensions, sigma, cmap=CONFIDENCE, norm=norm, shading="gouraud", rasterized=True
         )
         map_ax.contour(hypotheses, dimensions, sigma, levels=[truth_sigma], colors=INK, linewidths=1)
-        map_ax.plot(marked[1], marked[0], "o", color=GOLD, markeredgecolor=INK, markersize=7, clip_on=False)
-        map_ax.annotate(
-            "a 3D pose", (marked[1], marked[0]), (-9, 0), textcoords="offset points", ha="right", va="center"
-        )
-        ticks = {"x": [1, 5, 20, 100, 500], "y": [1, 3, 10, 30, 100]}
-        map_ax.set(xscale="log", yscale="log", xlabel="hypotheses N", ylabel="dimensions D")
-        map_ax.set_xticks(ticks["x"], [str(t) for t in ticks["x"]], minor=False)
-        map_ax.set_yticks(ticks["y"], [str(t) for t in ticks["y"]], minor=False)
+        map_ax.plot(marked[1], marked[0], "o", color=GOLD, markeredgecolor=INK, markersize=7)
+        place = {"textcoords": "offset points", "ha": "right", "va": "center"}
+        map_ax.annotate("a 3D pose", (marked[1], marked[0]), (-8, 0), **place)
+        map_ax.text(0.3, 0.36, "overconfident", transform=map_ax.transAxes)
+        map_ax.text(0.97, 0.06, "underconfident", transform=map_ax.transAxes, ha="right")
+        map_ax.set(xscale="log", yscale="log")
+        for axis, name, ticks in (
+            (map_ax.xaxis, "hypotheses N", [1, 5, 20, 100, 500]),
+            (map_ax.yaxis, "dimensions D", [1, 3, 10, 30, 100]),
+        ):
+            axis.set_label_text(name)
+            axis.set_ticks(ticks, [str(tick) for tick in ticks])
         map_ax.minorticks_off()
-        map_ax.set_title(f"spread σ that minimises minMPJPE (truth: {truth_sigma:g})")
+        map_ax.set_title("σ that minimises minMPJPE")
         colours = figure.colorbar(image, ax=map_ax, aspect=25, pad=0.02)
         colours.set_ticks([0, truth_sigma / 2, truth_sigma, 1.5 * truth_sigma])
+        colours.ax.set_yticklabels(
+            ["0", f"{truth_sigma / 2:g}", f"σ* = {truth_sigma:g}", f"{1.5 * truth_sigma:g}"]
+        )
         colours.ax.axhline(truth_sigma, color=INK, linewidth=1)
-        colours.outline.set_visible(False)
-        for share, word in ((0.25, "overconfident"), (0.75, "underconfident")):
-            colours.ax.text(
-                0.5, share, word, transform=colours.ax.transAxes, rotation=90, ha="center", va="center"
-            )
         _bars(error_ax, min_mpjpe, "minMPJPE")
         _bars(nll_ax, nll, "NLL (nats)")
-        error_ax.set_title(f"D = {marked[0]}, N = {marked[1]}", loc="left")
+        error_ax.set_xlabel(f"D = {marked[0]}, N = {marked[1]}")
+        nll_ax.set_xlabel(f"D = {marked[0]}, N = {marked[1]}")
     return figure
 
 
@@ -158,22 +161,22 @@ def collapse(
         left.plot(spread, mpjpe, color=PINK, label="mean MPJPE")
         left.plot(spread, squared, color=BLUE, linestyle="--", label="mean squared error")
         left.plot(0, 1, "o", color=PINK, clip_on=False, zorder=3)
-        left.annotate("best: no spread", (0, 1), (8, 10), textcoords="offset points")
-        left.axvline(1, color=GOLD)
-        left.text(1.03, 4.0, "oracle", color=INK)
-        left.set(xlabel="spread σ/σ*", ylabel="multiple of the collapsed model's", title="Gaussian truth, any D")
-        left.legend(loc="upper left")
+        left.annotate("lowest", (0, 1), (4, -8), textcoords="offset points")
+        left.axvline(1, color=GOLD, label="oracle")
+        left.set_ylim(0.7, 5.2)
+        left.set(xlabel="spread σ/σ*", ylabel="error / collapsed model's", title="Gaussian truth, any D")
+        left.legend(loc="upper left", frameon=True, framealpha=1, edgecolor="none")
         right.fill_between(point, np.exp(-point), color="#E8E8E8", linewidth=0, label="the truth's density")
         right.plot(point, skewed_mpjpe, color=PINK, label="mean MPJPE")
         right.plot(point, skewed_squared, color=BLUE, linestyle="--", label="mean squared error")
-        lowest = ((skewed_mpjpe, PINK, "median"), (skewed_squared, BLUE, "mean"))
-        for values, colour, word in lowest:
+        lowest = ((skewed_mpjpe, PINK, "the median", -11), (skewed_squared, BLUE, "the mean", 7))
+        for values, colour, word, above in lowest:
             best = values.argmin()
             right.plot(point[best], values[best], "o", color=colour)
-            right.annotate(word, (point[best], values[best]), (0, -11), textcoords="offset points", ha="center")
+            right.annotate(word, (point[best], values[best]), (0, above), textcoords="offset points", ha="center")
         right.set(xlabel="where the model collapses to", ylabel="expected error", title="exponential truth")
-        right.set_ylim(0, 2.6)
-        right.legend(loc="upper right")
+        right.set(xlim=(0, 3), ylim=(0, 4.2))
+        right.legend(loc="upper left")
     return figure
 
 
@@ -218,27 +221,27 @@ def mean(
         left.plot([], [], color=INK, linestyle=":", linewidth=0.9, label="scaled sigmoid")
         left.set(xlabel="(E[x] − μ) / σ*", ylabel="E[z*]", title="the nearest hypothesis")
         left.legend(loc="upper left", fontsize=6, handlelength=1.2)
-        left.margins(y=0.25)
+        left.margins(y=0.4)
         middle.axhline(0, color=INK, linewidth=0.6)
         middle.set(xlabel="(E[x] − μ) / σ*", ylabel="sigmoid − E[z*]", title="error of the sigmoid")
         right.axhline(0, color=INK, linewidth=0.6)
         for colour, (name, values) in zip((BLUE, PINK), derivative.items(), strict=False):
             right.plot(span, values, color=colour, label=name)
             right.plot(roots[name], 0, "o", color=colour, markeredgecolor=INK)
-        right.set(xlabel="(E[x] − μ) / σ*", ylabel="half the derivative / σ*", title="minMPJPE² is least at 0")
+        right.set(xlabel="(E[x] − μ) / σ*", ylabel="a − σ E[z*], in σ*", title="slope of squared minMPJPE")
         right.legend(loc="upper left")
     return figure
 
 
-def curves(panels: Sequence[tuple[str, str, Mapping[str, Floats]]], levels: Floats) -> Figure:
+def curves(panels: Sequence[tuple[str, Mapping[str, Floats]]], levels: Floats) -> Figure:
     """Draw closed calibration curves.
 
     Parameters
     ----------
-    panels : sequence of (title, parameter, curves)
-        For each way to be wrong, its name and its curves (Q,) by the words of the legend.
+    panels : sequence of (title, curves)
+        For each way to be wrong, its name and its curves (Q,) by the words that stand on them.
     levels : ndarray, shape (Q,)
-        The levels.
+        The levels, rising.
 
     Returns
     -------
@@ -246,16 +249,24 @@ def curves(panels: Sequence[tuple[str, str, Mapping[str, Floats]]], levels: Floa
         One reliability diagram for each panel.
     """
     with style():
-        figure = Figure(figsize=(2.3 * len(panels), 2.5))
-        for ax, (title, parameter, lines) in zip(
-            np.atleast_1d(figure.subplots(1, len(panels))), panels, strict=True
-        ):
-            ax.fill_between([0, 1], [0, 1], 0, color=PINK, alpha=0.06, linewidth=0)
-            ax.fill_between([0, 1], [0, 1], 1, color=BLUE, alpha=0.06, linewidth=0)
+        figure = Figure(figsize=(2.25 * len(panels), 2.5))
+        for ax, (title, lines) in zip(np.atleast_1d(figure.subplots(1, len(panels))), panels, strict=True):
+            ax.fill_between([0, 1], [0, 1], 0, color=PINK, alpha=0.08, linewidth=0)
+            ax.fill_between([0, 1], [0, 1], 1, color=BLUE, alpha=0.08, linewidth=0)
             ax.plot([0, 1], [0, 1], color=INK, linewidth=0.8)
-            for place, (words, line) in zip(np.linspace(0, 1, len(lines)), lines.items(), strict=True):
-                ax.plot(levels, line, color=mpl.colormaps["cividis"](0.92 * place), label=words)
+            for words, line in lines.items():
+                ax.plot(levels, line, color=BLUE if line.mean() > levels.mean() else PINK)
+                crossing = np.searchsorted(levels + line, 1.0)  # where it meets the other diagonal
+                ax.text(
+                    levels[crossing], line[crossing], words, fontsize=6.5, ha="center", va="center",
+                    bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none"},
+                )  # fmt: skip
+            if all(line.mean() < levels.mean() for line in lines.values()):
+                ax.text(0.03, 0.94, "underconfident", color=BLUE, va="center")
+            if all(line.mean() > levels.mean() for line in lines.values()):
+                ax.text(0.97, 0.06, "overconfident", color=PINK, va="center", ha="right")
             ax.set(xlabel="quantile q", ylabel="share of truths ω(q)", title=title, xlim=(0, 1), ylim=(0, 1))
             ax.set_aspect("equal")
-            ax.legend(title=parameter, title_fontsize=7, fontsize=6, handlelength=1, labelspacing=0.25)
+            ax.set_xticks([0, 0.5, 1])
+            ax.set_yticks([0, 0.5, 1])
     return figure
