@@ -1,0 +1,89 @@
+"""What the pose world writes, as a reader of the files finds it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from posecal.errors import PoseFileError
+from toy.faults import FAULTS, Case
+from toy.pose_files import write_case
+from toy.pose_world import PoseWorld
+from toy.whole_file import make_folder, whole_file
+
+
+@pytest.fixture
+def case() -> Case:
+    world = PoseWorld.person("h36m-17")
+    rng = np.random.default_rng(0)
+    return Case.of(world, world.draw(rng, sequences=4, frames=3, hidden=0.5), rng)
+
+
+def members(path: Path) -> dict[str, np.ndarray]:
+    with np.load(path, allow_pickle=False) as stored:
+        return dict(stored)
+
+
+def test_hypotheses_say_their_axes_unit_joints_and_frames(tmp_path: Path, case: Case) -> None:
+    hypotheses, _ = write_case(tmp_path, case, FAULTS["perfect"], 5)
+    stored = members(tmp_path / "hyps.npz")
+    assert set(stored) == {"hypotheses", "axes", "unit", "joints", "frame_id"}
+    assert stored["hypotheses"].dtype == np.float32
+    assert stored["hypotheses"].shape == (5, 12, 17, 3)
+    np.testing.assert_array_equal(stored["hypotheses"], hypotheses)
+    assert (stored["axes"].item(), stored["unit"].item()) == ("NMKD", "mm")
+    assert tuple(stored["joints"]) == case.world.joints
+    assert len(set(stored["frame_id"])) == 12
+
+
+def test_truth_carries_its_labels(tmp_path: Path, case: Case) -> None:
+    _, truth = write_case(tmp_path, case, FAULTS["perfect"], 5)
+    stored = members(tmp_path / "gt.npz")
+    assert (stored["axes"].item(), stored["unit"].item()) == ("MKD", "mm")
+    np.testing.assert_array_equal(stored["truth"], truth)
+    np.testing.assert_allclose(truth, case.scene.truth, rtol=1e-6, atol=1e-4)
+    np.testing.assert_array_equal(stored["occluded"], ~case.scene.observed)
+    assert list(stored["sequence"][[0, 3, 11]]) == ["s000", "s001", "s003"]
+    occluded = stored["occluded"].any(axis=1)
+    np.testing.assert_array_equal(stored["action"], np.where(occluded, "occluded", "open"))
+    np.testing.assert_array_equal(np.isnan(stored["keypoints_2d"]).any(axis=-1), stored["occluded"])
+    np.testing.assert_array_equal(stored["frame_id"], members(tmp_path / "hyps.npz")["frame_id"])
+
+
+def test_members_are_not_compressed_so_that_they_can_be_mapped(tmp_path: Path, case: Case) -> None:
+    from zipfile import ZIP_STORED, ZipFile
+
+    write_case(tmp_path, case, FAULTS["perfect"], 2)
+    with ZipFile(tmp_path / "hyps.npz") as stored:
+        assert {member.compress_type for member in stored.infolist()} == {ZIP_STORED}
+
+
+def test_a_file_that_fails_half_way_leaves_nothing(tmp_path: Path) -> None:
+    target = tmp_path / "a.npz"
+    target.write_text("the old one")
+
+    def fail_half_way() -> None:
+        with whole_file(target) as part:
+            part.write_text("half of the new o")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fail_half_way()
+    assert target.read_text() == "the old one"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_missing_folder_is_named(tmp_path: Path) -> None:
+    with (
+        pytest.raises(PoseFileError, match=r"gone.a\.npz: can't be written \(No such file or directory\)"),
+        whole_file(tmp_path / "gone" / "a.npz") as part,
+    ):
+        part.write_text("text")
+
+
+def test_a_folder_is_made_in_a_folder_that_is_there(tmp_path: Path) -> None:
+    make_folder(tmp_path / "new")
+    make_folder(tmp_path / "new")
+    assert (tmp_path / "new").is_dir()
+    with pytest.raises(PoseFileError, match=r"deep: can't be made .* Make the folder above it first"):
+        make_folder(tmp_path / "no" / "deep")
