@@ -81,7 +81,7 @@ class Block:
         """The poses and joints, (B, K), at which a point that counts is NaN or infinite."""
         if np.isfinite(np.vdot(self.points, self.points)):  # one fast pass; true of nearly every block
             return np.zeros_like(self.where)
-        return ~np.isfinite(self.points).all(axis=(2, 3))
+        return np.asarray(~np.isfinite(self.points).all(axis=(2, 3)))
 
     def share(self, key: Hashable, compute: Callable[[], FloatArray]) -> FloatArray:
         """Compute something once per block, whoever asks first."""
@@ -92,7 +92,7 @@ class Block:
     @property
     def n_hypotheses(self) -> int:
         """N."""
-        return self.points.shape[-1] - 1
+        return int(self.points.shape[-1]) - 1
 
     @property
     def hypotheses(self) -> FloatArray:
@@ -141,7 +141,8 @@ class Block:
         """
         counted = self.where if joints is None else self.where & joints
         number = counted.sum(axis=1, keepdims=True)
-        return (counted / np.maximum(number, 1)).astype(self.points.dtype)
+        shares: FloatArray = (counted / np.maximum(number, 1)).astype(self.points.dtype)
+        return shares
 
     @cached_property
     def velocities(self) -> FloatArray:

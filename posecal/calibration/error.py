@@ -133,8 +133,7 @@ def signed_area(coverage: FloatArray) -> FloatArray:
     >>> float(signed_area(0 * LEVELS))
     -0.5
     """
-    found: FloatArray = np.trapezoid(coverage - LEVELS, LEVELS, axis=-1)
-    return found.round(12) + 0.0
+    return np.asarray(np.trapezoid(coverage - LEVELS, LEVELS, axis=-1))
 
 
 def coverage_at(coverage: FloatArray, level: float) -> FloatArray:

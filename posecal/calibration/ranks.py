@@ -83,8 +83,8 @@ def inside(block: Block, definition: Definition = "exchangeable") -> FloatArray:
 
 def _exchangeable(block: Block) -> FloatArray:
     less, equal = (count[..., None] for count in exchangeable_counts(block))
-    weights: FloatArray = (LEVELS * (block.n_hypotheses + 1) - less) / (equal + 1)
-    return np.clip(weights, 0, 1, out=weights)
+    weights = (LEVELS * (block.n_hypotheses + 1) - less) / (equal + 1)
+    return np.asarray(np.clip(weights, 0, 1, out=weights))
 
 
 def exchangeable_counts(block: Block) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:

@@ -14,11 +14,15 @@ import numpy.typing as npt
 
 from posecal.block import FloatArray
 
-__all__ = ["OF_ERRORS", "OfErrors", "best_of", "curve_sizes", "subset_weights"]
+__all__ = ["OF_ERRORS", "ROUND_SIZES", "OfErrors", "best_of", "curve_sizes", "subset_weights"]
 
 Counts = npt.NDArray[np.intp]
 OfErrors = Literal["min", "mean", "median", "worst"]
 OF_ERRORS: tuple[OfErrors, ...] = get_args(OfErrors)
+
+
+ROUND_SIZES = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+"""The n at which minMPJPE is reported apart from N, so that models with different N can be compared."""
 
 
 def best_of(errors: FloatArray, of: OfErrors = "min") -> FloatArray:
@@ -38,8 +42,9 @@ def best_of(errors: FloatArray, of: OfErrors = "min") -> FloatArray:
     """
     if of == "median":
         return np.asarray(np.median(errors, axis=-1))
-    reduce = {"min": errors.min, "mean": errors.mean, "worst": errors.max}[of]
-    return np.asarray(reduce(axis=-1))
+    if of == "mean":
+        return np.asarray(errors.mean(axis=-1))
+    return np.asarray(errors.min(axis=-1) if of == "min" else errors.max(axis=-1))
 
 
 def curve_sizes(n_hypotheses: int, most: int = 40) -> npt.NDArray[np.intp]:
@@ -55,10 +60,10 @@ def curve_sizes(n_hypotheses: int, most: int = 40) -> npt.NDArray[np.intp]:
     Returns
     -------
     array
-        Rising whole numbers from 1 to N: all of them up to ``most``, then at equal ratios.
+        Rising whole numbers from 1 to N at about equal ratios, :data:`ROUND_SIZES` among them.
     """
-    sizes = np.geomspace(1, n_hypotheses, min(n_hypotheses, most))
-    return np.unique(np.concatenate([np.arange(1, min(n_hypotheses, 10) + 1), np.round(sizes).astype(np.intp)]))
+    spaced = np.round(np.geomspace(1, n_hypotheses, most)).astype(np.intp)
+    return np.unique([*(n for n in ROUND_SIZES if n <= n_hypotheses), *spaced])
 
 
 def subset_weights(n_hypotheses: int, sizes: npt.ArrayLike) -> FloatArray:

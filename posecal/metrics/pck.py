@@ -50,7 +50,7 @@ CPS_MOST = 300.0
 """CPS's largest threshold, mm."""
 
 
-def correct_share(errors: FloatArray, threshold: float, *, strict: bool = True) -> FloatArray:
+def correct_share(errors: FloatArray, threshold: float | FloatArray, *, strict: bool = True) -> FloatArray:
     """Say 1 where an error is below the threshold (or at it, where not strict), else 0."""
     return np.asarray(errors < threshold if strict else errors <= threshold, dtype=np.float64)
 
@@ -77,6 +77,7 @@ def joint_score(
     select: Selection = "own",
     align: Alignment = "none",
     joints: BoolArray | None = None,
+    body: BoolArray | None = None,
 ) -> FloatArray:
     """Mean over a pose's joints of a score of their errors, of the hypothesis that ``select`` takes.
 
@@ -91,7 +92,9 @@ def joint_score(
     align : str
         See :mod:`posecal.align`.
     joints : bool array (K,), optional
-        The joints that the metric is about.
+        The joints that are scored.
+    body : bool array (K,), optional
+        The joints that make up the pose: the alignment is fitted to them, and ``linked`` chooses by them.
 
     Returns
     -------
@@ -101,14 +104,14 @@ def joint_score(
     weights = block.weights(joints).astype(np.float64)
     found: FloatArray
     if select == "own":
-        found = score(_best_ordered(block, align, joints)).sum(axis=1)
+        found = score(_best_ordered(block, align, joints, body)).sum(axis=1)
         number = np.maximum(np.count_nonzero(weights, axis=1), 1)
         found /= number.reshape(-1, *[1] * (found.ndim - 1))
     elif select == "linked":
-        errors = _linked(block, joint_errors(block, align, None, joints), joints)
+        errors = _linked(block, joint_errors(block, align, None, body), body)
         found = np.einsum("bk,bk...->b...", weights, score(errors))
     else:
-        scores = score(joint_errors(block, align, None, joints))
+        scores = score(joint_errors(block, align, None, body))
         found = np.einsum("bk,bkn...->b...", weights, scores) / block.n_hypotheses
     found[~weights.any(axis=1)] = np.nan
     return found
@@ -120,12 +123,13 @@ def pose_score(
     select: Selection = "own",
     align: Alignment = "none",
     joints: BoolArray | None = None,
+    body: BoolArray | None = None,
 ) -> FloatArray:
     """Score the largest error among a pose's joints, of the hypothesis that ``select`` takes.
 
     Parameters
     ----------
-    block, score, select, align, joints
+    block, score, select, align, joints, body
         As for :func:`joint_score`.
 
     Returns
@@ -134,12 +138,12 @@ def pose_score(
         Scores; NaN for poses without a joint that counts.
     """
     weights = block.weights(joints)
-    errors = np.where(weights[..., None] > 0, joint_errors(block, align, None, joints), 0)
+    errors = np.where(weights[..., None] > 0, joint_errors(block, align, None, body), 0)
     worst = errors.max(axis=1)
     if select == "own":
         found = score(worst.min(axis=-1))
     elif select == "linked":
-        found = score(_linked(block, worst, joints))
+        found = score(_linked(block, worst, body))
     else:
         found = score(worst).mean(axis=1)
     found = np.asarray(found, dtype=np.float64)
@@ -147,26 +151,27 @@ def pose_score(
     return found
 
 
-def _linked(block: Block, values: FloatArray, joints: BoolArray | None) -> FloatArray:
-    """Take from (B, ..., N) the hypothesis whose mean error over the joints is smallest."""
-    errors = pose_errors(block, joints=joints)
+def _linked(block: Block, values: FloatArray, body: BoolArray | None) -> FloatArray:
+    """Take from (B, ..., N) the hypothesis whose mean error over the body is smallest."""
+    errors = pose_errors(block, body=body)
     chosen = np.where(np.isnan(errors), np.inf, errors).argmin(axis=-1)
-    taken: FloatArray = np.take_along_axis(values, chosen.reshape(-1, *[1] * (values.ndim - 1)), axis=-1)
-    return taken[..., 0]
+    places = chosen.reshape(-1, *[1] * (values.ndim - 1))
+    return np.asarray(np.take_along_axis(values, places, axis=-1)[..., 0])
 
 
-def _best_ordered(block: Block, align: Alignment, joints: BoolArray | None) -> FloatArray:
+def _best_ordered(block: Block, align: Alignment, joints: BoolArray | None, body: BoolArray | None) -> FloatArray:
     """Smallest, over the hypotheses, of the i-th smallest joint error, (B, K); infinite for joints left out."""
 
     def compute() -> FloatArray:
-        errors = joint_errors(block, align, None, joints)
+        errors = joint_errors(block, align, None, body)
         counted = block.weights(joints) > 0
         if joints is not None:
             errors, counted = errors[:, joints], counted[:, joints]
         ordered: FloatArray = np.sort(np.where(counted[..., None], errors, np.inf), axis=1)
         return ordered.min(axis=-1)
 
-    return block.share(("best_ordered", align, None if joints is None else joints.tobytes()), compute)
+    masks = (None if mask is None else mask.tobytes() for mask in (joints, body))
+    return block.share(("best_ordered", align, *masks), compute)
 
 
 def pck(

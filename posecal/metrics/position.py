@@ -61,7 +61,8 @@ def pose_of(block: Block, of: OfPoses, mode: int | None = None) -> FloatArray:
     """
     x = block.hypotheses
     if of == "mean_pose":
-        return x.mean(axis=-1, keepdims=True)
+        mean: FloatArray = x.mean(axis=-1, keepdims=True)
+        return mean
     if of == "median_pose":
         return block.median[..., None]
     if of == "weighted_pose":
@@ -76,7 +77,7 @@ def joint_errors(
     block: Block,
     align: Alignment = "none",
     of: OfPoses | None = None,
-    joints: BoolArray | None = None,
+    body: BoolArray | None = None,
     mode: int | None = None,
 ) -> FloatArray:
     """Distance from the truth per joint, after an alignment, of each hypothesis or of one pose made of them.
@@ -89,8 +90,8 @@ def joint_errors(
         How each pose is moved onto the truth first; see :mod:`posecal.align`.
     of : str, optional
         One of :data:`OF_POSES`; each hypothesis by default.
-    joints : bool array (K,), optional
-        The joints that the alignment fits; all by default.
+    body : bool array (K,), optional
+        The joints that make up the pose, to which the alignment is fitted; all by default.
     mode : int, optional
         As for :func:`pose_of`.
 
@@ -101,11 +102,11 @@ def joint_errors(
     """
     if align == "none" and of is None:
         return block.errors
-    key = ("joint_errors", align, of, None if joints is None or align == "none" else joints.tobytes(), mode)
+    key = ("joint_errors", align, of, None if body is None or align == "none" else body.tobytes(), mode)
 
     def compute() -> FloatArray:
         points = block.hypotheses if of is None else pose_of(block, of, mode)
-        return aligned_errors(points, block.truth, block.weights(joints), align)
+        return aligned_errors(points, block.truth, block.weights(body), align)
 
     return block.share(key, compute)
 
@@ -114,7 +115,7 @@ def pose_errors(
     block: Block,
     align: Alignment = "none",
     of: OfPoses | None = None,
-    joints: BoolArray | None = None,
+    body: BoolArray | None = None,
     mode: int | None = None,
 ) -> FloatArray:
     """Mean over a pose's joints of :func:`joint_errors`.
@@ -124,10 +125,14 @@ def pose_errors(
     array (B, n)
         Errors, mm; NaN for poses without a joint that counts.
     """
-    weights = block.weights(joints)
-    errors = (weights[:, None] @ joint_errors(block, align, of, joints, mode))[:, 0]
-    errors[~weights.any(axis=1)] = np.nan
-    return errors
+
+    def compute() -> FloatArray:
+        weights = block.weights(body)
+        errors = (weights[:, None] @ joint_errors(block, align, of, body, mode))[:, 0]
+        errors[~weights.any(axis=1)] = np.nan
+        return errors
+
+    return block.share(("pose_errors", align, of, None if body is None else body.tobytes(), mode), compute)
 
 
 def mpjpe(
@@ -258,10 +263,10 @@ def min_mpjpe(
 
 
 def subset_errors(
-    block: Block, sizes: npt.NDArray[np.intp], align: Alignment = "none", joints: BoolArray | None = None
+    block: Block, sizes: npt.NDArray[np.intp], align: Alignment = "none", body: BoolArray | None = None
 ) -> FloatArray:
     """Expected error of the best of a random subset of the hypotheses, (B, T), mm, for T subset sizes."""
-    ordered = np.sort(pose_errors(block, align, joints=joints), axis=-1)
+    ordered = np.sort(pose_errors(block, align, body=body), axis=-1)
     return np.asarray(ordered @ subset_weights(block.n_hypotheses, sizes).T)
 
 
@@ -314,11 +319,11 @@ def min_mpjpe_curve(
     asked = np.asarray(sizes)
     n_hypotheses = np.shape(hypotheses)[0] if np.ndim(hypotheses) else 0
     if asked.ndim != 1 or asked.dtype.kind not in "iu" or not ((asked >= 1) & (asked <= n_hypotheses)).all():
-        raise PoseDataError(f"sizes: {sizes}; expected whole numbers from 1 to N = {n_hypotheses}.")
+        raise PoseDataError(f"sizes: {asked.tolist()}; expected whole numbers from 1 to N = {n_hypotheses}.")
     return per_pose(lambda b: subset_errors(b, asked, align), hypotheses, truth, where, root=root)
 
 
-def velocity_errors(block: Block, *, of: OfPoses | None = None, joints: BoolArray | None = None) -> FloatArray:
+def velocity_errors(block: Block, *, of: OfPoses | None = None, body: BoolArray | None = None) -> FloatArray:
     """Mean over joints of how much the step since the pose before differs from the true step.
 
     Returns
@@ -331,7 +336,7 @@ def velocity_errors(block: Block, *, of: OfPoses | None = None, joints: BoolArra
     if of == "mean_pose":
         points = points.mean(axis=-1, keepdims=True)
     errors = np.sqrt(((points - steps[..., -1:]) ** 2).sum(axis=2))
-    weights = block.weights(joints)
+    weights = block.weights(body)
     found: FloatArray = np.einsum("bk,bkn->bn", weights, errors)
     found[~weights.any(axis=1)] = np.nan
     return found

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from posecal.block import Block, FloatArray, per_pose, squared_distances
 from posecal.errors import PoseDataError
 
-__all__ = ["diversity", "joint_deviations", "joint_radii", "radius"]
+__all__ = ["diversity", "joint_deviations", "joint_radii", "mean_over_joints", "predicted_spread", "radius"]
 
 
 def joint_deviations(block: Block, *, population: bool = False) -> FloatArray:
@@ -29,6 +29,12 @@ def joint_deviations(block: Block, *, population: bool = False) -> FloatArray:
     return np.where(block.where, found, np.nan)
 
 
+def predicted_spread(block: Block) -> FloatArray:
+    """How wide a pose's hypotheses lie: mean over its moving joints of :func:`joint_deviations`, (B,), mm."""
+    found = joint_deviations(block)
+    return mean_over_joints(np.where(found > 0, found, np.nan))
+
+
 def joint_radii(block: Block, shares: tuple[float, ...]) -> FloatArray:
     """Radius of the ball about the median that holds a share of the hypotheses.
 
@@ -38,9 +44,7 @@ def joint_radii(block: Block, shares: tuple[float, ...]) -> FloatArray:
         The ⌈q N⌉-th smallest distance from the per-coordinate median, mm; NaN for joints that don't count.
     """
     n = block.n_hypotheses
-    squares = block.share(
-        "sorted_squares", lambda: np.sort(squared_distances(block.hypotheses, block.median), axis=-1)
-    )
+    squares = block.share("sorted_squares", lambda: np.sort(squared_distances(block.hypotheses, block.median), axis=-1))
     places = [max(1, int(np.ceil(round(share * n, 9)))) - 1 for share in shares]
     found = np.sqrt(squares[..., places], dtype=np.float64)
     found[~block.where] = np.nan
@@ -102,7 +106,7 @@ def diversity(
     """
 
     def statistic(block: Block) -> FloatArray:
-        return _mean_over_joints(joint_deviations(block, population=population))
+        return mean_over_joints(joint_deviations(block, population=population))
 
     return per_pose(statistic, hypotheses, truth, where, root=root)
 
@@ -157,12 +161,10 @@ def radius(
     """
     if not 0 < share <= 1:
         raise PoseDataError(f"share: {share}; expected above 0 and at most 1.")
-    return per_pose(
-        lambda b: _mean_over_joints(joint_radii(b, (share,))[..., 0]), hypotheses, truth, where, root=root
-    )
+    return per_pose(lambda b: mean_over_joints(joint_radii(b, (share,))[..., 0]), hypotheses, truth, where, root=root)
 
 
-def _mean_over_joints(values: FloatArray) -> FloatArray:
+def mean_over_joints(values: FloatArray) -> FloatArray:
     """Mean over the last axis of what is not NaN; NaN where nothing is left."""
     number = np.isfinite(values).sum(axis=-1)
     return np.where(number > 0, np.nansum(values, axis=-1) / np.maximum(number, 1), np.nan)
