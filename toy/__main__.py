@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from toy.experiments.result import Result
 
 P = ParamSpec("P")
-FORMATS = (".svg", ".png", ".pdf")
 
 app = typer.Typer(
     help="Worlds whose answers are known: the paper's toy problems and an oracle pose world.",
@@ -37,14 +36,19 @@ def command(body: Callable[P, None]) -> Callable[P, None]:
             typer.echo(f"toy: {error}", err=True)
             raise typer.Exit(3) from None
         except KeyboardInterrupt:
+            typer.echo("toy: interrupted.", err=True)
             raise typer.Exit(130) from None
 
     return app.command(body.__name__.replace("_", "-"))(guarded)
 
 
 def _figure(path: Path) -> Path:
-    if path.suffix.lower() not in FORMATS:
-        raise typer.BadParameter(f"{path}: expected a name that ends in {', '.join(FORMATS)}.")
+    from posecal.plot import check_suffix
+
+    try:
+        check_suffix(path)
+    except PosecalError as error:
+        raise typer.BadParameter(str(error)) from None
     return path
 
 
@@ -54,7 +58,7 @@ Poses = Annotated[int, typer.Option(help="Truths in the simulated check.", min=2
 
 
 def _deliver(result: Result, output: Path) -> None:
-    from toy.style import save
+    from posecal.plot import save
 
     typer.echo(result.text)
     save(result.figure, output)

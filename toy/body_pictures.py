@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
-from toy.style import BLUE, GOLD, GREY, INK, PINK, style
+from toy.style import FAINT, GOLD, INK, OVER, UNDER, style
 
 __all__ = ["pendulum", "people"]
 
@@ -44,15 +44,15 @@ def people(
         axes = figure.subplots(1, 2 * len(poses), sharey=True)
         for index, (title, hypotheses, truth) in enumerate(poses):
             for ax, axis, view in ((axes[2 * index], 0, "front"), (axes[2 * index + 1], 2, "side")):
-                for pose, colour, width, alpha in (*((h, GREY, 0.5, 0.35) for h in hypotheses[:25]),
-                                                   (truth, BLUE, 1.6, 1.0)):  # fmt: skip
+                for pose, colour, width, alpha in (*((h, FAINT, 0.5, 0.35) for h in hypotheses[:25]),
+                                                   (truth, UNDER, 1.6, 1.0)):  # fmt: skip
                     placed = np.concatenate([pose, np.zeros((1, 3))])  # index -1 is the origin
                     for parent, child in bones:
                         ends = placed[[parent, child]]
                         ax.plot(ends[:, axis], -ends[:, 1], color=colour, linewidth=width, alpha=alpha,
                                 solid_capstyle="round")  # fmt: skip
                 cloud = hypotheses[:, joint]
-                ax.plot(cloud[:, axis], -cloud[:, 1], ".", color=PINK, markersize=2, alpha=0.6, label=joint_name)
+                ax.plot(cloud[:, axis], -cloud[:, 1], ".", color=OVER, markersize=2, alpha=0.6, label=joint_name)
                 ax.set_aspect("equal")
                 ax.set(xlim=(-620, 620), ylim=(-1080, 860))
                 ax.set_title(f"{title}\n{view}" if axis == 0 else f"\n{view}", loc="left")
@@ -79,7 +79,7 @@ def pendulum(time: Floats, positions: Floats, observed: Floats, energy: Floats) 
     Figure
         Three pendulums and a curve for each energy.
     """
-    colours = [GOLD, PINK, BLUE]
+    colours = [GOLD, OVER, UNDER]
     shown = np.linspace(0, len(time) - 1, 4).astype(int)
     with style():
         figure = Figure(figsize=(7.0, 2.3))
@@ -96,8 +96,8 @@ def pendulum(time: Floats, positions: Floats, observed: Floats, energy: Floats) 
         axes[0].set_ylabel("y (m)")
         axes[0].legend(loc="upper left", handletextpad=0, borderpad=0.1, labelspacing=0.2)
         drift = np.abs(energy / energy[:, :1] - 1)[:, 1:]
-        axes[3].semilogy(time[1:], np.maximum(drift, 1e-17).T, color=GREY, linewidth=0.5)
-        axes[3].semilogy(time[1:], drift.max(axis=0), color=PINK, label="largest")
+        axes[3].semilogy(time[1:], np.maximum(drift, 1e-17).T, color=FAINT, linewidth=0.5)
+        axes[3].semilogy(time[1:], drift.max(axis=0), color=OVER, label="largest")
         axes[3].set(xlabel="time (s)", ylabel="|E/E(0) − 1|", title=f"energy drift of {len(energy)}")
         axes[3].legend(loc="lower right")
     return figure

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from toy.landscape import Landscape
 from toy.mean import SigmoidFit
-from toy.style import BLUE, CONFIDENCE, DEPTH, GOLD, GREY, INK, PINK, style
+from toy.style import CONFIDENCE, DEPTH, FAINT, GOLD, INK, OVER, UNDER, style
 
 __all__ = ["collapse", "curves", "landscape", "mean", "sigma_map"]
 
@@ -23,7 +23,7 @@ Floats = npt.NDArray[np.float64]
 
 
 def _bars(ax: Axes, values: tuple[float, float], label: str) -> None:
-    bars = ax.bar(["optimum", "oracle"], values, color=[PINK, GOLD], edgecolor=INK, linewidth=0.6)
+    bars = ax.bar(["optimum", "oracle"], values, color=[OVER, GOLD], edgecolor=INK, linewidth=0.6)
     ax.bar_label(bars, [f"{value:.3g}" for value in values], padding=1, fontsize=7)
     ax.tick_params("x", labelsize=7)
     ax.set_title(label)
@@ -84,9 +84,7 @@ def sigma_map(
         map_ax.set_title("σ that minimises minMPJPE")
         colours = figure.colorbar(image, ax=map_ax, aspect=25, pad=0.02)
         colours.set_ticks([0, truth_sigma / 2, truth_sigma, 1.5 * truth_sigma])
-        colours.ax.set_yticklabels(
-            ["0", f"{truth_sigma / 2:g}", f"σ* = {truth_sigma:g}", f"{1.5 * truth_sigma:g}"]
-        )
+        colours.ax.set_yticklabels(["0", f"{truth_sigma / 2:g}", f"σ* = {truth_sigma:g}", f"{1.5 * truth_sigma:g}"])
         colours.ax.axhline(truth_sigma, color=INK, linewidth=1)
         _bars(error_ax, min_mpjpe, "minMPJPE")
         _bars(nll_ax, nll, "NLL (nats)")
@@ -118,7 +116,7 @@ def landscape(surface: Landscape, N: int) -> Figure:
             (axes[1], surface.ece, "ECE"),
         ):
             filled = ax.contourf(surface.mu, surface.sigma, values, levels=14, cmap=DEPTH)
-            ax.plot(surface.mu, surface.valley, color=PINK, label="least ECE for each μ")
+            ax.plot(surface.mu, surface.valley, color=OVER, label="least ECE for each μ")
             ax.plot(*surface.lowest_min_mpjpe, "s", color="white", markeredgecolor=INK, label="lowest minMPJPE")
             ax.plot(surface.truth_mu, surface.truth_sigma, "*", color=GOLD, markeredgecolor=INK, markersize=11,
                     label="truth")  # fmt: skip
@@ -126,7 +124,7 @@ def landscape(surface: Landscape, N: int) -> Figure:
             bar = figure.colorbar(filled, ax=ax, aspect=25, pad=0.02)
             bar.ax.locator_params(nbins=5)
         axes[0].legend(loc="upper center", handlelength=1.2, labelcolor="white")
-        axes[2].plot(surface.mu, surface.valley_min_mpjpe, color=PINK)
+        axes[2].plot(surface.mu, surface.valley_min_mpjpe, color=OVER)
         axes[2].plot(
             surface.truth_mu, surface.valley_min_mpjpe.min(), "*", color=GOLD, markeredgecolor=INK, markersize=11
         )
@@ -158,18 +156,18 @@ def collapse(
     with style():
         figure = Figure(figsize=(5.2, 2.3))
         left, right = figure.subplots(1, 2)
-        left.plot(spread, mpjpe, color=PINK, label="mean MPJPE")
-        left.plot(spread, squared, color=BLUE, linestyle="--", label="mean squared error")
-        left.plot(0, 1, "o", color=PINK, clip_on=False, zorder=3)
+        left.plot(spread, mpjpe, color=OVER, label="mean MPJPE")
+        left.plot(spread, squared, color=UNDER, linestyle="--", label="mean squared error")
+        left.plot(0, 1, "o", color=OVER, clip_on=False, zorder=3)
         left.annotate("lowest", (0, 1), (4, -8), textcoords="offset points")
         left.axvline(1, color=GOLD, label="oracle")
         left.set_ylim(0.7, 5.2)
         left.set(xlabel="spread σ/σ*", ylabel="error / collapsed model's", title="Gaussian truth, any D")
         left.legend(loc="upper left", frameon=True, framealpha=1, edgecolor="none")
         right.fill_between(point, np.exp(-point), color="#E8E8E8", linewidth=0, label="the truth's density")
-        right.plot(point, skewed_mpjpe, color=PINK, label="mean MPJPE")
-        right.plot(point, skewed_squared, color=BLUE, linestyle="--", label="mean squared error")
-        lowest = ((skewed_mpjpe, PINK, "the median", -11), (skewed_squared, BLUE, "the mean", 7))
+        right.plot(point, skewed_mpjpe, color=OVER, label="mean MPJPE")
+        right.plot(point, skewed_squared, color=UNDER, linestyle="--", label="mean squared error")
+        lowest = ((skewed_mpjpe, OVER, "the median", -11), (skewed_squared, UNDER, "the mean", 7))
         for values, colour, word, above in lowest:
             best = values.argmin()
             right.plot(point[best], values[best], "o", color=colour)
@@ -210,7 +208,7 @@ def mean(
     Figure
         Three plots.
     """
-    colours = [GREY, BLUE, PINK, GOLD, INK]
+    colours = [FAINT, UNDER, OVER, GOLD, INK]
     with style():
         figure = Figure(figsize=(6.9, 2.4))
         left, middle, right = figure.subplots(1, 3)
@@ -225,7 +223,7 @@ def mean(
         middle.axhline(0, color=INK, linewidth=0.6)
         middle.set(xlabel="(E[x] − μ) / σ*", ylabel="sigmoid − E[z*]", title="error of the sigmoid")
         right.axhline(0, color=INK, linewidth=0.6)
-        for colour, (name, values) in zip((BLUE, PINK), derivative.items(), strict=False):
+        for colour, (name, values) in zip((UNDER, OVER), derivative.items(), strict=False):
             right.plot(span, values, color=colour, label=name)
             right.plot(roots[name], 0, "o", color=colour, markeredgecolor=INK)
         right.set(xlabel="(E[x] − μ) / σ*", ylabel="a − σ E[z*], in σ*", title="slope of squared minMPJPE")
@@ -251,20 +249,20 @@ def curves(panels: Sequence[tuple[str, Mapping[str, Floats]]], levels: Floats) -
     with style():
         figure = Figure(figsize=(2.25 * len(panels), 2.5))
         for ax, (title, lines) in zip(np.atleast_1d(figure.subplots(1, len(panels))), panels, strict=True):
-            ax.fill_between([0, 1], [0, 1], 0, color=PINK, alpha=0.08, linewidth=0)
-            ax.fill_between([0, 1], [0, 1], 1, color=BLUE, alpha=0.08, linewidth=0)
+            ax.fill_between([0, 1], [0, 1], 0, color=OVER, alpha=0.08, linewidth=0)
+            ax.fill_between([0, 1], [0, 1], 1, color=UNDER, alpha=0.08, linewidth=0)
             ax.plot([0, 1], [0, 1], color=INK, linewidth=0.8)
             for words, line in lines.items():
-                ax.plot(levels, line, color=BLUE if line.mean() > levels.mean() else PINK)
+                ax.plot(levels, line, color=UNDER if line.mean() > levels.mean() else OVER)
                 crossing = np.searchsorted(levels + line, 1.0)  # where it meets the other diagonal
                 ax.text(
                     levels[crossing], line[crossing], words, fontsize=6.5, ha="center", va="center",
                     bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none"},
                 )  # fmt: skip
             if all(line.mean() < levels.mean() for line in lines.values()):
-                ax.text(0.03, 0.94, "underconfident", color=BLUE, va="center")
+                ax.text(0.03, 0.94, "underconfident", color=UNDER, va="center")
             if all(line.mean() > levels.mean() for line in lines.values()):
-                ax.text(0.97, 0.06, "overconfident", color=PINK, va="center", ha="right")
+                ax.text(0.97, 0.06, "overconfident", color=OVER, va="center", ha="right")
             ax.set(xlabel="quantile q", ylabel="share of truths ω(q)", title=title, xlim=(0, 1), ylim=(0, 1))
             ax.set_aspect("equal")
             ax.set_xticks([0, 0.5, 1])

@@ -7,14 +7,35 @@ ids, so that nothing has to be said on the command line. Lengths are float32 mil
 from __future__ import annotations
 
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import numpy.typing as npt
 
+from posecal.errors import PoseFileError
+from posecal.io import written_whole
 from toy.faults import Case, Fault
-from toy.whole_file import make_folder, whole_file
 
-__all__ = ["write_case"]
+__all__ = ["make_folder", "write_case"]
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder, in a folder that is there; do nothing where it is there itself.
+
+    Parameters
+    ----------
+    path : Path
+        The folder.
+
+    Raises
+    ------
+    PoseFileError
+        Where it can't be made.
+    """
+    try:
+        path.mkdir(exist_ok=True)
+    except OSError as error:
+        raise PoseFileError(f"{path}: can't be made ({error.strerror}). Make the folder above it first.") from error
 
 
 def write_case(folder: Path, case: Case, fault: Fault, N: int) -> tuple[npt.NDArray[np.float32], ...]:
@@ -55,9 +76,14 @@ def write_case(folder: Path, case: Case, fault: Fault, N: int) -> tuple[npt.NDAr
     sequence = np.array([f"s{number:03d}" for number in scene.sequence])
     frame_id = np.array([f"{name}/{t:04d}" for name, t in zip(sequence, scene.frame, strict=True)])
     unit, joints = np.array("mm"), np.array(case.world.joints)
-    with whole_file(folder / "gt.npz") as gt, whole_file(folder / "hyps.npz") as hyps:
+
+    def save_hypotheses(file: BinaryIO) -> None:
+        axes = np.array("NMKD")
+        np.savez(file, hypotheses=hypotheses, axes=axes, unit=unit, joints=joints, frame_id=frame_id)
+
+    def save_truth(file: BinaryIO) -> None:
         np.savez(
-            gt,
+            file,
             truth=truth,
             axes=np.array("MKD"),
             unit=unit,
@@ -68,6 +94,7 @@ def write_case(folder: Path, case: Case, fault: Fault, N: int) -> tuple[npt.NDAr
             occluded=~scene.observed,
             keypoints_2d=scene.keypoints.astype(np.float32),
         )
-        axes = np.array("NMKD")
-        np.savez(hyps, hypotheses=hypotheses, axes=axes, unit=unit, joints=joints, frame_id=frame_id)
+
+    written_whole(folder / "hyps.npz", save_hypotheses)
+    written_whole(folder / "gt.npz", save_truth)
     return hypotheses, truth

@@ -70,9 +70,7 @@ class Posterior:
         for pattern, factor in enumerate(self._factor):
             poses = np.flatnonzero(self.pattern == pattern)
             deviation = rng.standard_normal((N, poses.size, len(factor))) @ factor.T
-            drawn[np.ix_(np.arange(N), poses, np.flatnonzero(self.moves))] += deviation.reshape(
-                N, poses.size, -1, D
-            )
+            drawn[np.ix_(np.arange(N), poses, np.flatnonzero(self.moves))] += deviation.reshape(N, poses.size, -1, D)
         return drawn
 
     def log_prob(self, truth: npt.ArrayLike) -> Floats:

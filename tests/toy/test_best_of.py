@@ -56,9 +56,7 @@ class TestNearest:
 
 
 class TestExpectedMinMpjpe:
-    @pytest.mark.parametrize(
-        ("D", "sigma", "truth_sigma"), [(1, 4, 3), (3, 0.1, 0.5), (45, 0.2, 0.5), (100, 1, 0.5)]
-    )
+    @pytest.mark.parametrize(("D", "sigma", "truth_sigma"), [(1, 4, 3), (3, 0.1, 0.5), (45, 0.2, 0.5), (100, 1, 0.5)])
     def test_of_one_hypothesis_has_a_closed_form(self, D: int, sigma: float, truth_sigma: float) -> None:
         exact = collapse.mean_mpjpe(sigma, D=D, truth_sigma=truth_sigma)
         found = best_of.expected_min_mpjpe(sigma, N=1, D=D, truth_sigma=truth_sigma)
@@ -86,9 +84,7 @@ class TestExpectedMinMpjpe:
             fine = best_of.expected_min_mpjpe(sigma, N=N, D=D, nodes=144)
             np.testing.assert_allclose(coarse, fine, rtol=1e-4)
 
-    @pytest.mark.parametrize(
-        ("D", "N", "sigma", "offset"), [(1, 10, 6.0, 1.0), (3, 5, 2.0, 0.0), (6, 20, 1.0, 3.0)]
-    )
+    @pytest.mark.parametrize(("D", "N", "sigma", "offset"), [(1, 10, 6.0, 1.0), (3, 5, 2.0, 0.0), (6, 20, 1.0, 3.0)])
     def test_agrees_with_plain_draws(self, D: int, N: int, sigma: float, offset: float) -> None:
         rng = np.random.default_rng(1)
         truth = 2.0 * rng.standard_normal((40_000, D))
@@ -103,9 +99,7 @@ class TestExpectedMinMpjpe:
         for sigma in (0.1973, 0.5):
             mean, error = best_of.simulated_min_mpjpe(sigma, N=200, D=45, poses=60_000, rng=rng)
             assert error < 1e-3 * mean / 2
-            np.testing.assert_allclose(
-                best_of.expected_min_mpjpe(sigma, N=200, D=45), mean, rtol=0, atol=4 * error
-            )
+            np.testing.assert_allclose(best_of.expected_min_mpjpe(sigma, N=200, D=45), mean, rtol=0, atol=4 * error)
 
     def test_scales_with_the_unit_of_length(self) -> None:
         metres = best_of.expected_min_mpjpe(0.2, N=20, D=5, truth_sigma=0.5, offset=0.3)
@@ -159,9 +153,7 @@ class TestOptimalSigma:
 
     def test_is_a_minimum(self) -> None:
         sigma = best_of.optimal_sigma(N=50, D=10)
-        here, *beside = (
-            float(best_of.expected_min_mpjpe(s, N=50, D=10)) for s in (sigma, 0.99 * sigma, 1.01 * sigma)
-        )
+        here, *beside = (float(best_of.expected_min_mpjpe(s, N=50, D=10)) for s in (sigma, 0.99 * sigma, 1.01 * sigma))
         assert here < min(beside)
 
     def test_scales_with_the_truth(self) -> None:

@@ -92,9 +92,7 @@ def test_a_truth_in_fewer_dimensions_shows_its_closed_curve(seed: int, D: int, d
     D=dimensions,
     law=st.sampled_from(["normal", "skewed", "discrete", "correlated"]),
 )
-def test_exchangeable_ranks_are_uniform_for_every_number_of_hypotheses(
-    seed: int, N: int, D: int, law: str
-) -> None:
+def test_exchangeable_ranks_are_uniform_for_every_number_of_hypotheses(seed: int, N: int, D: int, law: str) -> None:
     rng = np.random.default_rng(seed)
     M, K = 1500, 3
     pool = rng.standard_normal((N + 1, M, K, D))
@@ -159,9 +157,7 @@ class TestLaws:
 
     @settings(drawn, max_examples=10)
     @given(seed=seeds, N=st.integers(3, 12), data=st.data())
-    def test_turning_by_right_angles_and_mirroring_change_nothing(
-        self, seed: int, N: int, data: st.DataObject
-    ) -> None:
+    def test_turning_by_right_angles_and_mirroring_change_nothing(self, seed: int, N: int, data: st.DataObject) -> None:
         hypotheses, truth = sampler(seed, N=N, M=7, K=3, D=3, spread=0.6)
         axes = data.draw(st.permutations(range(3)))
         signs = np.array(data.draw(st.tuples(*[st.sampled_from([-1.0, 1.0])] * 3)))

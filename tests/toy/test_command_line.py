@@ -10,9 +10,8 @@ import pytest
 from typer.testing import CliRunner, Result
 
 import toy
-from toy.__main__ import FORMATS, app
+from toy.__main__ import app
 from toy.faults import FAULTS
-from toy.style import FORMATS as STYLE_FORMATS
 
 SMALL = {
     "sigma-map": ["--grid", "3", "--poses", "50"],
@@ -57,10 +56,6 @@ def test_every_command_prints_its_numbers_and_writes_a_figure(command: str) -> N
 def test_the_ending_chooses_the_format(ending: str, magic: bytes) -> None:
     assert run("collapse", "--poses", "50", "-o", f"here.{ending}").exit_code == 0
     assert Path(f"here.{ending}").read_bytes().startswith(magic)
-
-
-def test_the_command_line_knows_the_formats_of_the_style() -> None:
-    assert FORMATS == STYLE_FORMATS  # spelt out there so that --help need not import matplotlib
 
 
 def test_the_seed_decides_the_check_and_the_figure_is_the_same_again() -> None:
@@ -125,11 +120,11 @@ def test_a_wrong_call_ends_in_2(arguments: list[str], tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["collapse", "--poses", "50", "-o", "no/such/a.svg"], "no/such/a.svg: can't be written"),
+        (["collapse", "--poses", "50", "-o", "no/such/a.svg"], "no/such/a.svg: the folder no/such does not exist"),
         (["pose-world", "--fault", "shiftd"], "fault: 'shiftd' is not known. Did you mean shifted?"),
         (["pose-world", "--joints", "h36m-99"], "joint set: 'h36m-99' is not known"),
         (["pose-world", *SMALL["pose-world"], "--data", "no/such"], "no/such: can't be made"),
-        (["pendulum", "--pendulums", "2", "--data", "no/such.npz"], "no/such.npz: can't be written"),
+        (["pendulum", "--pendulums", "2", "--data", "no/such.npz"], "no/such.npz: the folder no does not exist"),
     ],
 )
 def test_bad_data_end_in_3_with_one_message_and_nothing_written(

@@ -50,9 +50,7 @@ def test_spread_offset_and_dimension_together_agree_with_draws() -> None:
     truth = rng.normal([0.9, 0], 1, (200_000, 2))
     # The model's quantiles by rank of a large sample: 200,000 draws of each, so √2 the error of one share
     model = np.sort(1.4 * np.linalg.norm(rng.standard_normal((200_000, 3)), axis=1))
-    drawn = (
-        np.searchsorted(np.sort(np.linalg.norm(truth, axis=1)), model[(Q[INNER] * 200_000).astype(int)]) / 200_000
-    )
+    drawn = np.searchsorted(np.sort(np.linalg.norm(truth, axis=1)), model[(Q[INNER] * 200_000).astype(int)]) / 200_000
     exact = curves.coverage(**wrong)[INNER]
     slope = np.gradient(exact, Q[INNER])
     error = np.sqrt((exact * (1 - exact) + slope**2 * Q[INNER] * (1 - Q[INNER])) / 200_000)

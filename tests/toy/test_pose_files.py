@@ -1,15 +1,18 @@
 """What the pose world writes, as a reader of the files finds it."""
 
+import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import posecal
 from posecal.errors import PoseFileError
 from toy.faults import FAULTS, Case
-from toy.pose_files import write_case
+from toy.pose_files import make_folder, write_case
 from toy.pose_world import PoseWorld
-from toy.whole_file import make_folder, whole_file
 
 
 @pytest.fixture
@@ -58,27 +61,31 @@ def test_members_are_not_compressed_so_that_they_can_be_mapped(tmp_path: Path, c
         assert {member.compress_type for member in stored.infolist()} == {ZIP_STORED}
 
 
-def test_a_file_that_fails_half_way_leaves_nothing(tmp_path: Path) -> None:
-    target = tmp_path / "a.npz"
-    target.write_text("the old one")
+def test_posecal_evaluates_the_files_as_they_are(tmp_path: Path) -> None:
+    world = PoseWorld.person()
+    rng = np.random.default_rng(1)
+    case = Case.of(world, world.draw(rng, sequences=30, frames=10, hidden=0.3), rng)
+    write_case(tmp_path, case, FAULTS["perfect"], 50)
+    files = [str(tmp_path / "hyps.npz"), str(tmp_path / "gt.npz")]
+    arguments = [sys.executable, "-m", "posecal", "evaluate", *files, "--by", "action", "--format", "json"]
+    checkout = Path(posecal.__file__).parents[1]
+    done = subprocess.run(arguments, cwd=checkout, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    rows = json.loads(done.stdout)["rows"]
+    value = {row["metric"]: row["value"] for row in rows if not row["group"] and row["joint"] is None}
+    expected, error = case.posterior.expected_min_mpjpe(50, np.random.default_rng(2))
+    # Both are means over 300 poses of the same law, so their difference has √2 times the error of one
+    np.testing.assert_allclose(value["min_mpjpe"], expected, rtol=0, atol=4 * np.sqrt(2) * error)
+    assert value["ece"] < 3 * 0.0099 * np.sqrt(1000 / 300)  # the noise of test_faults.py at 300 poses
+    groups = {row["group"] for row in rows if row["group"]}
+    assert len(groups) == 2
+    assert all(any(action in group for group in groups) for action in ("open", "occluded"))
 
-    def fail_half_way() -> None:
-        with whole_file(target) as part:
-            part.write_text("half of the new o")
-            raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt):
-        fail_half_way()
-    assert target.read_text() == "the old one"
-    assert list(tmp_path.iterdir()) == [target]
-
-
-def test_a_missing_folder_is_named(tmp_path: Path) -> None:
-    with (
-        pytest.raises(PoseFileError, match=r"gone.a\.npz: can't be written \(No such file or directory\)"),
-        whole_file(tmp_path / "gone" / "a.npz") as part,
-    ):
-        part.write_text("text")
+def test_a_missing_folder_leaves_nothing(tmp_path: Path, case: Case) -> None:
+    with pytest.raises(PoseFileError, match=r"deep: can't be made .* Make the folder above it first"):
+        write_case(tmp_path / "no" / "deep", case, FAULTS["perfect"], 2)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_folder_is_made_in_a_folder_that_is_there(tmp_path: Path) -> None:

@@ -292,9 +292,7 @@ class TestRefusals:
             PoseWorld(("a",), (-1,), np.ones((1, 3)), np.zeros((1, 3, 3)), 1.0)
 
     def test_keypoints_of_another_world(self) -> None:
-        with pytest.raises(
-            PoseDataError, match=r"keypoints \(5, 14, 2\), observed \(5, 14\); expected \(M, 16, 2\)"
-        ):
+        with pytest.raises(PoseDataError, match=r"keypoints \(5, 14, 2\), observed \(5, 14\); expected \(M, 16, 2\)"):
             PoseWorld.person().posterior(np.zeros((5, 14, 2)), np.ones((5, 14), bool))
 
     def test_observed_keypoints_that_are_not_there(self) -> None:

@@ -43,9 +43,7 @@ def run(rng: np.random.Generator, *, poses: int = 100_000) -> Result:
         lines = {}
         for words, (spread, offset, D, truth_D) in cases.items():
             exact = curves.coverage(spread=spread, offset=offset, D=D, truth_D=truth_D)
-            drawn = curves.simulated_coverage(
-                spread=spread, offset=offset, D=D, truth_D=truth_D, draws=poses, rng=rng
-            )
+            drawn = curves.simulated_coverage(spread=spread, offset=offset, D=D, truth_D=truth_D, draws=poses, rng=rng)
             apart.append(_errors_apart(drawn, spread=spread, offset=offset, D=D, truth_D=truth_D, draws=poses))
             ece = curves.ece(spread=spread, offset=offset, D=D, truth_D=truth_D)
             rows.append([f"{title} {words}", ece, float(exact[10]), float(exact[18])])
@@ -62,8 +60,7 @@ def _errors_apart(drawn: Floats, *, spread: float, offset: float, D: int, truth_
     """The largest distance between a drawn and the exact curve, in standard errors, between the ends."""
     q, step = curves.LEVELS[1:-1], 1e-5
     near = [
-        curves.coverage(q + shift, spread=spread, offset=offset, D=D, truth_D=truth_D)
-        for shift in (-step, 0, step)
+        curves.coverage(q + shift, spread=spread, offset=offset, D=D, truth_D=truth_D) for shift in (-step, 0, step)
     ]
     slope = (near[2] - near[0]) / (2 * step)
     error = np.sqrt((near[1] * (1 - near[1]) + slope**2 * q * (1 - q)) / draws)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
+from posecal.io import written_whole
 from toy import body_pictures
 from toy.experiments.result import Result
 from toy.pendulum import simulate
 from toy.table import table
-from toy.whole_file import whole_file
 
 __all__ = ["run"]
 
@@ -34,8 +35,11 @@ def run(rng: np.random.Generator, data: Path, *, pendulums: int = 50, timesteps:
         Reach, speed and drift.
     """
     found = simulate(rng, pendulums=pendulums, timesteps=timesteps)
-    with whole_file(data) as part:
-        np.savez(part, time=found.time, positions=found.positions, observed=found.observed, energy=found.energy)
+
+    def save(file: BinaryIO) -> None:
+        np.savez(file, time=found.time, positions=found.positions, observed=found.observed, energy=found.energy)
+
+    written_whole(data, save)
     noise = (found.observed - found.positions[:, :, 1:]).std()
     rods = np.linalg.norm(np.diff(found.positions, axis=2), axis=-1)
     text = [

@@ -12,12 +12,11 @@ from posecal.skeleton import canonical_name
 from toy import body_pictures
 from toy.experiments.result import Result
 from toy.faults import Case, Fault
-from toy.pose_files import write_case
+from toy.pose_files import make_folder, write_case
 from toy.pose_world import PoseWorld
 from toy.posterior import Posterior
 from toy.progress import bar
 from toy.table import check, table
-from toy.whole_file import make_folder
 
 __all__ = ["run"]
 

@@ -46,9 +46,7 @@ def run(rng: np.random.Generator, *, poses: int = 100_000, grid: int = 20) -> Re
     best = best_of.optimal_sigma(N=HYPOTHESES, D=DIMENSIONS, truth_sigma=TRUTH_SIGMA)
 
     def error(spread: float, nodes: int) -> float:
-        expected = best_of.expected_min_mpjpe(
-            spread, N=HYPOTHESES, D=DIMENSIONS, truth_sigma=TRUTH_SIGMA, nodes=nodes
-        )
+        expected = best_of.expected_min_mpjpe(spread, N=HYPOTHESES, D=DIMENSIONS, truth_sigma=TRUTH_SIGMA, nodes=nodes)
         return float(expected)
 
     found = {}
