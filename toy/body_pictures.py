@@ -44,7 +44,7 @@ def people(
         axes = figure.subplots(1, 2 * len(poses), sharey=True)
         for index, (title, hypotheses, truth) in enumerate(poses):
             for ax, axis, view in ((axes[2 * index], 0, "front"), (axes[2 * index + 1], 2, "side")):
-                for pose, colour, width, alpha in (*((h, FAINT, 0.5, 0.35) for h in hypotheses[:25]),
+                for pose, colour, width, alpha in (*((h, FAINT, 0.5, 0.6) for h in hypotheses[:25]),
                                                    (truth, UNDER, 1.6, 1.0)):  # fmt: skip
                     placed = np.concatenate([pose, np.zeros((1, 3))])  # index -1 is the origin
                     for parent, child in bones:

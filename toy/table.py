@@ -8,7 +8,7 @@ __all__ = ["check", "table"]
 
 
 def table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str | float]]) -> str:
-    """Align cells in columns, the first to the left and the others to the right.
+    """Align cells in columns: numbers to the right, words to the left.
 
     Parameters
     ----------
@@ -17,7 +17,7 @@ def table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str | float]
     heads : sequence of str
         What stands above each column.
     rows : iterable of sequences
-        Words as they are, numbers to five digits.
+        Words as they are, numbers to four digits.
 
     Returns
     -------
@@ -26,19 +26,30 @@ def table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str | float]
 
     Examples
     --------
-    >>> print(table("weights", ["", "mm"], [["left", 1.25], ["right", 12]]))
+    >>> print(table("weights", ["hand", "mm", "why"], [["left", 1.25, "light"], ["right", 12, "used"]]))
     weights
-             mm
-      left   1.25
-      right    12
+      hand     mm  why
+      left   1.25  light
+      right    12  used
     """
-    lines = [list(heads), *([c if isinstance(c, str) else f"{c:.5g}" for c in row] for row in rows)]
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    aligned = (
-        "  ".join([line[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(line[1:], widths[1:], strict=True))])
-        for line in lines
-    )
-    return "\n".join([title, *(f"  {line}".rstrip() for line in aligned)])
+    lines = [list(heads), *([c if isinstance(c, str) else f"{c:.4g}" for c in row] for row in rows)]
+    columns = [_aligned(column) for column in zip(*lines, strict=True)]
+    return "\n".join([title, *(f"  {'  '.join(line)}".rstrip() for line in zip(*columns, strict=True))])
+
+
+def _aligned(cells: Sequence[str]) -> list[str]:
+    width = max(map(len, cells))
+    if all(_is_number(cell) for cell in cells[1:]):
+        return [cell.rjust(width) for cell in cells]
+    return [cell.ljust(width) for cell in cells]
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell or 0)
+    except ValueError:
+        return False
+    return True
 
 
 def check(what: str, exact: float, simulated: tuple[float, float]) -> str:

@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from posecal.skeleton import canonical_name
+from posecal.calibration import calibration_curve, ece
+from posecal.metrics import min_mpjpe
+from posecal.skeleton import Skeleton, canonical_name
 from toy import body_pictures
 from toy.experiments.result import Result
 from toy.faults import Case, Fault
@@ -68,19 +70,26 @@ def run(
     exact = case()
     every = np.asarray(exact.scene.observed.all(axis=1))
     kinds = {name: chosen for name, chosen in (("every keypoint", every), ("some hidden", ~every)) if chosen.any()}
-    written: list[list[str]] = []
+    root = Skeleton(world.joints).root
+    written: list[list[str | float]] = []
     poses: list[tuple[str, Floats, Floats]] = []
     for fault in bar(faults, "hypotheses"):
         folder = data / fault.name if len(faults) > 1 else data
         hypotheses, truth = write_case(folder, case(), fault, N)
-        written.append([str(folder), fault.name, fault.says])
+        curve = calibration_curve(hypotheses, truth, root=root)
+        best = float(min_mpjpe(hypotheses, truth).mean())
+        written.append([str(folder), ece(curve), ece(curve, "mean"), best, fault.says])
         poses = [(name, hypotheses[:, m], truth[m]) for name, chosen in kinds.items() for m in [chosen.argmax()]]
 
     text = [
         _spreads(exact.posterior, kinds),
         _density(exact),
         _best_of(exact, N),
-        table("wrote hyps.npz and gt.npz", ["folder", "fault", "what is wrong"], written),
+        table(
+            f"wrote hyps.npz (N = {N}) and gt.npz; ECE (exchangeable) of the median joint, and mean over joints",
+            ["", "ECE", "mean", "minMPJPE, mm", "what is wrong"],
+            written,
+        ),
     ]
     names = [canonical_name(name) for name in world.joints]
     joint = names.index("RWrist") if "RWrist" in names else len(names) - 1
