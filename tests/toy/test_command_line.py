@@ -24,10 +24,10 @@ SMALL = {
 }
 NUMBERS = {
     "sigma-map": ["0.1973", "3.06478", "3.55927", "112.83", "32.66"],
-    "landscape": ["4.0003", "4.5385"],
-    "collapse": ["1.4142", "0.4524", "0.69315"],
-    "mean": ["1.5388", "-0.49186"],
-    "curves": ["0.33104"],
+    "landscape": ["4.0003", "4.538"],
+    "collapse": ["1.414", "0.4524", "0.6931"],
+    "mean": ["1.539", "-0.4919"],
+    "curves": ["0.331"],
     "pose-world": ["nats per pose", "minMPJPE of 10 exact hypotheses"],
     "pendulum": ["drift"],
 }
