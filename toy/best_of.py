@@ -65,7 +65,7 @@ def expected_min_mpjpe(
     Notes
     -----
     With 48 nodes the relative error is below 3e-5 for D to 100, N to 500 and spreads from a tenth to twice the
-    truth's, and below 3e-7 with 64.
+    truth's.
 
     Differs from the published code: it averages 100 truths against hypotheses that they share.
 

@@ -78,11 +78,11 @@ class TestExpectedMinMpjpe:
 
     @pytest.mark.parametrize("D", [1, 4, 45, 100])
     @pytest.mark.parametrize("N", [2, 30, 500])
-    def test_agrees_with_a_quadrature_of_higher_order_to_1e_4(self, D: int, N: int) -> None:
+    def test_agrees_with_a_quadrature_of_higher_order_to_3e_5(self, D: int, N: int) -> None:
         for sigma in (0.05, 0.2, 0.5, 1.0):
             coarse = best_of.expected_min_mpjpe(sigma, N=N, D=D)
             fine = best_of.expected_min_mpjpe(sigma, N=N, D=D, nodes=144)
-            np.testing.assert_allclose(coarse, fine, rtol=1e-4)
+            np.testing.assert_allclose(coarse, fine, rtol=3e-5)
 
     @pytest.mark.parametrize(("D", "N", "sigma", "offset"), [(1, 10, 6.0, 1.0), (3, 5, 2.0, 0.0), (6, 20, 1.0, 3.0)])
     def test_agrees_with_plain_draws(self, D: int, N: int, sigma: float, offset: float) -> None:
