@@ -28,7 +28,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from posecal.block import FloatArray, squared_distances
+from posecal.block import FloatArray, squared_norms
 from posecal.errors import PoseDataError, did_you_mean
 
 __all__ = ["ALIGNMENTS", "Alignment", "aligned", "aligned_errors", "best_rotations"]
@@ -42,13 +42,13 @@ _TIE = 1e-5
 """Below this relative gap between the best and the other rotations, decompose."""
 
 
-def aligned_errors(points: FloatArray, truth: FloatArray, weights: FloatArray, how: Alignment) -> FloatArray:
-    """Distance of each aligned point from the truth.
+def aligned_errors(offsets: FloatArray, truth: FloatArray, weights: FloatArray, how: Alignment) -> FloatArray:
+    """Distance of each aligned hypothesis from the truth.
 
     Parameters
     ----------
-    points : array (B, K, D, n)
-        Hypotheses, mm.
+    offsets : array (B, K, D, n)
+        Hypotheses minus truth, mm.
     truth : array (B, K, D)
         True poses, mm.
     weights : array (B, K)
@@ -61,7 +61,11 @@ def aligned_errors(points: FloatArray, truth: FloatArray, weights: FloatArray, h
     array (B, K, n)
         Errors, mm; lower is better, 0 at best.
     """
-    squares = squared_distances(aligned(points, truth, weights, how), truth)
+    if how == "none":
+        return np.sqrt(squared_norms(offsets))
+    left = aligned(offsets + truth[..., None], truth, weights, how)
+    left -= truth[..., None]
+    squares = squared_norms(left)
     return np.sqrt(squares, out=squares)
 
 
@@ -70,7 +74,9 @@ def aligned(points: FloatArray, truth: FloatArray, weights: FloatArray, how: Ali
 
     Parameters
     ----------
-    points, truth, weights, how
+    points : array (B, K, D, n)
+        Hypotheses, mm.
+    truth, weights, how
         As for :func:`aligned_errors`.
 
     Returns
@@ -86,7 +92,7 @@ def aligned(points: FloatArray, truth: FloatArray, weights: FloatArray, how: Ali
     if how not in ALIGNMENTS:
         raise PoseDataError(f"align: {how!r} is not known. {did_you_mean(how, ALIGNMENTS)}")
     if how == "none":
-        return points
+        return points.copy()
     if how in _ROTATING:
         return _procrustes(points, truth, weights, scaled=how != "rigid", mirrored=how == "reflection")
     if how == "rms_mean":

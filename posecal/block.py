@@ -1,9 +1,8 @@
 """How do a few poses lie in memory while they are measured?
 
-A *block* holds B poses as one contiguous array ``(B, K, D, N + 1)``: along the last axis the N hypotheses of one
-coordinate of one joint, and the truth as the last point. Rows that one sorts or sums are then contiguous, a block
-fits into the processor's cache, and the truth goes through the very same arithmetic as the hypotheses, so that a
-hypothesis equal to the truth ties with it exactly. What several metrics need (errors, sorted coordinates) is
+A *block* holds B poses as one contiguous array of *offsets* from the truth, ``x - y``, laid out ``(B, K, D, N)``:
+along the last axis the N hypotheses of one coordinate of one joint. Rows that one sorts or sums are then
+contiguous, and a block fits into the processor's cache. What several metrics need (errors, sorted coordinates) is
 computed once per block, when it is first asked for.
 
 Everything posecal measures walks these blocks: an array in memory, a file of many gigabytes, and a public
@@ -16,8 +15,8 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from functools import cached_property
-from typing import TYPE_CHECKING, TypeVar
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -27,14 +26,14 @@ from posecal.errors import PoseDataError
 if TYPE_CHECKING:
     from collections.abc import Hashable
 
-__all__ = ["Block", "FloatArray", "blocks_of", "checked", "in_order", "per_pose", "squared_distances"]
+__all__ = ["Block", "FloatArray", "blocks_of", "checked", "in_order", "per_pose", "squared_norms", "working_dtype"]
 
 FloatArray = npt.NDArray[np.floating]
 BoolArray = npt.NDArray[np.bool_]
 Result = TypeVar("Result")
 
-BLOCK_BYTES = 320 * 1024
-"""About what one block of coordinates takes: it and a few arrays of its size fit into a core's L2 cache."""
+BLOCK_BYTES = 1024 * 1024
+"""About what the offsets of one block take: few enough to stay in cache, enough to be worth a call."""
 
 
 class Block:
@@ -56,6 +55,15 @@ class Block:
         Whether each pose comes right after the one before it in its sequence.
     scores : array (N, B), optional
         The model's own score of each hypothesis; higher is better.
+
+    Attributes
+    ----------
+    offsets : array (B, K, D, N)
+        Hypotheses minus truth, mm; 0 for joints that don't count.
+    truth : array (B, K, D)
+        True poses, mm, relative to the root; 0 for joints that don't count.
+    where : bool array (B, K)
+        The joints that count.
     """
 
     def __init__(
@@ -70,39 +78,32 @@ class Block:
         scores: FloatArray | None = None,
     ) -> None:
         self.where = np.ones(truth.shape[:2], dtype=bool) if where is None else where
-        self.points = _points(hypotheses, truth, root)
+        self.offsets = _offsets(hypotheses, truth, root)
+        self.truth = truth.astype(self.offsets.dtype) if root is None else truth - truth[:, root, None]
         if not self.where.all():
-            self.points[~self.where] = 0
+            self.offsets[~self.where] = 0
+            self.truth = np.where(self.where[..., None], self.truth, 0)
         self._root, self._previous, self._follows, self._scores = root, previous, follows, scores
-        self._shared: dict[Hashable, FloatArray] = {}
+        self._shared: dict[Hashable, Any] = {}
 
     @cached_property
     def non_finite(self) -> BoolArray:
-        """The poses and joints, (B, K), at which a point that counts is NaN or infinite."""
-        if np.isfinite(np.vdot(self.points, self.points)):  # one fast pass; true of nearly every block
+        """The poses and joints, (B, K), at which a coordinate that counts is NaN or infinite."""
+        if np.isfinite(self.squared_errors.sum()):  # one fast pass; true of nearly every block
             return np.zeros_like(self.where)
-        return np.asarray(~np.isfinite(self.points).all(axis=(2, 3)))
+        return np.asarray(~np.isfinite(self.offsets).all(axis=(2, 3)))
 
-    def share(self, key: Hashable, compute: Callable[[], FloatArray]) -> FloatArray:
+    def share(self, key: Hashable, compute: Callable[[], Result]) -> Result:
         """Compute something once per block, whoever asks first."""
         if key not in self._shared:
             self._shared[key] = compute()
-        return self._shared[key]
+        found: Result = self._shared[key]
+        return found
 
     @property
     def n_hypotheses(self) -> int:
         """N."""
-        return int(self.points.shape[-1]) - 1
-
-    @property
-    def hypotheses(self) -> FloatArray:
-        """The hypotheses, (B, K, D, N), mm."""
-        return self.points[..., :-1]
-
-    @property
-    def truth(self) -> FloatArray:
-        """The true poses, (B, K, D), mm."""
-        return self.points[..., -1]
+        return int(self.offsets.shape[-1])
 
     @property
     def scores(self) -> FloatArray:
@@ -113,23 +114,27 @@ class Block:
 
     @cached_property
     def sorted(self) -> FloatArray:
-        """Each coordinate's hypotheses in ascending order, (B, K, D, N), mm."""
-        ordered = self.hypotheses.copy()
+        """Each coordinate's offsets in ascending order, (B, K, D, N), mm."""
+        ordered = self.offsets.copy()
         ordered.sort(axis=-1)
         return ordered
 
     @cached_property
     def median(self) -> FloatArray:
-        """Per-coordinate median of the hypotheses, (B, K, D), mm; between the two middle values for an even N."""
+        """Per-coordinate median of the offsets, (B, K, D), mm; between the two middle values for an even N."""
         middle, odd = divmod(self.n_hypotheses, 2)
         upper: FloatArray = self.sorted[..., middle]
         return upper if odd else (self.sorted[..., middle - 1] + upper) / 2
 
     @cached_property
+    def squared_errors(self) -> FloatArray:
+        """Squared distance of each hypothesis from the truth per joint, (B, K, N), mm²."""
+        return squared_norms(self.offsets)
+
+    @cached_property
     def errors(self) -> FloatArray:
         """Distance of each hypothesis from the truth per joint, (B, K, N), mm."""
-        squares = squared_distances(self.hypotheses, self.truth)
-        return np.sqrt(squares, out=squares)
+        return np.sqrt(self.squared_errors)
 
     def weights(self, joints: BoolArray | None = None) -> FloatArray:
         """Give each joint's share in the mean over a pose's joints, (B, K); 0 where a pose has none that counts.
@@ -141,30 +146,29 @@ class Block:
         """
         counted = self.where if joints is None else self.where & joints
         number = counted.sum(axis=1, keepdims=True)
-        shares: FloatArray = (counted / np.maximum(number, 1)).astype(self.points.dtype)
+        shares: FloatArray = (counted / np.maximum(number, 1)).astype(self.offsets.dtype)
         return shares
 
     @cached_property
-    def velocities(self) -> FloatArray:
-        """Change of every point since the pose before, (B, K, D, N + 1), mm per frame; NaN without one."""
-        before = np.full_like(self.points, np.nan)
-        before[1:] = self.points[:-1]
+    def velocity_offsets(self) -> FloatArray:
+        """Change of the offsets since the pose before, (B, K, D, N), mm per frame; NaN without one."""
+        before = np.full_like(self.offsets, np.nan)
+        before[1:] = self.offsets[:-1]
         if self._previous is not None:
-            before[:1] = _points(*self._previous, self._root)
+            before[:1] = _offsets(*self._previous, self._root)
         if self._follows is not None:
             before[~self._follows] = np.nan
-        return self.points - before
+        return self.offsets - before
 
 
-def _points(hypotheses: FloatArray, truth: FloatArray, root: int | None) -> FloatArray:
-    """Lay out hypotheses and truth as (B, K, D, N + 1), contiguous, root-relative where a root is given."""
-    n_hypotheses, *pose_shape = hypotheses.shape
-    points = np.empty((*pose_shape, n_hypotheses + 1), dtype=working_dtype(hypotheses.dtype))
-    points[..., :-1] = hypotheses.transpose(1, 2, 3, 0)
-    points[..., -1] = truth
-    if root is not None and points[:, root].any():
-        points -= points[:, root : root + 1].copy()
-    return points
+def _offsets(hypotheses: FloatArray, truth: FloatArray, root: int | None) -> FloatArray:
+    """Subtract the truth, (N, B, K, D) minus (B, K, D), root-relative where a root is given, as (B, K, D, N)."""
+    offsets = np.empty((*truth.shape, len(hypotheses)), dtype=working_dtype(hypotheses.dtype))
+    offsets[...] = hypotheses.transpose(1, 2, 3, 0)
+    offsets -= truth[..., None].astype(offsets.dtype, copy=False)
+    if root is not None and offsets[:, root].any():
+        offsets -= offsets[:, root, None].copy()
+    return offsets
 
 
 def working_dtype(dtype: npt.DTypeLike) -> np.dtype[np.floating]:
@@ -173,29 +177,10 @@ def working_dtype(dtype: npt.DTypeLike) -> np.dtype[np.floating]:
     return np.dtype(np.float32 if dtype.kind == "f" and dtype.itemsize <= 4 else np.float64)
 
 
-def squared_distances(points: FloatArray, centre: FloatArray) -> FloatArray:
-    """Squared distance of points from a centre.
-
-    Parameters
-    ----------
-    points : array (..., D, n)
-        Points, coordinates before points, mm.
-    centre : array (..., D)
-        Centres, mm.
-
-    Returns
-    -------
-    array (..., n)
-        Squared distances, mm². The arithmetic of a point does not depend on its neighbours, so equal points
-        have equal distances to the last bit.
-    """
-    total = points[..., 0, :] - centre[..., 0, None]
-    np.multiply(total, total, out=total)
-    for d in range(1, points.shape[-2]):
-        step = points[..., d, :] - centre[..., d, None]
-        np.multiply(step, step, out=step)
-        total += step
-    return total
+def squared_norms(vectors: FloatArray) -> FloatArray:
+    """Squared lengths of vectors that lie along the last axis but one, (..., D, n) to (..., n)."""
+    found: FloatArray = np.einsum("...dn,...dn->...n", vectors, vectors)
+    return found
 
 
 def checked(
@@ -260,7 +245,7 @@ def _real(array: npt.ArrayLike, name: str) -> FloatArray:
 def block_length(shape: tuple[int, ...], dtype: npt.DTypeLike) -> int:
     """Give the number of poses in a block of hypotheses of shape (N, M, K, D)."""
     n, _, k, d = shape
-    return max(1, min(64, BLOCK_BYTES // ((n + 1) * k * d * working_dtype(dtype).itemsize)))
+    return max(1, min(512, BLOCK_BYTES // (n * k * d * working_dtype(dtype).itemsize)))
 
 
 def blocks_of(
@@ -272,7 +257,7 @@ def blocks_of(
     scores: FloatArray | None = None,
     follows: BoolArray | None = None,
     previous: tuple[FloatArray, FloatArray] | None = None,
-) -> Iterator[Block]:
+) -> Iterator[Callable[[], Block]]:
     """Cut checked arrays in the paper's layout into blocks, in the order of their poses.
 
     Parameters
@@ -282,15 +267,16 @@ def blocks_of(
 
     Yields
     ------
-    Block
-        The next few poses.
+    callable
+        Lays out the next few poses as a :class:`Block`: a copy, so better done by the thread that needs it.
     """
     step = block_length(hypotheses.shape, hypotheses.dtype)
     for start in range(0, truth.shape[0], step):
         poses = slice(start, start + step)
         if start:
             previous = hypotheses[:, start - 1 : start], truth[start - 1 : start]
-        yield Block(
+        yield partial(
+            Block,
             hypotheses[:, poses],
             truth[poses],
             None if where is None else where[poses],
@@ -330,7 +316,8 @@ def per_pose(
         raise PoseDataError(f"root: {root}; expected the index of one of {y.shape[1]} joints.")
     root = None if root is None else root % y.shape[1]
     found: list[FloatArray] = []
-    for number, block in enumerate(blocks_of(x, y, mask, root=root)):
+    for number, lay_out in enumerate(blocks_of(x, y, mask, root=root)):
+        block = lay_out()
         if block.non_finite.any():
             pose, joint = np.argwhere(block.non_finite)[0]
             pose += number * block_length(x.shape, x.dtype)

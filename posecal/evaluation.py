@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 import posecal
-from posecal.block import Block, FloatArray, blocks_of, in_order
+from posecal.block import Block, FloatArray, block_length, blocks_of, in_order
 from posecal.cells import cells_of
 from posecal.errors import PoseDataError
 from posecal.io import Role, as_labels, read_poses
@@ -210,7 +210,7 @@ def add_up(
     )
     bad: list[npt.NDArray[np.intp]] = []
     done = 0
-    tasks = (partial(_measure, start, block, cells.of_pose, statistics) for start, block in walk(pairs))
+    tasks = (partial(_measure, poses, block, cells.of_pose[poses], statistics) for poses, block in walk(pairs))
     for found in in_order(tasks, threads):
         bad.append(found.non_finite)
         for name, (sums, counts) in found.sums.items():
@@ -232,8 +232,8 @@ def _statistics(protocol: Protocol, subject: Subject) -> tuple[Statistic, ...]:
 # --- one walk -------------------------------------------------------------------------------------------------
 
 
-def walk(pairs: PosePairs) -> Iterator[tuple[int, Block]]:
-    """Give the blocks of some pairs, each with the number of its first pose."""
+def walk(pairs: PosePairs) -> Iterator[tuple[slice, Callable[[], Block]]]:
+    """Give the blocks of some pairs, to be laid out, each with the poses that it holds."""
     n, m, k, d = pairs.shape
     window = max(1, WINDOW_BYTES // (n * k * d * pairs.stored.array.dtype.itemsize))
     sequence = pairs.labels.get("sequence", np.zeros(m, dtype=np.str_))
@@ -242,8 +242,8 @@ def walk(pairs: PosePairs) -> Iterator[tuple[int, Block]]:
     for start in range(0, m, window):
         poses = slice(start, min(start + window, m))
         hypotheses, truth = pairs.stored.read(poses.start, poses.stop), pairs.truth[poses]
-        at = start
-        for block in blocks_of(
+        size = block_length(hypotheses.shape, hypotheses.dtype)
+        blocks = blocks_of(
             hypotheses,
             truth,
             None if pairs.where is None else pairs.where[poses],
@@ -251,9 +251,9 @@ def walk(pairs: PosePairs) -> Iterator[tuple[int, Block]]:
             scores=None if pairs.scores is None else pairs.scores[:, poses],
             follows=follows[poses],
             previous=previous,
-        ):
-            yield at, block
-            at += len(block.where)
+        )
+        for number, block in enumerate(blocks):
+            yield slice(start + number * size, min(start + (number + 1) * size, poses.stop)), block
         previous = hypotheses[:, -1:].copy(), truth[-1:]
 
 
@@ -267,12 +267,13 @@ class _Measured:
     non_finite: npt.NDArray[np.intp]
 
 
-def _measure(start: int, block: Block, of_pose: npt.NDArray[np.intp], statistics: Sequence[Statistic]) -> _Measured:
-    size = len(block.where)
-    bad = np.argwhere(block.non_finite) + np.array([start, 0])
+def _measure(
+    poses: slice, lay_out: Callable[[], Block], cells: npt.NDArray[np.intp], statistics: Sequence[Statistic]
+) -> _Measured:
+    block = lay_out()
+    bad = np.argwhere(block.non_finite) + np.array([poses.start, 0])
     if len(bad):
-        return _Measured(size, of_pose[:0], {}, bad)
-    cells = of_pose[start : start + size]
+        return _Measured(len(cells), cells[:0], {}, bad)
     runs = np.flatnonzero(np.concatenate([[True], cells[1:] != cells[:-1]]))
     sums = {}
     for statistic in statistics:
@@ -282,11 +283,11 @@ def _measure(start: int, block: Block, of_pose: npt.NDArray[np.intp], statistics
         shown = counted.reshape(*counted.shape, *[1] * (values.ndim - kept))
         total = np.add.reduceat(np.where(shown, values, 0), runs, axis=0)
         sums[statistic.name] = total, np.add.reduceat(counted, runs, axis=0, dtype=np.int64)
-    return _Measured(size, cells[runs], sums, bad)
+    return _Measured(len(cells), cells[runs], sums, bad)
 
 
 def _spread(pairs: PosePairs, threads: int | None) -> FloatArray:
-    tasks = (partial(predicted_spread, block) for _, block in walk(pairs))
+    tasks = ((lambda block=block: predicted_spread(block())) for _, block in walk(pairs))
     return np.concatenate(list(in_order(tasks, threads)))
 
 

@@ -273,7 +273,8 @@ class Totals:
             about = json.loads(str(members.pop("about")))
             if about["format"] != FORMAT:
                 raise PoseFileError(
-                    f"{name}: format {about['format']} of posecal {about['posecal']}; expected {FORMAT}. Evaluate again."
+                    f"{name}: format {about['format']} of posecal {about['posecal']}; expected {FORMAT}. "
+                    "Evaluate again."
                 )
             return Totals(
                 subject=Subject(**_tuples(about["subject"])),

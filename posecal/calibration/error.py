@@ -91,7 +91,7 @@ def ece(curve: CalibrationCurve, over: OverJoints = "median") -> float:
     --------
     >>> from posecal.calibration import CalibrationCurve
     >>> never = CalibrationCurve("exchangeable", np.zeros((2, 21)), np.zeros(21))
-    >>> ece(never)
+    >>> round(ece(never), 12)
     0.5
     """
     if over == "median":
@@ -130,7 +130,7 @@ def signed_area(coverage: FloatArray) -> FloatArray:
 
     Examples
     --------
-    >>> float(signed_area(0 * LEVELS))
+    >>> round(float(signed_area(0 * LEVELS)), 12)
     -0.5
     """
     return np.asarray(np.trapezoid(coverage - LEVELS, LEVELS, axis=-1))

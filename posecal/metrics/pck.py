@@ -20,7 +20,7 @@ import numpy.typing as npt
 from posecal.align import Alignment
 from posecal.block import Block, BoolArray, FloatArray, per_pose
 from posecal.errors import PoseDataError, did_you_mean
-from posecal.metrics.position import joint_errors, pose_errors
+from posecal.metrics.position import joint_errors, linked
 
 __all__ = [
     "AUC_STEP",
@@ -30,6 +30,7 @@ __all__ = [
     "Selection",
     "auc",
     "auc_share",
+    "correct_joints",
     "correct_share",
     "cps",
     "cps_area",
@@ -53,6 +54,26 @@ CPS_MOST = 300.0
 def correct_share(errors: FloatArray, threshold: float | FloatArray, *, strict: bool = True) -> FloatArray:
     """Say 1 where an error is below the threshold (or at it, where not strict), else 0."""
     return np.asarray(errors < threshold if strict else errors <= threshold, dtype=np.float64)
+
+
+def correct_joints(
+    block: Block,
+    threshold: float,
+    select: Selection = "own",
+    joints: BoolArray | None = None,
+    body: BoolArray | None = None,
+    *,
+    strict: bool = True,
+) -> FloatArray:
+    """PCK of each pose at one threshold, (B,); as :func:`joint_score` of :func:`correct_share`, without its sort."""
+    weights = block.weights(joints)
+    right = block.errors < threshold if strict else block.errors <= threshold
+    shares = (weights[:, None] @ right)[:, 0]
+    if select == "linked":
+        found = linked(block, shares, body)
+    else:
+        found = shares.max(axis=-1) if select == "own" else shares.mean(axis=-1)
+    return np.where(weights.any(axis=1), found, np.nan)
 
 
 def auc_share(errors: FloatArray, *, exact: bool = False, strict: bool = True) -> FloatArray:
@@ -108,7 +129,7 @@ def joint_score(
         number = np.maximum(np.count_nonzero(weights, axis=1), 1)
         found /= number.reshape(-1, *[1] * (found.ndim - 1))
     elif select == "linked":
-        errors = _linked(block, joint_errors(block, align, None, body), body)
+        errors = linked(block, joint_errors(block, align, None, body), body)
         found = np.einsum("bk,bk...->b...", weights, score(errors))
     else:
         scores = score(joint_errors(block, align, None, body))
@@ -143,20 +164,12 @@ def pose_score(
     if select == "own":
         found = score(worst.min(axis=-1))
     elif select == "linked":
-        found = score(_linked(block, worst, body))
+        found = score(linked(block, worst, body))
     else:
         found = score(worst).mean(axis=1)
     found = np.asarray(found, dtype=np.float64)
     found[~weights.any(axis=1)] = np.nan
     return found
-
-
-def _linked(block: Block, values: FloatArray, body: BoolArray | None) -> FloatArray:
-    """Take from (B, ..., N) the hypothesis whose mean error over the body is smallest."""
-    errors = pose_errors(block, body=body)
-    chosen = np.where(np.isnan(errors), np.inf, errors).argmin(axis=-1)
-    places = chosen.reshape(-1, *[1] * (values.ndim - 1))
-    return np.asarray(np.take_along_axis(values, places, axis=-1)[..., 0])
 
 
 def _best_ordered(block: Block, align: Alignment, joints: BoolArray | None, body: BoolArray | None) -> FloatArray:
@@ -167,8 +180,8 @@ def _best_ordered(block: Block, align: Alignment, joints: BoolArray | None, body
         counted = block.weights(joints) > 0
         if joints is not None:
             errors, counted = errors[:, joints], counted[:, joints]
-        ordered: FloatArray = np.sort(np.where(counted[..., None], errors, np.inf), axis=1)
-        return ordered.min(axis=-1)
+        ordered = np.sort(np.where(counted[..., None], errors, np.inf), axis=1)
+        return np.asarray(ordered.min(axis=-1))
 
     masks = (None if mask is None else mask.tobytes() for mask in (joints, body))
     return block.share(("best_ordered", align, *masks), compute)
@@ -182,7 +195,6 @@ def pck(
     threshold: float = 150.0,
     select: Selection = "own",
     strict: bool = True,
-    align: Alignment = "none",
     where: npt.ArrayLike | None = None,
     root: int | None = None,
 ) -> FloatArray:
@@ -203,8 +215,6 @@ def pck(
         or the ``mean`` over all.
     strict : bool
         Whether a joint at the very threshold is wrong.
-    align : str
-        See :mod:`posecal.align`.
     where : bool array (M, K), optional
         The joints that count; Human3.6M's PCK has 14 of 17 (:data:`posecal.skeleton.JOINT_SETS`).
     root : int, optional
@@ -239,10 +249,9 @@ def pck(
     """
     _known(select)
 
-    def score(errors: FloatArray) -> FloatArray:
-        return correct_share(errors, threshold, strict=strict)
-
-    return per_pose(lambda b: joint_score(b, score, select, align), hypotheses, truth, where, root=root)
+    if not 0 < threshold < float("inf"):
+        raise PoseDataError(f"threshold: {threshold}; expected a length above 0.")
+    return per_pose(lambda b: correct_joints(b, threshold, select, strict=strict), hypotheses, truth, where, root=root)
 
 
 def auc(
@@ -253,7 +262,6 @@ def auc(
     exact: bool = False,
     select: Selection = "own",
     strict: bool = True,
-    align: Alignment = "none",
     where: npt.ArrayLike | None = None,
     root: int | None = None,
 ) -> FloatArray:
@@ -261,7 +269,7 @@ def auc(
 
     Parameters
     ----------
-    hypotheses, truth, select, strict, align, where, root
+    hypotheses, truth, select, strict, where, root
         As for :func:`pck`; ``own`` takes the best hypothesis at each threshold.
     exact : bool
         Take the integral over 0 … 150 mm instead of the 31 thresholds.
@@ -299,7 +307,7 @@ def auc(
     def score(errors: FloatArray) -> FloatArray:
         return auc_share(errors, exact=exact, strict=strict)
 
-    return per_pose(lambda b: joint_score(b, score, select, align), hypotheses, truth, where, root=root)
+    return per_pose(lambda b: joint_score(b, score, select), hypotheses, truth, where, root=root)
 
 
 def cps(

@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.align import Alignment, aligned_errors
-from posecal.block import Block, BoolArray, FloatArray, blocks_of, checked, per_pose
+from posecal.block import Block, BoolArray, FloatArray, blocks_of, checked, per_pose, squared_norms
 from posecal.errors import PoseDataError, did_you_mean
 from posecal.metrics.best_of import OF_ERRORS, OfErrors, best_of, subset_weights
 
@@ -30,6 +30,7 @@ __all__ = [
     "OF_POSES",
     "OfPoses",
     "joint_errors",
+    "linked",
     "min_mpjpe",
     "min_mpjpe_curve",
     "mpjpe",
@@ -57,9 +58,9 @@ def pose_of(block: Block, of: OfPoses, mode: int | None = None) -> FloatArray:
     Returns
     -------
     array (B, K, D, 1)
-        The pose, mm.
+        Its offset from the truth, mm.
     """
-    x = block.hypotheses
+    x = block.offsets
     if of == "mean_pose":
         mean: FloatArray = x.mean(axis=-1, keepdims=True)
         return mean
@@ -105,8 +106,8 @@ def joint_errors(
     key = ("joint_errors", align, of, None if body is None or align == "none" else body.tobytes(), mode)
 
     def compute() -> FloatArray:
-        points = block.hypotheses if of is None else pose_of(block, of, mode)
-        return aligned_errors(points, block.truth, block.weights(body), align)
+        offsets = block.offsets if of is None else pose_of(block, of, mode)
+        return aligned_errors(offsets, block.truth, block.weights(body), align)
 
     return block.share(key, compute)
 
@@ -133,6 +134,15 @@ def pose_errors(
         return errors
 
     return block.share(("pose_errors", align, of, None if body is None else body.tobytes(), mode), compute)
+
+
+def linked(block: Block, values: FloatArray, body: BoolArray | None = None) -> FloatArray:
+    """Take from values (B, ..., N) those of the hypothesis that minMPJPE chooses, (B, ...)."""
+    errors = pose_errors(block, body=body)
+    chosen = np.where(np.isnan(errors), np.inf, errors).argmin(axis=-1)
+    places = chosen.reshape(-1, *[1] * (values.ndim - 1))
+    taken: FloatArray = np.take_along_axis(values, places, axis=-1).squeeze(axis=-1)
+    return taken
 
 
 def mpjpe(
@@ -331,11 +341,10 @@ def velocity_errors(block: Block, *, of: OfPoses | None = None, body: BoolArray 
     array (B, n)
         ‖Δx - Δy‖, mm per frame; n is N, or 1 for ``of="mean_pose"``. NaN for the first pose of a sequence.
     """
-    steps = block.velocities
-    points = steps[..., :-1]
+    steps = block.velocity_offsets
     if of == "mean_pose":
-        points = points.mean(axis=-1, keepdims=True)
-    errors = np.sqrt(((points - steps[..., -1:]) ** 2).sum(axis=2))
+        steps = steps.mean(axis=-1, keepdims=True)
+    errors = np.sqrt(squared_norms(steps))
     weights = block.weights(body)
     found: FloatArray = np.einsum("bk,bkn->bn", weights, errors)
     found[~weights.any(axis=1)] = np.nan
@@ -404,5 +413,5 @@ def mpjve(
         raise PoseDataError(f"sequence {labels.shape}: expected (M,) = ({len(y)},).")
     follows = np.concatenate([[False], labels[1:] == labels[:-1]])
     blocks = blocks_of(x, y, mask, root=root, follows=follows)
-    per_frame = np.concatenate([velocity_errors(b).mean(axis=-1, dtype=np.float64) for b in blocks])
+    per_frame = np.concatenate([velocity_errors(lay_out()).mean(axis=-1, dtype=np.float64) for lay_out in blocks])
     return per_frame if fps is None else per_frame * fps

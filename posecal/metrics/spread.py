@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from posecal.block import Block, FloatArray, per_pose, squared_distances
+from posecal.block import Block, FloatArray, per_pose, squared_norms
 from posecal.errors import PoseDataError
 
 __all__ = ["diversity", "joint_deviations", "joint_radii", "mean_over_joints", "predicted_spread", "radius"]
@@ -25,7 +25,7 @@ def joint_deviations(block: Block, *, population: bool = False) -> FloatArray:
     """
     if block.n_hypotheses == 1 and not population:
         return np.full(block.where.shape, np.nan)
-    found = block.hypotheses.std(axis=-1, ddof=0 if population else 1, dtype=np.float64).mean(axis=-1)
+    found = block.offsets.std(axis=-1, ddof=0 if population else 1, dtype=np.float64).mean(axis=-1)
     return np.where(block.where, found, np.nan)
 
 
@@ -44,7 +44,9 @@ def joint_radii(block: Block, shares: tuple[float, ...]) -> FloatArray:
         The ⌈q N⌉-th smallest distance from the per-coordinate median, mm; NaN for joints that don't count.
     """
     n = block.n_hypotheses
-    squares = block.share("sorted_squares", lambda: np.sort(squared_distances(block.hypotheses, block.median), axis=-1))
+    squares = block.share(
+        "sorted_squares", lambda: np.sort(squared_norms(block.offsets - block.median[..., None]), axis=-1)
+    )
     places = [max(1, int(np.ceil(round(share * n, 9)))) - 1 for share in shares]
     found = np.sqrt(squares[..., places], dtype=np.float64)
     found[~block.where] = np.nan

@@ -13,8 +13,17 @@ from posecal.block import Block, FloatArray
 from posecal.errors import PoseDataError
 from posecal.metric import Curve, Metric, Scope, Statistic, item
 from posecal.metrics.best_of import ROUND_SIZES, curve_sizes
-from posecal.metrics.pck import CPS_MOST, Selection, auc_share, correct_share, cps_area, joint_score, pose_score
-from posecal.metrics.position import OfPoses, joint_errors, pose_errors, subset_errors, velocity_errors
+from posecal.metrics.pck import (
+    CPS_MOST,
+    Selection,
+    auc_share,
+    correct_joints,
+    correct_share,
+    cps_area,
+    joint_score,
+    pose_score,
+)
+from posecal.metrics.position import OfPoses, joint_errors, linked, pose_errors, subset_errors, velocity_errors
 from posecal.metrics.spread import joint_deviations, joint_radii
 
 __all__ = ["accuracy_curves", "accuracy_metrics", "spread_metrics"]
@@ -49,21 +58,13 @@ def _error_words(scope: Scope, align: Alignment) -> str:
     return f"mean over {scope.counted(scope.body)} of ‖x − y‖{_ALIGNED[align]}"
 
 
-def _linked(scope: Scope, block: Block, errors: FloatArray) -> FloatArray:
-    """Take from (B, ..., N) the hypothesis that minMPJPE chose."""
-    first = pose_errors(block, body=scope.body)
-    chosen = np.where(np.isnan(first), np.inf, first).argmin(axis=-1)
-    taken: FloatArray = np.take_along_axis(errors, chosen.reshape(-1, *[1] * (errors.ndim - 1)), axis=-1)
-    return taken[..., 0]
-
-
 def _of_errors(scope: Scope, align: Alignment, prefix: str) -> Iterator[Metric]:
     n, body, error = scope.subject.n_hypotheses, scope.body, _error_words(scope, align)
-    linked = prefix == "pa_" and scope.protocol.align_best == "linked"
+    by_link = prefix == "pa_" and scope.protocol.align_best == "linked"
 
     def of_n(block: Block) -> FloatArray:
         errors = pose_errors(block, align, body=body)
-        least = _linked(scope, block, errors) if linked else errors.min(axis=-1)
+        least = linked(block, errors, body) if by_link else errors.min(axis=-1)
         return np.stack(
             [least, errors.mean(axis=-1), np.median(errors, axis=-1), errors.max(axis=-1)],
             axis=1,
@@ -78,13 +79,13 @@ def _of_errors(scope: Scope, align: Alignment, prefix: str) -> Iterator[Metric]:
 
     statistic, joints = Statistic(f"{prefix}errors", of_n), Statistic(f"{prefix}joint_errors", of_joints, True)
     words = (
-        f"error of minMPJPE's of the N={n} hypotheses" if linked else f"smallest of the N={n} errors",
+        f"error of minMPJPE's of the N={n} hypotheses" if by_link else f"smallest of the N={n} errors",
         f"mean of the N={n} errors",
         f"median of the N={n} errors",
         f"largest of the N={n} errors",
     )
     briefs = (
-        f"best of N={n} after aligning minMPJPE's" if linked else f"best of N={n} per frame",
+        f"best of N={n} after aligning minMPJPE's" if by_link else f"best of N={n} per frame",
         f"mean of N={n}",
         f"median of N={n}",
         f"worst of N={n}",
@@ -212,14 +213,7 @@ def _correct(scope: Scope) -> Iterator[Metric]:
         f"{_SELECTED[best]}",
         statistic=Statistic(
             "pck",
-            lambda block: joint_score(
-                block,
-                lambda e: correct_share(e, p.pck_threshold, strict=strict),
-                best,
-                "none",
-                scope.pck,
-                scope.body,
-            ),
+            lambda block: correct_joints(block, p.pck_threshold, best, scope.pck, scope.body, strict=strict),
         ),
         finish=item(),
         headline=True,
@@ -350,8 +344,8 @@ def spread_metrics(scope: Scope) -> Iterator[Metric]:
             direction="none",
             family="spread",
             brief=f"mean radius about the median, {scope.number(scope.moving)}",
-            definition=f"sharpness: radius about the per-coordinate median that holds {share} % of the N={n} hypotheses, "
-            f"mean over poses, then over {joints}",
+            definition=f"sharpness: radius about the per-coordinate median that holds {share} % of the N={n} "
+            f"hypotheses, mean over poses, then over {joints}",
             statistic=statistic,
             finish=lambda mean, place=place: _mean(mean[:, place]),  # type: ignore[misc]
             by_joint=(statistic, lambda mean, place=place: mean[:, place]),  # type: ignore[misc]
@@ -365,8 +359,8 @@ def spread_metrics(scope: Scope) -> Iterator[Metric]:
         direction="none",
         family="spread",
         brief=f"standard deviation of the hypotheses ({'n' if population else 'n − 1'})",
-        definition=f"standard deviation over the N={n} hypotheses ({'n' if population else 'n − 1'}), mean over axes and "
-        f"poses, then over {joints}",
+        definition=f"standard deviation over the N={n} hypotheses ({'n' if population else 'n − 1'}), mean over axes "
+        f"and poses, then over {joints}",
         statistic=statistic,
         finish=_mean,
         by_joint=(statistic, np.asarray),
