@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 import posecal
 from posecal.block import Block, FloatArray, block_length, blocks_of, in_order
+from posecal.calibration.battery import PreRank
 from posecal.cells import cells_of
 from posecal.errors import PoseDataError
 from posecal.io import Role, as_labels, read_poses
@@ -158,6 +159,7 @@ def add_up(
     protocol: Protocol | None = None,
     *,
     by: Sequence[str] = (),
+    preranks: Mapping[str, PreRank] | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Totals:
@@ -171,6 +173,9 @@ def add_up(
         The options.
     by : sequence of str
         Labels by which poses will be grouped; see :func:`posecal.cells.cells_of`.
+    preranks : mapping of callables, optional
+        Tests of the battery of one's own, by name: each from a pool of poses (N + 1, K, D), the truth last, to a
+        number of each, (N + 1,).
     threads : int, optional
         How many; by default one per core.
     progress : callable, optional
@@ -195,8 +200,10 @@ def add_up(
         labels=tuple(pairs.labels),
         fps=pairs.fps,
         scored=pairs.scores is not None,
+        marked=pairs.occluded is not None,
+        preranks=tuple(preranks or ()),
     )
-    statistics = _statistics(protocol, subject)
+    statistics = _statistics(protocol, subject, preranks)
     wanted = [*by, *([] if protocol.average == "poses" else [protocol.average])]
     cells = cells_of(pairs, wanted, lambda: _spread(pairs, threads))
     totals = Totals(
@@ -207,24 +214,29 @@ def add_up(
         poses=np.bincount(cells.of_pose).astype(np.int64),
         remarks=pairs.remarks,
         sequences=cells.labelled,
+        cell_of=cells.of_pose,
     )
     bad: list[npt.NDArray[np.intp]] = []
+    kept: dict[str, list[FloatArray]] = {}
     done = 0
     tasks = (partial(_measure, poses, block, cells.of_pose[poses], statistics) for poses, block in walk(pairs))
     for found in in_order(tasks, threads):
         bad.append(found.non_finite)
         for name, (sums, counts) in found.sums.items():
             totals.add(name, found.cells, sums, counts)
+        for name, values in found.kept.items():
+            kept.setdefault(name, []).append(values)
         done += found.poses
         if progress is not None:
             progress(done)
     _refuse_non_finite(pairs, pairs.names[0], np.concatenate(bad))
+    totals.kept = {name: np.concatenate(parts) for name, parts in kept.items()}
     return totals
 
 
-def _statistics(protocol: Protocol, subject: Subject) -> tuple[Statistic, ...]:
-    found = {s.name: s for metric in metrics_of(protocol, subject).values() for s in metric.statistics}
-    if protocol.metrics in {"default", "all"}:
+def _statistics(protocol: Protocol, subject: Subject, preranks: Mapping[str, PreRank] | None) -> tuple[Statistic, ...]:
+    found = {s.name: s for metric in metrics_of(protocol, subject, preranks).values() for s in metric.statistics}
+    if "default" in protocol.metrics or "all" in protocol.metrics:
         found |= {curve.statistic.name: curve.statistic for curve in curves_of(protocol, subject).values()}
     return tuple(found.values())
 
@@ -264,6 +276,7 @@ class _Measured:
     poses: int
     cells: npt.NDArray[np.intp]
     sums: dict[str, tuple[FloatArray, npt.NDArray[np.int64]]]
+    kept: dict[str, FloatArray]
     non_finite: npt.NDArray[np.intp]
 
 
@@ -273,17 +286,21 @@ def _measure(
     block = lay_out()
     bad = np.argwhere(block.non_finite) + np.array([poses.start, 0])
     if len(bad):
-        return _Measured(len(cells), cells[:0], {}, bad)
+        return _Measured(len(cells), cells[:0], {}, {}, bad)
     runs = np.flatnonzero(np.concatenate([[True], cells[1:] != cells[:-1]]))
-    sums = {}
+    sums: dict[str, tuple[FloatArray, npt.NDArray[np.int64]]] = {}
+    kept_values: dict[str, FloatArray] = {}
     for statistic in statistics:
         values = np.asarray(statistic.compute(block), dtype=np.float64)
+        if statistic.kept:
+            kept_values[statistic.name] = values
+            continue
         kept = 2 if statistic.per_joint else 1
         counted = ~np.isnan(values.reshape(*values.shape[:kept], -1)[..., 0])
         shown = counted.reshape(*counted.shape, *[1] * (values.ndim - kept))
         total = np.add.reduceat(np.where(shown, values, 0), runs, axis=0)
         sums[statistic.name] = total, np.add.reduceat(counted, runs, axis=0, dtype=np.int64)
-    return _Measured(len(cells), cells[runs], sums, bad)
+    return _Measured(len(cells), cells[runs], sums, kept_values, bad)
 
 
 def _spread(pairs: PosePairs, threads: int | None) -> FloatArray:

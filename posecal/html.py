@@ -13,6 +13,7 @@ from posecal.io import written_whole
 from posecal.plot import KINDS, draw, figure_bytes
 from posecal.report import Report
 from posecal.tables import definitions, tables, title
+from posecal.verdict import verdict
 
 __all__ = ["as_html", "write_html"]
 
@@ -48,6 +49,7 @@ def as_html(report: Report, name: str) -> str:
         .render(
             name=name,
             about=title(report),
+            verdict=verdict(report),
             remarks=report.remarks,
             pictures=pictures,
             tables=tables(report, joints=True),

@@ -17,7 +17,9 @@ from rich.text import Text
 
 from posecal.metric import Metric
 from posecal.protocol import PRESETS, Protocol
+from posecal.registry import GROUPS
 from posecal.report import Report
+from posecal.verdict import verdict
 
 __all__ = [
     "Table",
@@ -31,7 +33,13 @@ __all__ = [
     "title",
 ]
 
-FAMILIES = {"accuracy": "Accuracy", "calibration": "Calibration", "spread": "Spread"}
+FAMILIES = {
+    "accuracy": "Accuracy",
+    "calibration": "Calibration",
+    "battery": "Battery",
+    "scores": "Proper scores",
+    "spread": "Spread",
+}
 ARROWS = {"lower": "↓", "higher": "↑", "zero": "0", "none": ""}
 BY_GROUP = ("min_mpjpe", "mpjpe", "pa_min_mpjpe", "pck", "ece", "signed_area", "coverage_90", "radius_50")
 BY_JOINT = ("min_mpjpe", "mpjpe", "ece", "signed_area", "coverage_50", "coverage_90", "radius_50", "radius_90")
@@ -78,9 +86,14 @@ def title(report: Report) -> str:
 
 
 def headline(report: Report) -> list[Metric]:
-    """Choose the metrics of the first table: the headlines, or all that were asked for by name."""
-    asked = report.totals.protocol.metrics not in {"default", "all"}
-    return [metric for metric in report.metrics.values() if metric.headline or asked]
+    """Choose the metrics of the first tables: the headlines, and what was asked for by name or family."""
+    words = {word.strip() for word in report.totals.protocol.metrics.split(",")}
+    named = words - set(GROUPS)
+    return [
+        metric
+        for name, metric in report.metrics.items()
+        if metric.headline or name in named or metric.family in words or "all" in words
+    ]
 
 
 def tables(report: Report, *, joints: bool = False) -> list[Table]:
@@ -103,17 +116,9 @@ def tables(report: Report, *, joints: bool = False) -> list[Table]:
     columns: tuple[tuple[str, bool], ...]
     for family, name in FAMILIES.items():
         rows = [metric for metric in shown if metric.family == family]
-        if rows and family == "calibration":
-            columns = (
-                (name, False),
-                ("value", True),
-                ("perfect sampler", True),
-                ("", False),
-                ("what it is", False),
-            )
-            found.append(Table(name, columns, [_calibration_row(report, metric) for metric in rows]))
-        elif rows:
-            columns = ((name, False), ("value", True), ("", False), ("what it is", False))
+        if rows:
+            second = {"calibration": "by chance, or 95 %", "battery": "by chance"}.get(family, "95 % interval")
+            columns = ((name, False), ("value", True), (second, False), ("", False), ("what it is", False))
             found.append(Table(name, columns, [_row(report, metric) for metric in rows]))
     for label in report.by:
         names = [name for name in BY_GROUP if name in report.metrics]
@@ -141,19 +146,22 @@ def tables(report: Report, *, joints: bool = False) -> list[Table]:
 
 
 def _row(report: Report, metric: Metric) -> tuple[str, ...]:
-    return metric.label, number(report.value(metric.name), metric.unit), ARROWS[metric.direction], metric.brief
+    value = number(report.value(metric.name), metric.unit)
+    return metric.label, value, _sureness(report, metric), ARROWS[metric.direction], metric.brief
 
 
-def _calibration_row(report: Report, metric: Metric) -> tuple[str, ...]:
-    label, value, arrow, brief = _row(report, metric)
-    return label, value, _perfect(report, metric), arrow, brief
-
-
-def _perfect(report: Report, metric: Metric) -> str:
-    floors = {row.metric: row.value for row in report.rows if "_floor" in row.metric}
-    if f"{metric.name}_floor" in floors:
-        return f"{floors[f'{metric.name}_floor']:.4f} (< {floors[f'{metric.name}_floor_95']:.4f})"
-    return {"signed_area": "0"}.get(metric.name, "")
+def _sureness(report: Report, metric: Metric) -> str:
+    """A 95 % interval; for a calibration error what a calibrated sampler would show, and the p-value."""
+    if metric.deviation is None:
+        row = next(row for row in report.rows if (row.metric, row.group, row.joint) == (metric.name, None, None))
+        digits = 1 if metric.unit else 3
+        return "" if math.isnan(row.low) else f"{row.low:.{digits}f} to {row.high:.{digits}f}"
+    found = report.null(metric.name)
+    if math.isnan(found.p):
+        return "no test"
+    p = report.battery()[metric.name][1] if metric.family == "battery" else found.p
+    shown = "p < 0.001" if p < 0.001 else f"p = {p:.3f}"
+    return f"{found.mean:.3f}, below {found.high:.3f}; {shown}"
 
 
 def _group_row(report: Report, group: str, names: list[str]) -> tuple[str, ...]:
@@ -204,6 +212,8 @@ def as_text(
         file=out, width=width, force_terminal=colour, no_color=not colour, highlight=False, soft_wrap=False
     )
     console.print(Text(title(report), style="bold"))
+    for sentence in verdict(report):
+        console.print(Text(sentence))
     for table in tables(report, joints=joints):
         console.print()
         drawn = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, header_style="bold")
@@ -235,7 +245,7 @@ def as_markdown(report: Report, *, joints: bool = False, full: bool = False) -> 
     str
         The text, without a final line break.
     """
-    lines = [title(report)]
+    lines = [title(report), *(line for sentence in verdict(report) for line in ("", _escaped(sentence)))]
     for table in tables(report, joints=joints):
         lines += ["", f"### {table.title}", ""]
         lines.append("| " + " | ".join(_escaped(heading) for heading, _ in table.columns) + " |")
