@@ -9,7 +9,7 @@ from posecal.calibration.battery import PreRank
 from posecal.calibration.table import battery_metrics, calibration_metrics
 from posecal.errors import PoseDataError, did_you_mean, raise_all
 from posecal.metric import Curve, Metric, Scope, Subject
-from posecal.metrics.score_table import guide_metrics, score_metrics
+from posecal.metrics.score_table import guide_metrics, score_metrics, skill_metrics
 from posecal.metrics.table import accuracy_curves, accuracy_metrics, spread_metrics
 from posecal.protocol import Protocol
 from posecal.sight import SIGHTS, sight_metrics
@@ -49,6 +49,7 @@ def known_metrics(
     found = list(accuracy_metrics(scope))
     if subject.n_hypotheses > 1:
         found += [*calibration_metrics(scope), *battery_metrics(scope, preranks), *score_metrics(scope)]
+        found += skill_metrics(scope)
         found += [*spread_metrics(scope), *guide_metrics(scope)]
     return {metric.name: metric for metric in found}
 
