@@ -14,6 +14,7 @@ is the root mean square of its three.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -306,10 +307,6 @@ def named_fault(name: str) -> Fault:
     """
     if name in FAULTS:
         return FAULTS[name]
-    if name.startswith("spread-"):
-        try:
-            return spread(float(name.removeprefix("spread-")))
-        except ValueError as error:
-            if isinstance(error, PoseDataError):
-                raise
+    if factor := re.fullmatch(r"spread-(-?\d*\.?\d+)", name):
+        return spread(float(factor[1]))
     raise PoseDataError(f"fault: {name!r} is not known. {did_you_mean(name, [*FAULTS, 'spread-0.5'])}")

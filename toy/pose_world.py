@@ -135,7 +135,7 @@ class PoseWorld:
         Returns
         -------
         PoseWorld
-            A bone leans with its neighbours' correlation of depth and image, so that the image tells of depth.
+            K joints. Bones that lean tie depth to the image, so that keypoints tell a little of it.
 
         Raises
         ------
