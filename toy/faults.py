@@ -87,6 +87,10 @@ class Case:
         -------
         ndarray, shape (N, M, K, 3)
             mm.
+
+        Notes
+        -----
+        Differs from the published code: not in it.
         """
         M, K, D = self.posterior.mean.shape
         values, vectors = np.linalg.eigh(self.posterior.joint_covariance)
@@ -131,6 +135,10 @@ class Fault:
             mm.
         truth : ndarray, shape (M, K, 3)
             mm; the scene's own unless the fault says otherwise.
+
+        Notes
+        -----
+        Differs from the published code: not in it.
         """
         if N < 1:
             raise PoseDataError(f"N = {N} hypotheses; expected at least 1.")
