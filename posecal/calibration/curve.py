@@ -15,7 +15,7 @@ import numpy.typing as npt
 from posecal.block import Block, BoolArray, FloatArray, per_pose
 from posecal.calibration.ranks import LEVELS, Definition, inside, known_definition
 
-__all__ = ["CalibrationCurve", "calibration_curve", "inside_table"]
+__all__ = ["CalibrationCurve", "calibration_curve", "inside_table", "joint_median"]
 
 
 @dataclass(frozen=True)
@@ -46,9 +46,15 @@ class CalibrationCurve:
     def median(self) -> FloatArray:
         """ω(q), (Q,): the median over the joints that count, the curve of the paper."""
         counted = self.coverage[~np.isnan(self.coverage).any(axis=1)]
-        if not len(counted):
-            return np.full(LEVELS.size, np.nan)
-        return np.asarray(np.median(counted, axis=0))
+        return joint_median(counted) if len(counted) else np.full(LEVELS.size, np.nan)
+
+
+def joint_median(curves: FloatArray) -> FloatArray:
+    """Median over the joints of curves (..., K, Q) without NaN; by sorting, faster than NumPy's median."""
+    ordered = np.sort(curves, axis=-2)
+    middle = ordered.shape[-2] // 2
+    upper: FloatArray = ordered[..., middle, :]
+    return upper if ordered.shape[-2] % 2 else (ordered[..., middle - 1, :] + upper) / 2
 
 
 def inside_table(block: Block, definition: Definition, joints: BoolArray | None = None) -> FloatArray:
