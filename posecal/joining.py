@@ -118,6 +118,7 @@ def join(hypotheses: Poses, truth: Poses, how: Join | None = None) -> PosePairs:
         joints=tuple(true_names[k] for k in true_columns),
         root=None if root is None else next((k for k, at in enumerate(true_columns) if at == root), None),
         frame_id=true_rows.astype(str) if truth.frame_id is None else truth.frame_id[true_rows],
+        place=true_rows,
         labels=labels,
         occluded=occluded,
         scores=None if scores is None else scores[:, rows],
