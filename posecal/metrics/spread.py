@@ -32,7 +32,8 @@ def joint_deviations(block: Block, *, population: bool = False) -> FloatArray:
 def predicted_spread(block: Block) -> FloatArray:
     """How wide a pose's hypotheses lie: mean over its moving joints of :func:`joint_deviations`, (B,), mm."""
     found = joint_deviations(block)
-    return mean_over_joints(np.where(found > 0, found, np.nan))
+    moving = mean_over_joints(np.where(found > 0, found, np.nan))
+    return np.where(np.isnan(moving), mean_over_joints(found), moving)
 
 
 def joint_radii(block: Block, shares: tuple[float, ...]) -> FloatArray:
