@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from posecal.calibration.table import calibration_metrics
 from posecal.errors import did_you_mean, raise_all
 from posecal.metric import Curve, Metric, Scope, Subject
@@ -35,6 +37,9 @@ def known_metrics(protocol: Protocol, subject: Subject) -> dict[str, Metric]:
     found = list(accuracy_metrics(scope))
     if subject.n_hypotheses > 1:
         found += [*calibration_metrics(scope), *spread_metrics(scope)]
+    if protocol.average != "poses":
+        averaged = f"; the mean of its values for each {protocol.average}"
+        found = [replace(metric, definition=metric.definition + averaged) for metric in found]
     return {metric.name: metric for metric in found}
 
 
