@@ -206,8 +206,8 @@ def complete(d: Array, w: Mask, threshold: float, select: str, link: Sequence[in
     found = np.full(d.shape[1], math.nan)
     for m in range(d.shape[1]):
         if w[m].any():
-            whole = [float(all(d[n, m, k] < threshold for k in np.flatnonzero(w[m]))) for n in range(len(d))]
-            found[m] = chosen_share(whole, select, link[m])
+            worst = d[:, m, w[m]].max(axis=1)
+            found[m] = chosen_share([float(error < threshold) for error in worst], select, link[m])
     return found
 
 
@@ -263,7 +263,7 @@ def inside_one(points: Array, truth: Array, definition: str) -> list[float]:
         inner = sum(d <= true for d in distances)
         return [float(Fraction(inner, N) <= q) for q in QUANTILES]
     if definition == "reference":
-        return [float(np.quantile(distances, float(q)) > true) for q in QUANTILES]
+        return [float(radius > true) for radius in np.quantile(distances, [float(q) for q in QUANTILES])]
     equal = sum(math.isclose(d, true, rel_tol=1e-12) for d in distances)
     less = sum(d < true and not math.isclose(d, true, rel_tol=1e-12) for d in distances)
     return [float(min(max(((N + 1) * q - less) / (equal + 1), Fraction(0)), Fraction(1))) for q in QUANTILES]

@@ -288,9 +288,9 @@ NAMES_NO_JOINTS = [name for name in PROTOCOLS if name != "other-joints"]
 @pytest.mark.parametrize("protocol", NAMES_NO_JOINTS)
 def test_a_number_that_an_option_changes_has_another_definition(protocol: str) -> None:
     """Of joints, definitions say only how many they are; the signature names them."""
-    some = world(3, N=6, M=30)
+    some = subject_of("defaults")
     usual, changed = known_metrics(Protocol(), some.subject), known_metrics(PROTOCOLS[protocol], some.subject)
-    before, after = some.values(Protocol()), some.values(PROTOCOLS[protocol])
+    before, after = measured("defaults")[0], some.values(PROTOCOLS[protocol])
     for name in before:
         if not math.isclose(before[name], after[name], rel_tol=1e-9):
             assert usual[name].definition != changed[name].definition
