@@ -139,7 +139,7 @@ def perfect_sampler(
     Raises
     ------
     PoseDataError
-        For fewer than two hypotheses or an unknown name.
+        For fewer than two hypotheses, no pose or joint, or an unknown name.
 
     Notes
     -----
@@ -155,6 +155,8 @@ def perfect_sampler(
     """
     known = known_definition(definition)
     mean = expected_curve(n_hypotheses, known)
+    if n_poses < 1 or n_joints < 1:
+        raise PoseDataError(f"poses: M = {n_poses}, K = {n_joints}; expected at least one of each.")
     if known == "exchangeable":
         chances = np.full(n_hypotheses + 1, 1 / (n_hypotheses + 1))
         weights = np.clip(LEVELS * (n_hypotheses + 1) - np.arange(n_hypotheses + 1)[:, None], 0, 1)

@@ -245,7 +245,7 @@ def test_an_unknown_definition_is_refused_with_the_nearest() -> None:
 def test_phi_is_compared_with_q_in_whole_numbers(inner: int) -> None:
     """Of 40 hypotheses about 0, some are 1 off and the others 3; the truth is 2 off, and Φ is a twentieth.
 
-    In binary the same comparison fails: 0.55 · 40 is 22.000000000000004, and in single precision 0.15 is above 3/20.
+    Φ in single precision would lose such ties against q in double: 0.55 becomes 0.55000001.
     """
     distances = np.where(np.arange(40) < inner, 1.0, 3.0)
     weights = line(list(distances * np.resize([1, -1], 40)), 2, "paper")
