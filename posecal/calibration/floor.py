@@ -97,8 +97,9 @@ def _bias(n_hypotheses: int, definition: str, at: FloatArray) -> FloatArray:
 
     def scaled(n: int) -> FloatArray:
         row = table[n]
-        shares = np.arange(1, row.size + 1) / (row.size + 1) if definition == "paper" else LEVELS
-        return n * np.interp(at, shares, row)
+        if definition == "paper":  # no bias where nothing or everything is inside
+            row = np.concatenate([[0.0], row, [0.0]])
+        return n * np.interp(at, np.linspace(0, 1, row.size), row)
 
     above = min((n for n in table if n >= n_hypotheses), default=max(table))
     below = max((n for n in table if n <= n_hypotheses), default=min(table))
