@@ -56,6 +56,8 @@ class Block:
         Whether each pose comes right after the one before it in its sequence.
     scores : array (N, B), optional
         The model's own score of each hypothesis; higher is better.
+    occluded : bool array (B, K), optional
+        The joints whose keypoints were not seen; none by default.
 
     Attributes
     ----------
@@ -77,7 +79,9 @@ class Block:
         previous: Before | None = None,
         follows: BoolArray | None = None,
         scores: FloatArray | None = None,
+        occluded: BoolArray | None = None,
     ) -> None:
+        self.occluded = np.zeros(truth.shape[:2], dtype=bool) if occluded is None else occluded
         self.where = np.ones(truth.shape[:2], dtype=bool) if where is None else where
         self.offsets = _offsets(hypotheses, truth, root)
         self.truth = _relative(truth, root, self.offsets.dtype)
@@ -86,6 +90,17 @@ class Block:
             self.truth = np.where(self.where[..., None], self.truth, 0)
         self._root, self._previous, self._follows, self._scores = root, previous, follows, scores
         self._shared: dict[Hashable, Any] = {}
+
+    def stretched(self, factor: float) -> Block:
+        """Give the same poses with the spread of the hypotheses about their median multiplied."""
+        centre, times = self.median[..., None], self.offsets.dtype.type(factor)
+        other = Block.__new__(Block)
+        other.where, other.occluded, other.truth = self.where, self.occluded, self.truth
+        other._root, other._previous, other._follows, other._scores = self._root, None, self._follows, self._scores
+        other._shared = {}
+        other.offsets = centre + times * (self.offsets - centre)
+        other.__dict__["sorted"] = centre + times * (self.sorted - centre)  # stretching keeps the order
+        return other
 
     @cached_property
     def non_finite(self) -> BoolArray:
@@ -275,12 +290,13 @@ def blocks_of(
     scores: FloatArray | None = None,
     follows: BoolArray | None = None,
     previous: Before | None = None,
+    occluded: BoolArray | None = None,
 ) -> Iterator[Callable[[], Block]]:
     """Cut checked arrays in the paper's layout into blocks, in the order of their poses.
 
     Parameters
     ----------
-    hypotheses, truth, where, root, scores, follows, previous
+    hypotheses, truth, where, root, scores, follows, previous, occluded
         As for :class:`Block`, of M poses instead of B.
 
     Yields
@@ -303,6 +319,7 @@ def blocks_of(
             scores=None if scores is None else scores[:, poses],
             follows=None if follows is None else follows[poses],
             previous=previous,
+            occluded=None if occluded is None else occluded[poses],
         )
 
 

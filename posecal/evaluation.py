@@ -17,16 +17,17 @@ import numpy.typing as npt
 
 import posecal
 from posecal.block import Before, Block, FloatArray, block_length, blocks_of, in_order
+from posecal.calibration.battery import PreRank
 from posecal.cells import cells_of
 from posecal.errors import PoseDataError
 from posecal.io import Role, as_labels, read_poses
 from posecal.joining import Join, join
 from posecal.layout import HYPOTHESES, TRUTH, MemoryArray
-from posecal.metric import Statistic, Subject
+from posecal.metric import TRUE_POSES, Statistic, Subject
 from posecal.metrics.spread import predicted_spread
 from posecal.pairs import PosePairs, Poses
 from posecal.protocol import Protocol, preset
-from posecal.registry import curves_of, metrics_of
+from posecal.registry import curves_of, metrics_of, sights_of
 from posecal.report import Report
 from posecal.totals import Totals
 
@@ -158,6 +159,7 @@ def add_up(
     protocol: Protocol | None = None,
     *,
     by: Sequence[str] = (),
+    preranks: Mapping[str, PreRank] | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Totals:
@@ -170,7 +172,11 @@ def add_up(
     protocol : Protocol, optional
         The options.
     by : sequence of str
-        Labels by which poses will be grouped; see :func:`posecal.cells.cells_of`.
+        Labels by which poses will be grouped; see :func:`posecal.cells.cells_of`. ``sight`` tells occluded from
+        visible joints.
+    preranks : mapping of callables, optional
+        Tests of the battery of one's own, by name: each from a pool of poses (N + 1, K, D), the truth last, to a
+        number of each, (N + 1,).
     threads : int, optional
         How many; by default one per core.
     progress : callable, optional
@@ -195,9 +201,18 @@ def add_up(
         labels=tuple(pairs.labels),
         fps=pairs.fps,
         scored=pairs.scores is not None,
+        marked=pairs.occluded is not None,
+        preranks=tuple(preranks or ()),
     )
-    statistics = _statistics(protocol, subject)
-    wanted = [*by, *([] if protocol.average == "poses" else [protocol.average])]
+    statistics = _statistics(protocol, subject, preranks)
+    if "sight" in by:
+        statistics |= {
+            s.name: s for ms in sights_of(protocol, subject).values() for m in ms.values() for s in m.statistics
+        }
+    wanted = [
+        *(label for label in by if label != "sight"),
+        *([] if protocol.average == "poses" else [protocol.average]),
+    ]
     cells = cells_of(pairs, wanted, lambda: _spread(pairs, threads))
     totals = Totals(
         subject=subject,
@@ -207,26 +222,35 @@ def add_up(
         poses=np.bincount(cells.of_pose).astype(np.int64),
         remarks=pairs.remarks,
         sequences=cells.labelled,
+        cell_of=cells.of_pose,
     )
     bad: list[npt.NDArray[np.intp]] = []
+    kept: dict[str, list[FloatArray]] = {}
     done = 0
-    tasks = (partial(_measure, poses, block, cells.of_pose[poses], statistics) for poses, block in walk(pairs))
+    tasks = (
+        partial(_measure, poses, block, cells.of_pose[poses], tuple(statistics.values()))
+        for poses, block in walk(pairs)
+    )
     for found in in_order(tasks, threads):
         bad.append(found.non_finite)
         for name, (sums, counts) in found.sums.items():
             totals.add(name, found.cells, sums, counts)
+        for name, values in found.kept.items():
+            kept.setdefault(name, []).append(values)
         done += found.poses
         if progress is not None:
             progress(done)
     _refuse_non_finite(pairs, pairs.names[0], np.concatenate(bad))
+    totals.kept = {name: np.concatenate(parts) for name, parts in kept.items()}
     return totals
 
 
-def _statistics(protocol: Protocol, subject: Subject) -> tuple[Statistic, ...]:
-    found = {s.name: s for metric in metrics_of(protocol, subject).values() for s in metric.statistics}
-    if protocol.metrics in {"default", "all"}:
+def _statistics(protocol: Protocol, subject: Subject, preranks: Mapping[str, PreRank] | None) -> dict[str, Statistic]:
+    found = {TRUE_POSES.name: TRUE_POSES}
+    found |= {s.name: s for metric in metrics_of(protocol, subject, preranks).values() for s in metric.statistics}
+    if "default" in protocol.metrics or "all" in protocol.metrics:
         found |= {curve.statistic.name: curve.statistic for curve in curves_of(protocol, subject).values()}
-    return tuple(found.values())
+    return found
 
 
 # --- one walk -------------------------------------------------------------------------------------------------
@@ -235,13 +259,13 @@ def _statistics(protocol: Protocol, subject: Subject) -> tuple[Statistic, ...]:
 def walk(pairs: PosePairs) -> Iterator[tuple[slice, Callable[[], Block]]]:
     """Give the blocks of some pairs, to be laid out, each with the poses that it holds."""
     n, m, k, d = pairs.shape
-    window = max(1, WINDOW_BYTES // (n * k * d * pairs.stored.array.dtype.itemsize))
+    window = max(1, WINDOW_BYTES // (n * k * d * pairs.hypotheses.itemsize))
     sequence = pairs.labels.get("sequence", np.zeros(m, dtype=np.str_))
     follows = np.concatenate([[False], (sequence[1:] == sequence[:-1]) & (np.diff(pairs.place) == 1)])
     previous: Before | None = None
     for start in range(0, m, window):
         poses = slice(start, min(start + window, m))
-        hypotheses, truth = pairs.stored.read(poses.start, poses.stop), pairs.truth[poses]
+        hypotheses, truth = pairs.hypotheses.read(poses.start, poses.stop), pairs.truth[poses]
         size = block_length(hypotheses.shape, hypotheses.dtype)
         blocks = blocks_of(
             hypotheses,
@@ -251,6 +275,7 @@ def walk(pairs: PosePairs) -> Iterator[tuple[slice, Callable[[], Block]]]:
             scores=None if pairs.scores is None else pairs.scores[:, poses],
             follows=follows[poses],
             previous=previous,
+            occluded=None if pairs.occluded is None else pairs.occluded[poses],
         )
         for number, block in enumerate(blocks):
             yield slice(start + number * size, min(start + (number + 1) * size, poses.stop)), block
@@ -264,6 +289,7 @@ class _Measured:
     poses: int
     cells: npt.NDArray[np.intp]
     sums: dict[str, tuple[FloatArray, npt.NDArray[np.int64]]]
+    kept: dict[str, FloatArray]
     non_finite: npt.NDArray[np.intp]
 
 
@@ -273,17 +299,21 @@ def _measure(
     block = lay_out()
     bad = np.argwhere(block.non_finite) + np.array([poses.start, 0])
     if len(bad):
-        return _Measured(len(cells), cells[:0], {}, bad)
+        return _Measured(len(cells), cells[:0], {}, {}, bad)
     runs = np.flatnonzero(np.concatenate([[True], cells[1:] != cells[:-1]]))
-    sums = {}
+    sums: dict[str, tuple[FloatArray, npt.NDArray[np.int64]]] = {}
+    kept_values: dict[str, FloatArray] = {}
     for statistic in statistics:
         values = np.asarray(statistic.compute(block), dtype=np.float64)
+        if statistic.kept:
+            kept_values[statistic.name] = values
+            continue
         kept = 2 if statistic.per_joint else 1
         counted = ~np.isnan(values.reshape(*values.shape[:kept], -1)[..., 0])
         shown = counted.reshape(*counted.shape, *[1] * (values.ndim - kept))
         total = np.add.reduceat(np.where(shown, values, 0), runs, axis=0)
         sums[statistic.name] = total, np.add.reduceat(counted, runs, axis=0, dtype=np.int64)
-    return _Measured(len(cells), cells[runs], sums, bad)
+    return _Measured(len(cells), cells[runs], sums, kept_values, bad)
 
 
 def _spread(pairs: PosePairs, threads: int | None) -> FloatArray:

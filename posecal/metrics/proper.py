@@ -62,12 +62,13 @@ def _pairwise(points: FloatArray) -> Iterator[tuple[FloatArray, float]]:
 def _half_mean_distance(points: FloatArray) -> FloatArray:
     """Half the mean distance between two different points of (..., D, n), (...)."""
     n = points.shape[-1]
-    total = np.zeros(points.shape[:-2])
+    total: FloatArray = np.zeros(points.shape[:-2])
     for squares, weight in _pairwise(points):
         np.sqrt(squares, out=squares)
         rows = squares @ np.ones(squares.shape[-1], dtype=squares.dtype)
         total += weight * rows.sum(axis=-1, dtype=np.float64)
-    return total / (2 * n * (n - 1))
+    total /= 2 * n * (n - 1)
+    return total
 
 
 def joint_energies(block: Block, joints: BoolArray | None = None) -> FloatArray:
@@ -78,7 +79,7 @@ def joint_energies(block: Block, joints: BoolArray | None = None) -> FloatArray:
     array (B, K + 1)
         Scores, mm; NaN for joints that don't count, and for one hypothesis.
     """
-    B, K, D, n = block.offsets.shape
+    B, K, _, n = block.offsets.shape
     scored = block.where if joints is None else block.where & joints
     if n < 2:
         return np.full((B, K + 1), np.nan)
@@ -136,7 +137,8 @@ def _within(block: Block, joints: BoolArray | None, threshold: float) -> tuple[F
     scored = block.where if joints is None else block.where & joints
     reach = np.where(scored[..., None], squared_norms(block.offsets - block.median[..., None]), 0).max(axis=1)
     truth = np.where(scored, squared_norms(block.median[..., None])[..., 0], 0).max(axis=1)
-    return (reach < threshold**2).mean(axis=-1), truth < threshold**2, scored.any(axis=1)
+    share: FloatArray = (reach < threshold**2).mean(axis=-1)
+    return share, np.asarray(truth < threshold**2), np.asarray(scored.any(axis=1))
 
 
 def fair_brier(block: Block, joints: BoolArray | None = None, threshold: float = 150.0) -> FloatArray:
