@@ -114,15 +114,15 @@ def _caption(kind: str, report: Report) -> str:
     if kind == "errors":
         return f"{report.curve('errors_by_n')[0].definition}."
     if kind == "guide":
-        return f"{report.metrics['sparsification_area'].definition}: {report.value('sparsification_area'):.3f}."
+        return f"{report.definition('sparsification_area')}: {report.value('sparsification_area'):.3f}."
     if kind == "event":
-        return f"{report.metrics['brier'].definition}. Isotonic regression, equal p pooled."
+        return f"{report.definition('brier')}. Isotonic regression, equal p pooled."
     return f"Joints: {report.curve('pck_curve')[0].definition}. Poses: {report.curve('cps_curve')[0].definition}."
 
 
 def _reliability_caption(report: Report) -> str:
     found = report.null("ece")
-    words = f"ECE {report.value('ece'):.4f}: {report.metrics['ece'].definition}."
+    words = f"ECE {report.value('ece'):.4f}: {report.definition('ece')}."
     if "signed_area" in report.metrics:
         words += f" Signed area {with_sign(report.value('signed_area'), 4)}."
     if found.p == found.p:  # a test was possible
