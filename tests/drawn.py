@@ -74,7 +74,7 @@ class World:
     @property
     def subject(self) -> Subject:
         """What is measured."""
-        return Subject(len(self.x), self.joints, self.root, ("sequence", "action"), self.fps, True)
+        return Subject(len(self.x), self.joints, self.root, ("sequence", "action"), self.fps, True, True)
 
     def totals(self, protocol: Protocol, *, threads: int = 1) -> Totals:
         """The sums of every metric that is known."""

@@ -1,27 +1,23 @@
 """Is every registered number what its name says, under every option that changes it?
 
-The whole registry once more, made of the naive twins of :mod:`tests.oracles`. A metric that is registered without a
-twin here fails the first test.
+Held against :mod:`tests.twin`. A metric that is registered without a twin fails the first test.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from functools import cache
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
+from posecal.evaluation import add_up
 from posecal.protocol import Protocol
-from posecal.registry import known_metrics
-from posecal.skeleton import JOINT_SETS
-from tests import oracles
-from tests.drawn import JOINTS, World, world
+from posecal.registry import known_metrics, sights_of
+from tests.drawn import World, world
+from tests.twin import Twin
 
-Poses = npt.NDArray[np.intp]
-Numbers = dict[str, Callable[[Poses], float]]
 Joints = npt.NDArray[np.float64]
 
 HAND = "Hip, Head, LWrist, RElbow"
@@ -74,168 +70,6 @@ def subject_of(name: str) -> World:
         where = np.random.default_rng(number).random(some.y.shape[:2]) < 0.8
         where[4] = False
     return World(**{**vars(some), "where": where, "root_joint": "none" if number % 5 == 4 else None})
-
-
-def mean_known(values: npt.NDArray[np.float64]) -> float:
-    """Mean of what is not NaN."""
-    return oracles.mean([float(v) for v in values if not math.isnan(v)])
-
-
-class Twin:
-    """Every number of a world under a protocol, by the naive formulas."""
-
-    def __init__(self, some: World, protocol: Protocol) -> None:
-        self.world, self.protocol = some, protocol
-        self.x, self.y = oracles.relative(some.x, some.root), oracles.relative(some.y, some.root)
-        self.counted = np.ones(some.y.shape[:2], dtype=bool) if some.where is None else some.where
-        if protocol.where == "occluded":
-            self.counted = self.counted & some.occluded
-        if protocol.where == "visible":
-            self.counted = self.counted & ~some.occluded
-        body = self.joints(protocol.joints)
-        if protocol.root == "drop" and some.root is not None:
-            body[some.root] = False
-        moving = body.copy()
-        if some.root is not None:
-            moving[some.root] = False
-        self.body, self.moving = self.counted & body, self.counted & moving
-        self.pck_joints = self.body & self.joints(protocol.pck_joints)
-        self.cps_joints = self.body & self.joints(protocol.cps_joints)
-        self.errors = oracles.pose_errors(self.x, self.y, self.body)
-        self.links = oracles.links(self.errors)
-        self.numbers: Numbers = {}
-        self.by_joint: dict[str, Callable[[Poses], Joints]] = {}
-        self.define()
-
-    def joints(self, text: str) -> npt.NDArray[np.bool_]:
-        if text.startswith("all but "):
-            return np.array([name != text.removeprefix("all but ") for name in JOINTS])
-        names = JOINTS if text == "all" else JOINT_SETS.get(text, tuple(text.split(", ")))
-        return np.array([name in names for name in JOINTS])
-
-    def value(self, name: str) -> float:
-        """The number over all poses, or the mean over the groups that the protocol averages."""
-        label = self.protocol.average
-        if label == "poses":
-            return self.numbers[name](np.arange(len(self.y)))
-        groups = getattr(self.world, label)
-        return mean_known(np.array([self.numbers[name](np.flatnonzero(groups == g)) for g in np.unique(groups)]))
-
-    def joint_values(self, name: str) -> Joints:
-        """The same for each joint."""
-        label, of = self.protocol.average, self.by_joint[name]
-        if label == "poses":
-            return of(np.arange(len(self.y)))
-        groups = getattr(self.world, label)
-        values = np.array([of(np.flatnonzero(groups == g)) for g in np.unique(groups)])
-        return np.array([mean_known(column) for column in values.T])
-
-    def over_poses(self, name: str, values: npt.NDArray[np.float64], factor: float = 1.0) -> None:
-        self.numbers[name] = lambda poses: factor * mean_known(values[poses])
-
-    def define(self) -> None:
-        p = self.protocol
-        for prefix, align in (("", "none"), ("pa_", p.align), ("n_", p.scale)):
-            self.define_errors(prefix, align)
-        for n in (1, 2, 5):
-            subsets = [oracles.best_of_subsets(list(e), n) for e in self.errors.T]
-            self.over_poses(f"min_mpjpe_at_{n}", np.array(subsets))
-        self.define_shares()
-        factor = self.world.fps if p.velocity == "second" else 1.0
-        for name, x in (("mpjve", self.x), ("mean_pose_mpjve", oracles.one_pose(self.x, "mean_pose"))):
-            steps = oracles.velocity_errors(x, self.y, self.body, list(self.world.sequence))
-            self.over_poses(name, steps, factor)
-        self.define_calibration()
-        less = 0 if p.deviation == "population" else 1
-        self.define_spread("diversity", oracles.deviations(self.x, less))
-        for share in (50, 90):
-            self.define_spread(f"radius_{share}", oracles.radii(self.x, share / 100))
-
-    def define_errors(self, prefix: str, align: str) -> None:
-        p, names = self.protocol, self.world.sequence
-        x = oracles.aligned(self.x, self.y, self.body, align)
-        e = oracles.pose_errors(x, self.y, self.body)
-        kind, _, clips = p.best.partition(":")
-        if kind == "joint":
-            self.over_poses(f"{prefix}min_mpjpe", oracles.best_per_joint(x, self.y, self.body))
-        elif kind != "frame":
-            self.numbers[f"{prefix}min_mpjpe"] = lambda poses: oracles.best_per_batch(
-                e[:, poses], list(names[poses]), int(clips or 1)
-            )
-        elif prefix == "pa_" and p.align_best == "linked":
-            self.over_poses("pa_min_mpjpe", np.array([e[n, m] for m, n in enumerate(self.links)]))
-        else:
-            self.numbers[f"{prefix}min_mpjpe"] = lambda poses: oracles.best_per_frame(e[:, poses])
-        for of, name in (("mean", "mpjpe"), ("median", "median_mpjpe"), ("worst", "worst_mpjpe")):
-            self.over_poses(prefix + name, np.array([oracles.of_errors(list(column), of) for column in e.T]))
-        index = None if p.mode == "score" else int(p.mode)
-        for of in ("mean_pose", "median_pose", "weighted_pose", "mode"):
-            pose = oracles.one_pose(self.x, of, self.world.scores, index if of == "mode" else None)
-            moved = oracles.aligned(pose, self.y, self.body, align)
-            self.over_poses(f"{prefix}{of}_mpjpe", oracles.pose_errors(moved, self.y, self.body)[0])
-        if not prefix:
-            d = oracles.joint_errors(x, self.y)
-            chosen = np.array([d[n, m] for m, n in enumerate(self.links)])
-            self.over_joints("mpjpe", d.mean(axis=0), self.body)
-            if kind in {"frame", "joint"}:
-                self.over_joints("min_mpjpe", chosen if kind == "frame" else d.min(axis=0), self.body)
-
-    def define_shares(self) -> None:
-        p = self.protocol
-        d, strict = oracles.joint_errors(self.x, self.y), p.pck_rule == "<"
-        self.over_poses("pck", oracles.pck(d, self.pck_joints, p.pck_threshold, p.pck_best, self.links, strict=strict))
-        if p.auc == "integral":
-            self.over_poses("auc", oracles.auc_integral(d, self.pck_joints, p.pck_best, self.links))
-        else:
-            self.over_poses("auc", oracles.auc(d, self.pck_joints, p.pck_best, self.links, strict=strict))
-        d = oracles.joint_errors(oracles.aligned(self.x, self.y, self.body, p.cps_align), self.y)
-        area = oracles.cps(d, self.cps_joints, p.cps_best, self.links)
-        self.over_poses("cps", area, 1 / 300 if p.cps_unit == "share" else 1.0)
-
-    def define_calibration(self) -> None:
-        over = self.protocol.ece_over
-        if over == "auto":
-            over = "median" if self.protocol.where == "all" else "pooled"
-        for definition, suffix in (("exchangeable", ""), ("paper", "_paper"), ("reference", "_reference")):
-            weights = oracles.inside(self.x, self.y, self.moving, definition)
-            for ending, how in (("", over), ("_mean", "mean"), ("_worst", "worst")):
-                self.numbers[f"ece{suffix}{ending}"] = lambda poses, weights=weights, how=how: oracles.ece(
-                    oracles.curves(weights[poses]), oracles.pooled_curve(weights[poses]), how
-                )
-            self.by_joint[f"ece{suffix}"] = lambda poses, weights=weights: np.array(
-                [oracles.curve_ece(curve) for curve in oracles.curves(weights[poses])]
-            )
-            if definition == "exchangeable":
-                self.define_exchangeable(weights, over)
-
-    def define_exchangeable(self, weights: npt.NDArray[np.float64], over: str) -> None:
-        def summary(poses: Poses) -> npt.NDArray[np.float64]:
-            return oracles.over_joints(oracles.curves(weights[poses]), oracles.pooled_curve(weights[poses]), over)
-
-        def areas(poses: Poses) -> list[float]:
-            found = [oracles.curve_area(curve) for curve in oracles.curves(weights[poses])]
-            return [area for area in found if not math.isnan(area)] or [math.nan]
-
-        self.numbers["signed_area"] = lambda poses: oracles.curve_area(summary(poses))
-        self.numbers["signed_area_min"] = lambda poses: min(areas(poses))
-        self.numbers["signed_area_max"] = lambda poses: max(areas(poses))
-        self.by_joint["signed_area"] = lambda poses: np.array(
-            [oracles.curve_area(curve) for curve in oracles.curves(weights[poses])]
-        )
-        for percent, level in ((50, 10), (80, 16), (90, 18), (95, 19)):
-            self.numbers[f"coverage_{percent}"] = lambda poses, level=level: float(summary(poses)[level])
-            self.by_joint[f"coverage_{percent}"] = lambda poses, level=level: oracles.curves(weights[poses])[:, level]
-
-    def define_spread(self, name: str, values: npt.NDArray[np.float64]) -> None:
-        self.over_joints(name, values, self.moving)
-        self.numbers[name] = lambda poses: mean_known(self.by_joint[name](poses))
-
-    def over_joints(self, name: str, values: npt.NDArray[np.float64], counted: npt.NDArray[np.bool_]) -> None:
-        def means(poses: Poses) -> Joints:
-            columns = zip(values[poses].T, counted[poses].T, strict=True)
-            return np.array([oracles.mean(list(column[kept])) for column, kept in columns])
-
-        self.by_joint[name] = means
 
 
 @cache
@@ -291,6 +125,17 @@ def test_a_number_that_an_option_changes_has_another_definition(protocol: str) -
     some = subject_of("defaults")
     usual, changed = known_metrics(Protocol(), some.subject), known_metrics(PROTOCOLS[protocol], some.subject)
     before, after = measured("defaults")[0], some.values(PROTOCOLS[protocol])
-    for name in before:
-        if not math.isclose(before[name], after[name], rel_tol=1e-9):
-            assert usual[name].definition != changed[name].definition
+    other = [name for name in before if not math.isclose(before[name], after[name], rel_tol=1e-9)]
+    assert not [name for name in other if usual[name].definition == changed[name].definition]
+
+
+@pytest.mark.parametrize("sight", ["occluded", "visible"])
+@pytest.mark.parametrize("protocol", ["defaults", "some-joints", "occluded", "rms-mean"])
+def test_numbers_over_occluded_and_visible_joints_are_what_the_naive_formulas_give(protocol: str, sight: str) -> None:
+    totals = add_up(subject_of(protocol).pairs, PROTOCOLS[protocol], by=["sight"])
+    metrics = sights_of(PROTOCOLS[protocol], totals.subject)[sight]
+    found = {name: totals.value(metric) for name, metric in metrics.items()}
+    expected = twin(protocol).by_sight(sight)
+    assert set(found) == set(expected)
+    for name, value in found.items():
+        np.testing.assert_allclose(value, expected[name], rtol=TOLERANCE, atol=1e-9, err_msg=name)
