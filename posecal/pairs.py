@@ -15,7 +15,10 @@ import numpy.typing as npt
 from posecal.block import BoolArray, FloatArray
 from posecal.layout import Layout, LazyArray
 
-__all__ = ["Labels", "PosePairs", "Poses", "Rows", "Stored"]
+__all__ = ["COMMON_LABELS", "Labels", "PosePairs", "Poses", "Rows", "Stored"]
+
+COMMON_LABELS = ("sequence", "subject", "action", "camera")
+"""Names under which a file can only mean a label of every pose."""
 
 Labels = Mapping[str, npt.NDArray[np.str_]]
 Rows = npt.NDArray[np.intp]
@@ -83,7 +86,7 @@ class Stored:
 
     def read(self, start: int, stop: int) -> FloatArray:
         """Read some poses, (N, stop - start, K, D) in mm."""
-        found = self.layout.read(self.array.open(), self.rows[start:stop])
+        found = self.layout.read(self.array, self.rows[start:stop])
         if not np.array_equal(self.columns, np.arange(found.shape[2])):
             found = found[:, :, self.columns]
         return in_millimetres(found, self.factor)
