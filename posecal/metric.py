@@ -48,6 +48,8 @@ class Subject:
         Whether occluded joints are marked.
     preranks : tuple of str
         Names of the user's own pre-ranks.
+    masked : bool
+        Whether the user left out joints of some poses by a mask of their own.
     """
 
     n_hypotheses: int
@@ -58,6 +60,7 @@ class Subject:
     scored: bool = False
     marked: bool = False
     preranks: tuple[str, ...] = ()
+    masked: bool = False
 
 
 @dataclass(frozen=True)

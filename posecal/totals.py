@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.block import FloatArray
-from posecal.errors import PoseDataError, PoseFileError, did_you_mean, raise_all
+from posecal.errors import PosecalError, PoseDataError, PoseFileError, did_you_mean, raise_all
 from posecal.io import written_whole
 from posecal.metric import Metric, Statistic, Subject
 from posecal.protocol import Protocol
@@ -177,6 +177,7 @@ class Totals:
             **self.protocol.options,
         }
         parts.pop("metrics")
+        parts["where"] += ",mask" if s.masked else ""
         default = Protocol().options
         kept = ("posecal", "N", "K", "origin", "joints", "root", "where", "best", "align", "average")
         shown = {key: value for key, value in parts.items() if key in kept or value != default.get(key)}
@@ -231,6 +232,8 @@ class Totals:
         PoseDataError
             Where two differ in more than their poses, or hold the same poses.
         """
+        if not parts:
+            raise PoseDataError("merge: no results; expected at least one.")
         names = names or [f"part {number}" for number in range(1, len(parts) + 1)]
         first = parts[0]
         problems = []
@@ -346,9 +349,11 @@ class Totals:
             zipfile.BadZipFile,
             zlib.error,
         ) as error:
-            if isinstance(error, PoseFileError):
-                raise
             raise PoseFileError(f"{name}: no result of posecal evaluate --save, or not a whole one.") from None
+        except PosecalError:
+            raise
+        except OSError as error:
+            raise PoseFileError(f"{path}: can't be read ({error.strerror}).") from None
 
 
 def _natural(text: str) -> list[tuple[int, str]]:
