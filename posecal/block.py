@@ -55,6 +55,8 @@ class Block:
         Whether each pose comes right after the one before it in its sequence.
     scores : array (N, B), optional
         The model's own score of each hypothesis; higher is better.
+    occluded : bool array (B, K), optional
+        The joints whose keypoints were not seen; none by default.
 
     Attributes
     ----------
@@ -76,7 +78,9 @@ class Block:
         previous: tuple[FloatArray, FloatArray] | None = None,
         follows: BoolArray | None = None,
         scores: FloatArray | None = None,
+        occluded: BoolArray | None = None,
     ) -> None:
+        self.occluded = np.zeros(truth.shape[:2], dtype=bool) if occluded is None else occluded
         self.where = np.ones(truth.shape[:2], dtype=bool) if where is None else where
         self.offsets = _offsets(hypotheses, truth, root)
         self.truth = truth.astype(self.offsets.dtype) if root is None else truth - truth[:, root, None]
@@ -257,12 +261,13 @@ def blocks_of(
     scores: FloatArray | None = None,
     follows: BoolArray | None = None,
     previous: tuple[FloatArray, FloatArray] | None = None,
+    occluded: BoolArray | None = None,
 ) -> Iterator[Callable[[], Block]]:
     """Cut checked arrays in the paper's layout into blocks, in the order of their poses.
 
     Parameters
     ----------
-    hypotheses, truth, where, root, scores, follows, previous
+    hypotheses, truth, where, root, scores, follows, previous, occluded
         As for :class:`Block`, of M poses instead of B.
 
     Yields
@@ -284,6 +289,7 @@ def blocks_of(
             scores=None if scores is None else scores[:, poses],
             follows=None if follows is None else follows[poses],
             previous=previous,
+            occluded=None if occluded is None else occluded[poses],
         )
 
 

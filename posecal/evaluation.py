@@ -27,7 +27,7 @@ from posecal.metric import Statistic, Subject
 from posecal.metrics.spread import predicted_spread
 from posecal.pairs import PosePairs, Poses
 from posecal.protocol import Protocol, preset
-from posecal.registry import curves_of, metrics_of
+from posecal.registry import curves_of, metrics_of, sights_of
 from posecal.report import Report
 from posecal.skeleton import joint_set
 from posecal.totals import Totals
@@ -184,7 +184,8 @@ def add_up(
     protocol : Protocol, optional
         The options.
     by : sequence of str
-        Labels by which poses will be grouped; see :func:`posecal.cells.cells_of`.
+        Labels by which poses will be grouped; see :func:`posecal.cells.cells_of`. ``sight`` tells occluded from
+        visible joints.
     preranks : mapping of callables, optional
         Tests of the battery of one's own, by name: each from a pool of poses (N + 1, K, D), the truth last, to a
         number of each, (N + 1,).
@@ -218,7 +219,14 @@ def add_up(
         preranks=tuple(preranks or ()),
     )
     statistics = _statistics(protocol, subject, preranks)
-    wanted = [*by, *([] if protocol.average == "poses" else [protocol.average])]
+    if "sight" in by:
+        statistics |= {
+            s.name: s for ms in sights_of(protocol, subject).values() for m in ms.values() for s in m.statistics
+        }
+    wanted = [
+        *(label for label in by if label != "sight"),
+        *([] if protocol.average == "poses" else [protocol.average]),
+    ]
     cells = cells_of(pairs, wanted, lambda: _spread(pairs, threads))
     totals = Totals(
         subject=subject,
@@ -233,7 +241,10 @@ def add_up(
     bad: list[npt.NDArray[np.intp]] = []
     kept: dict[str, list[FloatArray]] = {}
     done = 0
-    tasks = (partial(_measure, poses, block, cells.of_pose[poses], statistics) for poses, block in walk(pairs))
+    tasks = (
+        partial(_measure, poses, block, cells.of_pose[poses], tuple(statistics.values()))
+        for poses, block in walk(pairs)
+    )
     for found in in_order(tasks, threads):
         bad.append(found.non_finite)
         for name, (sums, counts) in found.sums.items():
@@ -248,11 +259,11 @@ def add_up(
     return totals
 
 
-def _statistics(protocol: Protocol, subject: Subject, preranks: Mapping[str, PreRank] | None) -> tuple[Statistic, ...]:
+def _statistics(protocol: Protocol, subject: Subject, preranks: Mapping[str, PreRank] | None) -> dict[str, Statistic]:
     found = {s.name: s for metric in metrics_of(protocol, subject, preranks).values() for s in metric.statistics}
     if "default" in protocol.metrics or "all" in protocol.metrics:
         found |= {curve.statistic.name: curve.statistic for curve in curves_of(protocol, subject).values()}
-    return tuple(found.values())
+    return found
 
 
 # --- one walk -------------------------------------------------------------------------------------------------
@@ -261,13 +272,13 @@ def _statistics(protocol: Protocol, subject: Subject, preranks: Mapping[str, Pre
 def walk(pairs: PosePairs) -> Iterator[tuple[slice, Callable[[], Block]]]:
     """Give the blocks of some pairs, to be laid out, each with the poses that it holds."""
     n, m, k, d = pairs.shape
-    window = max(1, WINDOW_BYTES // (n * k * d * pairs.stored.array.dtype.itemsize))
+    window = max(1, WINDOW_BYTES // (n * k * d * pairs.hypotheses.itemsize))
     sequence = pairs.labels.get("sequence", np.zeros(m, dtype=np.str_))
     follows = np.concatenate([[False], sequence[1:] == sequence[:-1]])
     previous: tuple[FloatArray, FloatArray] | None = None
     for start in range(0, m, window):
         poses = slice(start, min(start + window, m))
-        hypotheses, truth = pairs.stored.read(poses.start, poses.stop), pairs.truth[poses]
+        hypotheses, truth = pairs.hypotheses.read(poses.start, poses.stop), pairs.truth[poses]
         size = block_length(hypotheses.shape, hypotheses.dtype)
         blocks = blocks_of(
             hypotheses,
@@ -277,6 +288,7 @@ def walk(pairs: PosePairs) -> Iterator[tuple[slice, Callable[[], Block]]]:
             scores=None if pairs.scores is None else pairs.scores[:, poses],
             follows=follows[poses],
             previous=previous,
+            occluded=None if pairs.occluded is None else pairs.occluded[poses],
         )
         for number, block in enumerate(blocks):
             yield slice(start + number * size, min(start + (number + 1) * size, poses.stop)), block

@@ -14,14 +14,16 @@ With fewer than six sequences no sign-flip test can reject at 5 %, and none is m
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from posecal.block import FloatArray
+from posecal.calibration.curve import joint_median
 from posecal.calibration.ranks import LEVELS
 
 __all__ = [
@@ -161,19 +163,25 @@ class Deviation:
 
     Attributes
     ----------
-    curves : callable
-        From mean deviations (P, J, Q) to the R curves that are judged, (P, R, Q).
-    worst : bool
-        Whether the error is the largest over the curves of the mean over q of |deviation|, instead of their mean.
+    first, last : int or None
+        Which of the J curves are judged: those from the first to before the last, as in a slice.
+    over : str
+        Of their mean deviations: ``median`` for the error of the median curve, ``mean`` or ``worst`` for the mean or
+        the largest of the curves' own errors.
     """
 
-    curves: Callable[[FloatArray], FloatArray]
-    worst: bool = False
+    first: int | None = None
+    last: int | None = None
+    over: Literal["median", "mean", "worst"] = "mean"
+
+    def curves(self, mean: FloatArray) -> FloatArray:
+        """Give the curves whose distance from the diagonal counts, (P, R, Q), of mean deviations (P, J, Q)."""
+        return joint_median(mean)[:, None] if self.over == "median" else mean
 
     def error(self, curves: FloatArray) -> FloatArray:
         """Reduce the curves (P, R, Q) to the error, (P,)."""
         each = np.abs(curves).mean(axis=-1)
-        return np.asarray(each.max(axis=-1) if self.worst else each.mean(axis=-1))
+        return np.asarray(each.max(axis=-1) if self.over == "worst" else each.mean(axis=-1))
 
 
 def sign_flips(
@@ -225,12 +233,14 @@ def sign_flips(
     --------
     Six sequences that all deviate alike: only the all-plus pattern, of 32, is as extreme.
 
-    >>> found = sign_flips(np.ones((6, 1, 21)), np.ones((6, 1), int), Deviation(lambda mean: mean))
+    >>> found = sign_flips(np.ones((6, 1, 21)), np.ones((6, 1), int), Deviation())
     >>> found.p
     0.03125
     """
+    judged = slice(deviation.first, deviation.last)
+    deviations, counts = deviations[:, judged], counts[:, judged]
     used = counts.any(axis=0)
-    kept = counts[:, used].any(axis=1)
+    kept = counts.any(axis=1)
     total = counts[:, used].sum(axis=0)
     D = deviations[kept][:, used].astype(np.float32)
     sequences = len(D)

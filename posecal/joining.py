@@ -144,7 +144,7 @@ def join(hypotheses: Poses, truth: Poses, how: Join | None = None) -> PosePairs:
     raise_all(problems)
 
     pairs = PosePairs(
-        stored=Stored(hypotheses.array, layout, rows, columns, factor),
+        hypotheses=Stored(hypotheses.array, layout, rows, columns, factor),
         truth=np.ascontiguousarray(y[true_rows][:, true_columns]),
         joints=tuple(true_names[k] for k in true_columns),
         root=None if root is None else next((k for k, at in enumerate(true_columns) if at == root), None),

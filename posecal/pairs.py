@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +16,7 @@ import numpy.typing as npt
 from posecal.block import BoolArray, FloatArray
 from posecal.layout import Layout, LazyArray
 
-__all__ = ["COMMON_LABELS", "Labels", "PosePairs", "Poses", "Rows", "Stored"]
+__all__ = ["COMMON_LABELS", "Hypotheses", "Labels", "PosePairs", "Poses", "Rows", "Stored"]
 
 COMMON_LABELS = ("sequence", "subject", "action", "camera")
 """Names under which a file can only mean a label of every pose."""
@@ -62,6 +63,24 @@ class Poses:
     fps: float | None = None
 
 
+class Hypotheses(Protocol):
+    """N hypotheses of M poses, read some poses at a time."""
+
+    @property
+    def n_hypotheses(self) -> int:
+        """N."""
+
+    @property
+    def itemsize(self) -> int:
+        """Bytes of a stored coordinate, by which windows are measured."""
+
+    def read(self, start: int, stop: int) -> FloatArray:
+        """Read some poses, (N, stop - start, K, D) in mm."""
+
+    def taken(self, poses: Rows) -> Hypotheses:
+        """Keep some poses, by their numbers."""
+
+
 @dataclass(frozen=True)
 class Stored:
     """Hypotheses where they lie, and how to read some poses of them.
@@ -84,6 +103,20 @@ class Stored:
     columns: Rows
     factor: float
 
+    @property
+    def n_hypotheses(self) -> int:
+        """N."""
+        return self.layout.shape(self.array.shape)[0]
+
+    @property
+    def itemsize(self) -> int:
+        """Bytes of a stored coordinate."""
+        return self.array.dtype.itemsize
+
+    def taken(self, poses: Rows) -> Stored:
+        """Keep some poses, by their numbers."""
+        return replace(self, rows=self.rows[poses])
+
     def read(self, start: int, stop: int) -> FloatArray:
         """Read some poses, (N, stop - start, K, D) in mm."""
         found = self.layout.read(self.array, self.rows[start:stop])
@@ -105,8 +138,8 @@ class PosePairs:
 
     Attributes
     ----------
-    stored : Stored
-        The hypotheses, read some poses at a time.
+    hypotheses : Hypotheses
+        Read some poses at a time.
     truth : array (M, K, D)
         True poses, mm.
     joints : tuple of str
@@ -131,7 +164,7 @@ class PosePairs:
         What a careful reader should know about the join.
     """
 
-    stored: Stored
+    hypotheses: Hypotheses
     truth: FloatArray
     joints: tuple[str, ...]
     root: int | None
@@ -148,13 +181,13 @@ class PosePairs:
     def shape(self) -> tuple[int, int, int, int]:
         """(N, M, K, D)."""
         m, k, d = self.truth.shape
-        return self.stored.layout.shape(self.stored.array.shape)[0], m, k, d
+        return self.hypotheses.n_hypotheses, m, k, d
 
     def taken(self, poses: Rows) -> PosePairs:
         """Keep some poses, by their numbers."""
         return replace(
             self,
-            stored=replace(self.stored, rows=self.stored.rows[poses]),
+            hypotheses=self.hypotheses.taken(poses),
             truth=self.truth[poses],
             frame_id=self.frame_id[poses],
             labels={name: values[poses] for name, values in self.labels.items()},

@@ -462,7 +462,7 @@ def draw_poses(
         for place, frame in enumerate(frames):
             ax = figure.add_subplot(down, across, place + 1, projection="3d")
             poses(
-                pairs.stored.read(frame, frame + 1)[:, 0],
+                pairs.hypotheses.read(frame, frame + 1)[:, 0],
                 pairs.truth[frame],
                 pairs.joints,
                 cloud=cloud,

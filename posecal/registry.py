@@ -7,13 +7,14 @@ from dataclasses import replace
 
 from posecal.calibration.battery import PreRank
 from posecal.calibration.table import battery_metrics, calibration_metrics
-from posecal.errors import did_you_mean, raise_all
+from posecal.errors import PoseDataError, did_you_mean, raise_all
 from posecal.metric import Curve, Metric, Scope, Subject
 from posecal.metrics.score_table import guide_metrics, score_metrics
 from posecal.metrics.table import accuracy_curves, accuracy_metrics, spread_metrics
 from posecal.protocol import Protocol
+from posecal.sight import SIGHTS, sight_metrics
 
-__all__ = ["GROUPS", "curves_of", "known_metrics", "metrics_of"]
+__all__ = ["GROUPS", "curves_of", "known_metrics", "metrics_of", "sights_of"]
 
 
 GROUPS = ("default", "battery", "scores", "all")
@@ -115,3 +116,33 @@ def curves_of(protocol: Protocol, subject: Subject) -> dict[str, Curve]:
         Curves by name.
     """
     return {curve.name: curve for curve in accuracy_curves(Scope(protocol, subject))}
+
+
+def sights_of(protocol: Protocol, subject: Subject) -> dict[str, dict[str, Metric]]:
+    """Give the numbers over occluded and over visible joints, by the kind of joint and by name.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        The options.
+    subject : Subject
+        What is measured.
+
+    Returns
+    -------
+    dict
+        Metrics by ``occluded`` and ``visible``, then by name.
+
+    Raises
+    ------
+    PoseDataError
+        Where the poses don't say which joints are occluded, or there is one hypothesis.
+    """
+    if not subject.marked:
+        raise PoseDataError(
+            "by: sight needs to know which joints are occluded; expected a member occluded or visible, bool (M, K)."
+        )
+    if subject.n_hypotheses < 2:
+        raise PoseDataError("by: sight needs at least 2 hypotheses; there is 1.")
+    scope = Scope(protocol, subject)
+    return {sight: {metric.name: metric for metric in sight_metrics(scope, sight)} for sight in SIGHTS}

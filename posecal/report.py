@@ -34,7 +34,7 @@ from posecal.cells import label_name
 from posecal.errors import PoseDataError, did_you_mean
 from posecal.inference import FEWEST, Null, holm
 from posecal.metric import Curve, Metric
-from posecal.registry import curves_of, metrics_of
+from posecal.registry import curves_of, metrics_of, sights_of
 from posecal.sureness import independent_poses, interval, joint_null, null, unbiased_squared_error
 from posecal.totals import Totals
 
@@ -112,8 +112,12 @@ class Report:
         self._curves: dict[str, Curve] = curves_of(totals.protocol, totals.subject)
         self.groups: dict[str | None, Cells] = {None: None}
         self._nulls: dict[tuple[str, str | None], Null] = {}
+        self.sights: dict[str, dict[str, Metric]] = {}
         for label in self.by:
-            self.groups |= {f"{label}={value}": cells for value, cells in totals.groups(label)}
+            if label == "sight":
+                self.sights = sights_of(totals.protocol, totals.subject)
+            else:
+                self.groups |= {f"{label}={value}": cells for value, cells in totals.groups(label)}
 
     # --- numbers ----------------------------------------------------------------------------------------------
 
@@ -152,6 +156,9 @@ class Report:
         for group, cells in self.groups.items():
             for metric in self.metrics.values():
                 yield self._row(metric, group, cells)
+        for sight, metrics in self.sights.items():
+            for metric in metrics.values():
+                yield self._row(metric, f"sight={sight}", None)
         for metric in self.metrics.values():
             if metric.by_joint is not None:
                 values = self.totals.by_joint(metric)

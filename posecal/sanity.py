@@ -41,7 +41,7 @@ def doubts(pairs: PosePairs, declared: bool, true_declared: bool) -> list[str]:
     n, m, _, _ = pairs.shape
     few = min(m, 8)
     size = _size(pairs.truth)
-    ours = _size(pairs.stored.read(0, few)[: min(n, 50)].reshape(-1, *pairs.truth.shape[1:]))
+    ours = _size(pairs.hypotheses.read(0, few)[: min(n, 50)].reshape(-1, *pairs.truth.shape[1:]))
     name, true_name = pairs.names
     sides = (true_name, size, true_declared), (name, ours, declared)
     tiny = [(_metres(of, length), said) for of, length, said in sides if 0 < length < TINY]

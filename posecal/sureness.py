@@ -69,8 +69,7 @@ def null(totals: Totals, metric: Metric, cells: Cells = None) -> Null:
 def joint_null(totals: Totals, metric: Metric, joint: int, cells: Cells = None) -> Null:
     """The same for the curve of a single joint."""
     D, counts = deviations(totals, metric.statistic, cells, metric.offset)
-    one = slice(joint, joint + 1)
-    return sign_flips(D[:, one], counts[:, one], Deviation(lambda mean: mean), offset=metric.offset)
+    return sign_flips(D, counts, Deviation(joint, joint + 1), offset=metric.offset)
 
 
 def independent_poses(totals: Totals, statistic: Statistic, cells: Cells = None) -> float:

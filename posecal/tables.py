@@ -18,7 +18,7 @@ from rich.text import Text
 from posecal.metric import Metric
 from posecal.protocol import PRESETS, Protocol
 from posecal.registry import GROUPS
-from posecal.report import Report
+from posecal.report import Report, Row
 from posecal.verdict import verdict
 
 __all__ = [
@@ -121,10 +121,13 @@ def tables(report: Report, *, joints: bool = False) -> list[Table]:
             columns = ((name, False), ("value", True), (second, False), ("", False), ("what it is", False))
             found.append(Table(name, columns, [_row(report, metric) for metric in rows]))
     for label in report.by:
-        names = [name for name in BY_GROUP if name in report.metrics]
+        grouped: dict[str, dict[str, Row]] = {}
+        for row in report.rows:
+            if row.joint is None and row.group is not None and row.group.startswith(f"{label}="):
+                grouped.setdefault(row.group.partition("=")[2], {})[row.metric] = row
+        names = [name for name in BY_GROUP if all(name in group for group in grouped.values())]
         columns = ((label, False), ("poses", True), *((report.metrics[name].label, True) for name in names))
-        groups = [group for group in report.groups if group is not None and group.startswith(f"{label}=")]
-        found.append(Table(f"By {label}", columns, [_group_row(report, group, names) for group in groups]))
+        found.append(Table(f"By {label}", columns, [_group_row(*group, names) for group in grouped.items()]))
     if joints:
         names = [name for name in BY_JOINT if name in report.metrics]
         columns = (("joint", False), *((report.metrics[name].label, True) for name in names))
@@ -164,12 +167,9 @@ def _sureness(report: Report, metric: Metric) -> str:
     return f"{found.mean:.3f}, below {found.high:.3f}; {shown}"
 
 
-def _group_row(report: Report, group: str, names: list[str]) -> tuple[str, ...]:
-    rows = {row.metric: row for row in report.rows if row.group == group and row.joint is None}
-    cells = report.groups[group]
-    poses = int(report.totals.poses[cells].sum())
-    shown = (_short(rows[name].value, rows[name].unit) for name in names)
-    return group.partition("=")[2], f"{poses:,}", *shown
+def _group_row(group: str, rows: dict[str, Row], names: list[str]) -> tuple[str, ...]:
+    poses = max(row.poses for row in rows.values())
+    return group, f"{poses:,}", *(_short(rows[name].value, rows[name].unit) for name in names)
 
 
 def _short(value: float, unit: str) -> str:

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.block import FloatArray
-from posecal.errors import PosecalError, PoseDataError, PoseFileError, did_you_mean, raise_all
+from posecal.errors import PoseDataError, PoseFileError, did_you_mean, raise_all
 from posecal.io import written_whole
 from posecal.metric import Metric, Statistic, Subject
 from posecal.protocol import Protocol
@@ -336,6 +336,8 @@ class Totals:
                 kept=_part(members, "kept/"),
                 cell_of=members["cell_of"],
             )
+        except PoseFileError:
+            raise
         except FileNotFoundError:
             raise PoseFileError(f"{path}: no such file.") from None
         except IsADirectoryError:
@@ -348,10 +350,8 @@ class Totals:
             EOFError,
             zipfile.BadZipFile,
             zlib.error,
-        ) as error:
+        ):
             raise PoseFileError(f"{name}: no result of posecal evaluate --save, or not a whole one.") from None
-        except PosecalError:
-            raise
         except OSError as error:
             raise PoseFileError(f"{path}: can't be read ({error.strerror}).") from None
 

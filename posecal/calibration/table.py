@@ -9,7 +9,7 @@ import numpy as np
 
 from posecal.block import Block, FloatArray
 from posecal.calibration.battery import BATTERY, PreRank, Test, user_weights
-from posecal.calibration.curve import CalibrationCurve, inside_table, joint_median
+from posecal.calibration.curve import CalibrationCurve, inside_table
 from posecal.calibration.error import OverJoints, ece, joint_ece, signed_area
 from posecal.calibration.floor import expected_curve
 from posecal.calibration.ranks import DEFINITIONS, LEVELS, Definition
@@ -28,12 +28,12 @@ _OVER = {
 
 
 _DEVIATIONS: dict[str, Deviation] = {
-    "median": Deviation(lambda mean: joint_median(mean[:, :-1])[:, None]),
-    "mean": Deviation(lambda mean: mean[:, :-1]),
-    "worst": Deviation(lambda mean: mean[:, :-1], worst=True),
-    "pooled": Deviation(lambda mean: mean[:, -1:]),
+    "median": Deviation(None, -1, "median"),
+    "mean": Deviation(None, -1, "mean"),
+    "worst": Deviation(None, -1, "worst"),
+    "pooled": Deviation(-1),
 }
-"""How each summary of an ``inside`` statistic is made of mean deviations (P, K + 1, Q)."""
+"""How each summary of an ``inside`` statistic is made of its rows: K joints, and the pooled one."""
 
 
 def inside_statistic(scope: Scope, definition: Definition) -> Statistic:
@@ -186,9 +186,6 @@ def _rank_metric(scope: Scope, test: Test, weights: Callable[[Block], FloatArray
     over = f", mean over axes and {scope.counted(scope.moving)}" if coordinates else ""
     statistic = Statistic(test.name, weights, per_joint=True)
 
-    def curves(mean: FloatArray) -> FloatArray:
-        return mean.reshape(len(mean), -1, LEVELS.size)
-
     def by_joint(mean: FloatArray) -> FloatArray:
         return np.asarray(joint_ece(mean).mean(axis=-1))
 
@@ -209,6 +206,6 @@ def _rank_metric(scope: Scope, test: Test, weights: Callable[[Block], FloatArray
         statistic=statistic,
         finish=finish,
         by_joint=(statistic, by_joint) if coordinates else None,
-        deviation=Deviation(curves),
+        deviation=Deviation(),
         fires=test.fires,
     )
