@@ -5,13 +5,16 @@ Exit codes: 0 done, 2 a wrong call, 3 the files can't be evaluated (one message 
 
 from __future__ import annotations
 
+import errno
 import functools
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import StrEnum
+from io import TextIOWrapper
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, ParamSpec, TypeVar, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, ParamSpec, TextIO, TypeVar, cast
 
 import typer
 
@@ -68,18 +71,41 @@ def guarded(command: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(command)
     def run(*args: P.args, **kwargs: P.kwargs) -> R:
-        from posecal.errors import PosecalError
-
         try:
             return command(*args, **kwargs)
-        except PosecalError as error:
-            typer.echo(f"posecal: {error}", err=True)
-            raise typer.Exit(3) from None
         except KeyboardInterrupt:
             typer.echo("posecal: interrupted.", err=True)
             raise typer.Exit(130) from None
+        except Exception as error:
+            from posecal.errors import PosecalError
+
+            if isinstance(error, PosecalError):
+                typer.echo(f"posecal: {error}", err=True)
+            elif isinstance(error, OSError) and error.errno not in {None, errno.EPIPE}:
+                typer.echo(f"posecal: {error.strerror}{f': {error.filename}' if error.filename else ''}.", err=True)
+                _drop_output()
+            else:
+                raise
+            raise typer.Exit(3) from None
 
     return run
+
+
+def _drop_output() -> None:
+    """Let go of what stdout could not take, or leaving would fail on it once more."""
+    if sys.stdout is not None:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+@contextmanager
+def _as_wrong_call() -> Iterator[None]:
+    """Turn what posecal refuses whatever the files hold into a wrong call."""
+    from posecal.errors import PosecalError
+
+    try:
+        yield
+    except PosecalError as error:
+        raise typer.BadParameter(str(error)) from None
 
 
 READING, WRITING = "How the files are read", "What is written"
@@ -143,21 +169,17 @@ def evaluate(
     threads: Annotated[int | None, _option("Threads.", min=1, show_default="one per core")] = None,
 ) -> None:
     """Evaluate hypotheses against the truth: accuracy, calibration and spread, each with its definition."""
-    _check_outputs(save=save, plot=plot, html=html)
-    from posecal.evaluation import add_up
-    from posecal.joining import Join
-    from posecal.report import Report
-
     protocol = _protocol(preset, options or [], where, joints, metrics)
     shared: Literal["same", "common"] = "common" if joints == "common" else "same"
-    how = Join(axes, truth_axes, unit, truth_unit, joint_names, root_joint, missing.value, shared)
+    how = _join(axes, truth_axes, unit, truth_unit, joint_names, root_joint, missing, shared)
+    _check_outputs(hypotheses, truth, save=save, plot=plot, html=html)
+    from posecal.evaluation import add_up
+    from posecal.report import Report
+
     pairs = _pairs(hypotheses, truth, how)
     with _progress(len(pairs.truth)) as advance:
         totals = add_up(pairs, protocol, by=by or (), threads=threads, progress=advance)
-    report = Report(totals, by or ())
-    if save is not None:
-        report.save(save)
-    _write(report, form, per_joint, definitions, plot, html, hypotheses.name)
+    _write(Report(totals, by or ()), form, per_joint, definitions, save, plot, html, hypotheses.name)
 
 
 @app.command()
@@ -172,8 +194,8 @@ def report(
     html: Html = None,
 ) -> None:
     """Write the report of a saved result, without the hypotheses."""
-    _check_outputs(plot=plot, html=html)
-    _write(_load(result, by or []), form, per_joint, definitions, plot, html, result.name)
+    _check_outputs(result, plot=plot, html=html)
+    _write(_load(result, by or []), form, per_joint, definitions, None, plot, html, result.name)
 
 
 @app.command()
@@ -183,7 +205,7 @@ def merge(
     output: Output,
 ) -> None:
     """Add the results of shards: the same numbers as one run over everything."""
-    _check_outputs(output=output)
+    _check_outputs(*results, output=output)
     from posecal.totals import Totals
 
     whole = Totals.merged([Totals.load(path) for path in results], [path.name for path in results])
@@ -197,7 +219,7 @@ def presets() -> None:
     """List the published protocols with every option that they set, and all options."""
     from posecal.tables import protocols_as_text
 
-    typer.echo(protocols_as_text(_width(), colour=sys.stdout.isatty()), color=True)
+    typer.echo(protocols_as_text(_width(), colour=_on_terminal(sys.stdout)), color=True)
 
 
 @app.command()
@@ -259,28 +281,50 @@ def plot_poses(
     missing: MissingFrames = Missing.error,
 ) -> None:
     """Skeletons in 3D: hypotheses grey, truth blue, one joint's hypotheses pink."""
-    _check_outputs(plot=output)
-    from posecal.joining import Join
+    how = _join(axes, truth_axes, unit, truth_unit, joint_names, root_joint, missing, "same")
+    _check_outputs(hypotheses, truth, plot=output)
     from posecal.plot import draw_poses, frames_of, save
 
-    pairs = _pairs(hypotheses, truth, Join(axes, truth_axes, unit, truth_unit, joint_names, root_joint, missing.value))
+    pairs = _pairs(hypotheses, truth, how)
     save(draw_poses(pairs, frames_of(pairs, frames), cloud=joint, most=most), output)
 
 
 # --- shared by the commands ------------------------------------------------------------------------------------
 
 
-def _check_outputs(**paths: Path | None) -> None:
-    """Refuse, before any work is done, what could not be written after it."""
+def _check_outputs(*inputs: Path, **outputs: Path | None) -> None:
+    """Refuse, before any work is done, what could not be written after it, or would overwrite what is read."""
     from posecal.io import check_writable
 
-    for option, path in paths.items():
-        if path is not None:
-            check_writable(path)
-            if option == "plot":
-                from posecal.plot import check_suffix
+    taken = {path.resolve(): "is read" for path in inputs}
+    for option, path in outputs.items():
+        if path is None:
+            continue
+        if option == "plot":
+            from posecal.plot import check_suffix
 
+            with _as_wrong_call():
                 check_suffix(path)
+        if path.resolve() in taken:
+            raise typer.BadParameter(f"{path} {taken[path.resolve()]} already; expected another name.")
+        check_writable(path)
+        taken[path.resolve()] = "is written"
+
+
+def _join(
+    axes: str | None,
+    truth_axes: str | None,
+    unit: str | None,
+    truth_unit: str | None,
+    joint_names: str | None,
+    root_joint: str | None,
+    missing: Missing,
+    joints: Literal["same", "common"],
+) -> Join:
+    from posecal.joining import Join
+
+    with _as_wrong_call():
+        return Join(axes, truth_axes, unit, truth_unit, joint_names, root_joint, missing.value, joints)
 
 
 def _pairs(hypotheses: Path, truth: Path, how: Join) -> PosePairs:
@@ -292,8 +336,8 @@ def _pairs(hypotheses: Path, truth: Path, how: Join) -> PosePairs:
 
 def _protocol(name: str | None, options: list[str], where: Where, joints: str, metrics: str) -> Protocol:
     from posecal.protocol import Protocol, preset
+    from posecal.registry import check_names
 
-    start = Protocol() if name is None else preset(name).protocol
     said = {}
     for option in options:
         key, equals, value = option.partition("=")
@@ -304,7 +348,11 @@ def _protocol(name: str | None, options: list[str], where: Where, joints: str, m
     said |= {key: value for key, value in flags.items() if value not in {"all", "common", "default"}}
     if metrics == "all":
         said["metrics"] = "all"
-    return start.changed(said)
+    with _as_wrong_call():
+        start = Protocol() if name is None else preset(name).protocol
+        protocol = start.changed(said)
+        check_names(protocol)
+    return protocol
 
 
 def _load(result: Path, by: list[str]) -> Report:
@@ -315,48 +363,65 @@ def _load(result: Path, by: list[str]) -> Report:
 
 
 def _draw(result: Path, kind: str, output: Path) -> None:
-    _check_outputs(plot=output)
+    _check_outputs(result, plot=output)
     from posecal.plot import draw, save
 
     save(draw(_load(result, []), kind), output)
 
 
 def _write(
-    report: Report, form: Form, joints: bool, definitions: bool, plot: Path | None, html: Path | None, name: str
+    report: Report,
+    form: Form,
+    joints: bool,
+    definitions: bool,
+    result: Path | None,
+    plot: Path | None,
+    html: Path | None,
+    name: str,
 ) -> None:
-    """Write a report to stdout and into the files that were asked for; remarks go to stderr."""
-    if plot is not None:
-        from posecal.plot import draw, save
+    """Make all that was asked for, and only then write it: files, stdout, and remarks on stderr."""
+    from posecal.plot import draw, save
 
-        save(draw(report, title=name), plot)
+    picture = None if plot is None else draw(report, title=name)
+    page = None
     if html is not None:
-        from posecal.html import write_html
+        from posecal.html import as_html
 
-        write_html(report, html, name)
+        page = as_html(report, name)
     if form is Form.text:
         from posecal.tables import as_text
 
-        typer.echo(
-            as_text(report, joints=joints, full=definitions, width=_width(), colour=sys.stdout.isatty()),
-            color=True,
-        )
+        text = as_text(report, joints=joints, full=definitions, width=_width(), colour=_on_terminal(sys.stdout))
     else:
-        typer.echo(report.render(cast("Format", form.value), joints=joints, definitions=definitions))
+        text = report.render(cast("Format", form.value), joints=joints, definitions=definitions)
+    if result is not None:
+        report.save(result)
+    if picture is not None and plot is not None:
+        save(picture, plot)
+    if page is not None and html is not None:
+        from posecal.io import written_whole
+
+        written_whole(html, page.encode())
+    typer.echo(text, color=True)
     for remark in report.remarks:
         typer.echo(f"note: {remark}", err=True)
+
+
+def _on_terminal(stream: TextIO | None) -> bool:
+    return stream is not None and stream.isatty()
 
 
 def _width() -> int:
     """Columns of the terminal; wide where there is none."""
     import shutil
 
-    return shutil.get_terminal_size((120, 40)).columns if sys.stdout.isatty() else 120
+    return shutil.get_terminal_size((120, 40)).columns if _on_terminal(sys.stdout) else 120
 
 
 @contextmanager
 def _progress(total: int) -> Iterator[Callable[[int], object] | None]:
     """Show a progress bar on a terminal, on stderr; nothing in a pipe."""
-    if not sys.stderr.isatty():
+    if not _on_terminal(sys.stderr):
         yield None
         return
     from rich.console import Console
@@ -369,7 +434,10 @@ def _progress(total: int) -> Iterator[Callable[[int], object] | None]:
 
 def main() -> None:
     """Run the command line."""
-    app()
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a letter that the terminal lacks is no reason to stop
+    app(prog_name="posecal")
 
 
 if __name__ == "__main__":

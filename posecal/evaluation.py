@@ -10,7 +10,6 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import cast
 
 import numpy as np
 import numpy.typing as npt
@@ -369,9 +368,9 @@ def _scored(pairs: PosePairs, protocol: Protocol) -> PosePairs:
 
 def _refuse_non_finite(pairs: PosePairs, name: str, bad: npt.NDArray[np.intp]) -> None:
     if len(bad):
-        frames = len(np.unique(bad[:, 0]))
+        frames, (frame, joint) = len(np.unique(bad[:, 0])), bad[0]
         raise PoseDataError(
             f"{name} has non-finite coordinates in {frames:,} of {len(pairs.truth):,} frames (first: frame "
-            f"{pairs.frame_id[bad[0, 0]]}, joint {pairs.joints[bad[0, 1]].removeprefix('joint ')}). Mask those joints with where, or leave "
-            "those frames out."
+            f"{pairs.frame_id[frame]}, joint {pairs.joints[joint].removeprefix('joint ')}). Mask those joints with "
+            "where, or leave those frames out."
         )

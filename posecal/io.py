@@ -333,17 +333,24 @@ def check_writable(path: str | os.PathLike[str]) -> Path:
         Where its folder does not exist, or nothing can be written into it.
     """
     path = Path(path)
-    folder = path.parent
+    folder = _target(path).parent
     if not folder.is_dir():
         raise PoseFileError(f"{path}: the folder {folder} does not exist. Make it first.")
     if path.is_dir():
         raise PoseFileError(f"{path}: is a folder; expected the name of a file.")
+    if path.exists() and not path.is_file():
+        raise PoseFileError(f"{path}: is a device or a pipe; expected the name of a file.")
     try:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
         raise PoseFileError(f"{path}: can't be written ({error.strerror}).") from None
     return path
+
+
+def _target(path: Path) -> Path:
+    """Follow links, so that what they point to is written and they stay; a plain name stays as it is."""
+    return Path(os.path.realpath(path)) if path.is_symlink() else path
 
 
 def written_whole(path: str | os.PathLike[str], write: Callable[[BinaryIO], object]) -> None:
@@ -362,13 +369,13 @@ def written_whole(path: str | os.PathLike[str], write: Callable[[BinaryIO], obje
         Where it can't be written. What was there before stays.
     """
     path = check_writable(path)
-    part = None
+    target, part = _target(path), None
     try:
-        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
+        with tempfile.NamedTemporaryFile(dir=target.parent, prefix=f".{path.name}.", delete=False) as file:
             part = Path(file.name)
             write(cast(BinaryIO, file))
         part.chmod(0o666 & ~_umask())
-        part.replace(path)
+        part.replace(target)
         part = None
     except OSError as error:
         raise PoseFileError(f"{path}: can't be written ({error.strerror or error}).") from None

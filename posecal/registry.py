@@ -9,12 +9,14 @@ from posecal.calibration.battery import PreRank
 from posecal.calibration.table import battery_metrics, calibration_metrics
 from posecal.errors import PoseDataError, did_you_mean, raise_all
 from posecal.metric import Curve, Metric, Scope, Subject
+from posecal.metrics.best_of import ROUND_SIZES
 from posecal.metrics.score_table import guide_metrics, score_metrics
 from posecal.metrics.table import accuracy_curves, accuracy_metrics, spread_metrics
 from posecal.protocol import Protocol
+from posecal.skeleton import JOINT_SETS
 from posecal.sight import SIGHTS, sight_metrics
 
-__all__ = ["GROUPS", "curves_of", "known_metrics", "metrics_of", "sights_of"]
+__all__ = ["GROUPS", "check_names", "curves_of", "known_metrics", "metrics_of", "sights_of"]
 
 
 GROUPS = ("default", "battery", "scores", "all")
@@ -88,6 +90,21 @@ def metrics_of(
         or metric.family in words
         or ("default" in words and metric.statistic.name in free)
     }
+
+
+def check_names(protocol: Protocol) -> None:
+    """Refuse names of metrics that no data could make known.
+
+    Raises
+    ------
+    PoseDataError
+        For the names, all at once.
+    """
+    joints, n = JOINT_SETS["h36m-17"], ROUND_SIZES[-1] + 1
+    anything = Subject(n, joints, root=0, labels=("sequence",), fps=1.0, scored=True, marked=True)
+    known = {*known_metrics(Protocol(), anything), *GROUPS}
+    words = [word.strip() for word in protocol.metrics.split(",")]
+    raise_all(f"metrics: {word} is not known. {did_you_mean(word, known)}" for word in words if word not in known)
 
 
 def _lacks(name: str, subject: Subject, known: dict[str, Metric]) -> str:
