@@ -83,12 +83,23 @@ class Block:
         self.occluded = np.zeros(truth.shape[:2], dtype=bool) if occluded is None else occluded
         self.where = np.ones(truth.shape[:2], dtype=bool) if where is None else where
         self.offsets = _offsets(hypotheses, truth, root)
-        self.truth = truth.astype(self.offsets.dtype) if root is None else truth - truth[:, root, None]
+        self.truth = (truth if root is None else truth - truth[:, root, None]).astype(self.offsets.dtype)
         if not self.where.all():
             self.offsets[~self.where] = 0
             self.truth = np.where(self.where[..., None], self.truth, 0)
         self._root, self._previous, self._follows, self._scores = root, previous, follows, scores
         self._shared: dict[Hashable, Any] = {}
+
+    def stretched(self, factor: float) -> Block:
+        """Give the same poses with the spread of the hypotheses about their median multiplied."""
+        centre, times = self.median[..., None], self.offsets.dtype.type(factor)
+        other = Block.__new__(Block)
+        other.where, other.occluded, other.truth = self.where, self.occluded, self.truth
+        other._root, other._previous, other._follows, other._scores = self._root, None, self._follows, self._scores
+        other._shared = {}
+        other.offsets = centre + times * (self.offsets - centre)
+        other.__dict__["sorted"] = centre + times * (self.sorted - centre)  # stretching keeps the order
+        return other
 
     @cached_property
     def non_finite(self) -> BoolArray:

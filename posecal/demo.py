@@ -11,11 +11,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 import numpy.typing as npt
 
+from posecal.archive import write_members
 from posecal.block import FloatArray
 from posecal.errors import PoseFileError
 from posecal.io import written_whole
@@ -190,10 +190,7 @@ def write_demo(folder: Path, world: World | None = None, n_hypotheses: int = 200
     common["frame_id"] = np.array([f"{name}/{number}" for number, name in enumerate(world.sequence)])
 
     def write(name: str, members: dict[str, npt.NDArray[np.generic]]) -> Path:
-        def save(file: BinaryIO) -> None:
-            np.savez(file, allow_pickle=False, **members, **common)
-
-        written_whole(folder / name, save)
+        written_whole(folder / name, lambda file: write_members(file, {**members, **common}))
         return folder / name
 
     yield write(

@@ -22,7 +22,7 @@ from posecal.errors import PoseDataError, raise_all
 from posecal.io import Role, as_labels, as_marks, as_scores, read_poses
 from posecal.joining import Join, join
 from posecal.layout import HYPOTHESES, TRUTH, MemoryArray
-from posecal.metric import Statistic, Subject
+from posecal.metric import TRUE_POSES, Statistic, Subject
 from posecal.metrics.spread import predicted_spread
 from posecal.pairs import PosePairs, Poses
 from posecal.protocol import Protocol, preset
@@ -259,7 +259,8 @@ def add_up(
 
 
 def _statistics(protocol: Protocol, subject: Subject, preranks: Mapping[str, PreRank] | None) -> dict[str, Statistic]:
-    found = {s.name: s for metric in metrics_of(protocol, subject, preranks).values() for s in metric.statistics}
+    found = {TRUE_POSES.name: TRUE_POSES}
+    found |= {s.name: s for metric in metrics_of(protocol, subject, preranks).values() for s in metric.statistics}
     if "default" in protocol.metrics or "all" in protocol.metrics:
         found |= {curve.statistic.name: curve.statistic for curve in curves_of(protocol, subject).values()}
     return found

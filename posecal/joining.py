@@ -22,7 +22,7 @@ from posecal.sanity import doubts
 from posecal.skeleton import Skeleton, canonical_name, joint_set
 from posecal.units import millimetres_per
 
-__all__ = ["Join", "join"]
+__all__ = ["Join", "alone", "join"]
 
 
 @dataclass(frozen=True)
@@ -160,6 +160,41 @@ def join(hypotheses: Poses, truth: Poses, how: Join | None = None) -> PosePairs:
     if root is None and how.root_joint != "none":
         remarks.append("no root joint is known, so positions are taken as they stand; --root-joint names one.")
     return replace(pairs, remarks=tuple(remarks))
+
+
+def alone(poses: Poses, how: Join | None = None) -> tuple[Stored, tuple[str, ...], int | None]:
+    """Read hypotheses without a truth.
+
+    Parameters
+    ----------
+    poses : Poses
+        Hypotheses, as stored or passed; undeclared they are (N, M, K, D) in mm.
+    how : Join, optional
+        What the user says beside the data.
+
+    Returns
+    -------
+    stored : Stored
+        The hypotheses.
+    joints : tuple of str
+        Their joints, numbered where they have no names.
+    root : int or None
+        The joint that positions are relative to.
+
+    Raises
+    ------
+    PoseDataError
+        For a layout, a unit or names that don't fit.
+    """
+    how = how or Join()
+    layout = Layout(_declared(poses, "axes", poses.axes, how.axes) or HYPOTHESES, HYPOTHESES)
+    shape = layout.shape(poses.array.shape)
+    problems = [f"{poses.name}: nothing in it; its shape is {poses.array.shape}."] if 0 in poses.array.shape else []
+    factor = _factor(poses, "unit", how.unit, problems)
+    _, joints = _names(poses, poses, (shape[2], shape[2]), how, problems)
+    raise_all(dict.fromkeys(problems))
+    stored = Stored(poses.array, layout, np.arange(shape[1]), np.arange(shape[2]), factor)
+    return stored, joints, _root(how.root_joint, joints, stored.read(0, 1)[0])
 
 
 # --- axes and units -------------------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ from posecal.inference import Deviation
 from posecal.protocol import Protocol, named_joints
 from posecal.skeleton import JOINT_SETS
 
-__all__ = ["Curve", "Direction", "Family", "Metric", "Scope", "Statistic", "Subject", "item"]
+__all__ = ["TRUE_POSES", "Curve", "Direction", "Family", "Metric", "Scope", "Statistic", "Subject", "item"]
 
 Direction = Literal["lower", "higher", "zero", "none"]
 Family = Literal["accuracy", "calibration", "battery", "scores", "spread"]
@@ -48,6 +48,8 @@ class Subject:
         Whether occluded joints are marked.
     preranks : tuple of str
         Names of the user's own pre-ranks.
+    reference : str
+        What skills are relative to; empty without skills.
     masked : bool
         Whether the user left out joints of some poses by a mask of their own.
     """
@@ -60,6 +62,7 @@ class Subject:
     scored: bool = False
     marked: bool = False
     preranks: tuple[str, ...] = ()
+    reference: str = ""
     masked: bool = False
 
 
@@ -169,6 +172,10 @@ class Curve:
     axes: tuple[str, str]
     definition: str
     statistic: Statistic
+
+
+TRUE_POSES = Statistic("truth", lambda block: block.truth.sum(axis=(1, 2), dtype=np.float64))
+"""Sum of a true pose's coordinates: not a metric, but what tells whether two results were held against one truth."""
 
 
 def item(*place: int) -> Callable[[FloatArray], float]:

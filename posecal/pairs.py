@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.block import BoolArray, FloatArray
+from posecal.errors import PoseDataError
 from posecal.layout import Layout, LazyArray
 
 __all__ = ["COMMON_LABELS", "Hypotheses", "Labels", "PosePairs", "Poses", "Rows", "Stored"]
@@ -95,6 +96,8 @@ class Stored:
         The stored poses and joints that count, in the order in which they count.
     factor : float
         Millimetres in its unit.
+    most : int or None
+        How many hypotheses are read, the first ones; all by default.
     """
 
     array: LazyArray
@@ -102,11 +105,12 @@ class Stored:
     rows: Rows
     columns: Rows
     factor: float
+    most: int | None = None
 
     @property
     def n_hypotheses(self) -> int:
         """N."""
-        return self.layout.shape(self.array.shape)[0]
+        return self.most or self.layout.shape(self.array.shape)[0]
 
     @property
     def itemsize(self) -> int:
@@ -119,7 +123,7 @@ class Stored:
 
     def read(self, start: int, stop: int) -> FloatArray:
         """Read some poses, (N, stop - start, K, D) in mm."""
-        found = self.layout.read(self.array, self.rows[start:stop])
+        found = self.layout.read(self.array, self.rows[start:stop])[: self.most]
         if not np.array_equal(self.columns, np.arange(found.shape[2])):
             found = found[:, :, self.columns]
         return in_millimetres(found, self.factor)
@@ -195,3 +199,17 @@ class PosePairs:
             scores=None if self.scores is None else self.scores[:, poses],
             where=None if self.where is None else self.where[poses],
         )
+
+    def with_hypotheses(self, most: int) -> PosePairs:
+        """Keep the first hypotheses of every pose.
+
+        Raises
+        ------
+        PoseDataError
+            Where there are fewer, or the hypotheses don't come from an array.
+        """
+        n = self.shape[0]
+        if not 1 <= most <= n or not isinstance(self.hypotheses, Stored):
+            raise PoseDataError(f"hypotheses: {most}; expected 1 to N = {n}, the hypotheses of {self.names[0]}.")
+        scores = None if self.scores is None else self.scores[:most]
+        return replace(self, hypotheses=replace(self.hypotheses, most=most), scores=scores)

@@ -10,11 +10,11 @@ from posecal.calibration.table import battery_metrics, calibration_metrics
 from posecal.errors import PoseDataError, did_you_mean, raise_all
 from posecal.metric import Curve, Metric, Scope, Subject
 from posecal.metrics.best_of import ROUND_SIZES
-from posecal.metrics.score_table import guide_metrics, score_metrics
+from posecal.metrics.score_table import guide_metrics, score_metrics, skill_metrics
 from posecal.metrics.table import accuracy_curves, accuracy_metrics, spread_metrics
 from posecal.protocol import Protocol
-from posecal.skeleton import JOINT_SETS
 from posecal.sight import SIGHTS, sight_metrics
+from posecal.skeleton import JOINT_SETS
 
 __all__ = ["GROUPS", "check_names", "curves_of", "known_metrics", "metrics_of", "sights_of"]
 
@@ -51,6 +51,7 @@ def known_metrics(
     found = list(accuracy_metrics(scope))
     if subject.n_hypotheses > 1:
         found += [*calibration_metrics(scope), *battery_metrics(scope, preranks), *score_metrics(scope)]
+        found += skill_metrics(scope)
         found += [*spread_metrics(scope), *guide_metrics(scope)]
     return {metric.name: metric for metric in found}
 

@@ -34,6 +34,8 @@ from posecal.cells import label_name
 from posecal.errors import PoseDataError, did_you_mean
 from posecal.inference import FEWEST, Null, holm
 from posecal.metric import Curve, Metric
+from posecal.metrics.guide import sparsification
+from posecal.metrics.score_table import Reliability, reliability_of_counts
 from posecal.registry import curves_of, metrics_of, sights_of
 from posecal.sureness import independent_poses, interval, joint_null, null, unbiased_squared_error
 from posecal.totals import Totals
@@ -408,6 +410,47 @@ class Report:
         curve = self._curves[name]
         return curve, self.totals.mean(curve.statistic)
 
+    def rank_curves(self, test: str) -> FloatArray:
+        """Give the curves of a test of the battery, (R, Q): one, or one per coordinate.
+
+        Raises
+        ------
+        PoseDataError
+            Where the report has no such test.
+        """
+        if test not in self.metrics or self.metrics[test].family != "battery":
+            known = [name for name, metric in self.metrics.items() if metric.family == "battery"]
+            raise PoseDataError(f"{test} is no test in the report. {did_you_mean(test, known)}")
+        curves = self.totals.mean(self.metrics[test].statistic).reshape(-1, LEVELS.size)
+        return curves[~np.isnan(curves).any(axis=1)]
+
+    def sparsification(self) -> tuple[FloatArray, FloatArray]:
+        """Give the mean error left when poses are dropped, by spread and by error; see :mod:`posecal.metrics.guide`.
+
+        Raises
+        ------
+        PoseDataError
+            Where the report kept no spreads and errors.
+        """
+        if "spread_and_error" not in self.totals.kept:
+            raise PoseDataError(
+                "sparsification: the report kept no spreads and errors; they are among the default metrics."
+            )
+        kept = self.totals.kept["spread_and_error"]
+        return sparsification(kept[:, 0], kept[:, 1])
+
+    def event_reliability(self) -> Reliability:
+        """Give the isotonic reliability of the event that the median pose is right at every joint.
+
+        Raises
+        ------
+        PoseDataError
+            Where the report has no Brier score.
+        """
+        if "brier_miscalibration" not in self.metrics:
+            raise PoseDataError("event: the report has no Brier score. Evaluate with --scores.")
+        return reliability_of_counts(self.totals.mean(self.metrics["brier_miscalibration"].statistic))
+
     def _mean(self, name: str, cells: Cells) -> FloatArray:
         statistic = next(s for metric in self.metrics.values() for s in metric.statistics if s.name == name)
         return self.totals.mean(statistic, cells)
@@ -476,9 +519,10 @@ class Report:
             writer.writeheader()
             writer.writerows(asdict(row) for row in self.rows)
             return text.getvalue().rstrip("\n")
-        from posecal.tables import as_markdown, as_text
+        from posecal.sheets import report_sheet
 
-        return (as_text if form == "text" else as_markdown)(self, joints=joints, full=definitions)
+        sheet = report_sheet(self, joints=joints, definitions=definitions)
+        return sheet.text() if form == "text" else sheet.markdown()
 
     def __str__(self) -> str:
         return self.render("text")

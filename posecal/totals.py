@@ -20,13 +20,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from posecal.archive import write_members
 from posecal.block import FloatArray
 from posecal.errors import PoseDataError, PoseFileError, did_you_mean, raise_all
 from posecal.io import written_whole
 from posecal.metric import Metric, Statistic, Subject
 from posecal.protocol import Protocol
 
-__all__ = ["FORMAT", "Totals"]
+__all__ = ["FORMAT", "Totals", "difference_of_signatures", "is_result"]
 
 FORMAT = 1
 """The version of the file format."""
@@ -239,7 +240,7 @@ class Totals:
         problems = []
         for name, part in zip(names[1:], parts[1:], strict=True):
             if part.signature != first.signature:
-                problems.append(f"{names[0]} and {name} were not made alike: {_difference(first, part)}.")
+                problems.append(f"{names[0]} and {name} were not made alike: {difference_of_signatures(first, part)}.")
             held, ours = ({*t.cells, *t.sums, *t.kept} for t in (first, part))
             if held != ours:
                 problems.append(f"{names[0]} and {name} differ in what they hold: {', '.join(sorted(held ^ ours))}.")
@@ -302,7 +303,7 @@ class Totals:
             members[f"sum/{name}"], members[f"count/{name}"] = self.sums[name], self.counts[name]
         members |= {f"kept/{name}": values.astype(np.float32) for name, values in self.kept.items()}
         members["cell_of"] = self.cell_of.astype(np.int32)
-        written_whole(path, lambda file: np.savez_compressed(file, allow_pickle=False, **members))
+        written_whole(path, lambda file: write_members(file, members, compressed=True))
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Totals:
@@ -356,6 +357,15 @@ class Totals:
             raise PoseFileError(f"{path}: can't be read ({error.strerror}).") from None
 
 
+def is_result(path: str | os.PathLike[str]) -> bool:
+    """Whether a file looks like a saved result, rather than an array of poses."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return "about.npy" in archive.namelist()
+    except (OSError, zipfile.BadZipFile):
+        return False
+
+
 def _natural(text: str) -> list[tuple[int, str]]:
     """A key that sorts numbers within text by their size."""
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", text)]
@@ -374,7 +384,8 @@ def _tuples(subject: dict[str, Any]) -> dict[str, Any]:
     return {key: tuple(value) if isinstance(value, list) else value for key, value in subject.items()}
 
 
-def _difference(one: Totals, other: Totals) -> str:
+def difference_of_signatures(one: Totals, other: Totals) -> str:
+    """Say in what two results were not made alike."""
     ours, theirs = (dict(part.split("=", 1) for part in t.signature.split()) for t in (one, other))
     keys = [key for key in {**ours, **theirs} if ours.get(key) != theirs.get(key)]
     return ", ".join(f"{key} {ours.get(key, 'default')} against {theirs.get(key, 'default')}" for key in keys)

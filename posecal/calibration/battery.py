@@ -17,6 +17,7 @@ arXiv:2302.03026 (TARP).
 
 from __future__ import annotations
 
+import runpy
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -28,7 +29,7 @@ from posecal.block import Block, BoolArray, FloatArray, squared_norms
 from posecal.calibration.ranks import LEVELS
 from posecal.errors import PoseDataError
 
-__all__ = ["BATTERY", "PreRank", "Test", "coordinate_weights", "user_weights", "weights_of_ranks"]
+__all__ = ["BATTERY", "PreRank", "Test", "coordinate_weights", "load_prerank", "user_weights", "weights_of_ranks"]
 
 PreRank = Callable[[FloatArray], npt.ArrayLike]
 """A user's own pre-rank: from a pool of poses (N + 1, K, D), the truth last, to a number each, (N + 1,)."""
@@ -197,6 +198,36 @@ def user_weights(block: Block, joints: BoolArray, prerank: PreRank) -> FloatArra
     weights = weights_of_ranks(found)
     weights[~(block.where & joints).any(axis=1)] = np.nan
     return weights[:, None]
+
+
+def load_prerank(entry: str) -> tuple[str, PreRank]:
+    """Load a user's own pre-rank from a Python file.
+
+    Parameters
+    ----------
+    entry : str
+        ``FILE.py:FUNCTION``.
+
+    Returns
+    -------
+    name, function
+        The function's name and the function.
+
+    Raises
+    ------
+    PoseDataError
+        Where there is no such file or function.
+    """
+    path, _, name = entry.rpartition(":")
+    if not path.endswith(".py") or not name.isidentifier():
+        raise PoseDataError(f"prerank: {entry!r}; expected FILE.py:FUNCTION.")
+    try:
+        found = runpy.run_path(path).get(name)
+    except OSError as error:
+        raise PoseDataError(f"prerank: {path} can't be read ({error.strerror}).") from None
+    if not callable(found):
+        raise PoseDataError(f"prerank: {path} has no function {name!r}; expected one that takes a pool of poses.")
+    return name, found
 
 
 BATTERY: tuple[Test, ...] = (

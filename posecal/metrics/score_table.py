@@ -14,7 +14,7 @@ from posecal.metrics.position import pose_errors
 from posecal.metrics.proper import brier_counts, fair_brier, joint_crps, joint_energies, variograms
 from posecal.metrics.spread import mean_over_joints, predicted_spread
 
-__all__ = ["guide_metrics", "reliability_of_counts", "score_metrics"]
+__all__ = ["PAIRED", "guide_metrics", "reliability_of_counts", "score_metrics", "skill_metrics"]
 
 
 def guide_metrics(scope: Scope) -> Iterator[Metric]:
@@ -137,6 +137,38 @@ def score_metrics(scope: Scope) -> Iterator[Metric]:
             definition=f"{words}, by isotonic regression of the outcome on p, equal p pooled (CORP)",
             statistic=counts,
             finish=lambda mean, place=place: reliability_of_counts(mean).parts[place],  # type: ignore[misc]
+        )
+
+
+PAIRED = ("energies", "crps", "variogram", "brier")
+"""The statistics that are kept beside a reference's, for skills."""
+
+
+def skill_metrics(scope: Scope) -> Iterator[Metric]:
+    """How much better each proper score is than a reference's: 1 - S / S_ref, where there is a reference."""
+    if not scope.subject.reference:
+        return
+    for metric in score_metrics(scope):
+        if metric.statistic.name not in PAIRED:
+            continue
+
+        def skill(mean: FloatArray, metric: Metric = metric) -> float:
+            ours, theirs = metric.finish(mean[..., 0]), metric.finish(mean[..., 1])
+            return 1 - ours / theirs if theirs > 0 else float("nan")
+
+        def never(block: Block) -> FloatArray:
+            raise NotImplementedError  # the sums of two evaluations are put side by side; no block gives them
+
+        yield Metric(
+            name=metric.name.removesuffix("_score") + "_skill",
+            label=f"skill, {metric.label.replace(' score', '')}",
+            unit="",
+            direction="higher",
+            family="scores",
+            brief=f"against {scope.subject.reference}: 0 no better, 1 perfect",
+            definition=f"1 − S / S_ref, S: {metric.definition}; S_ref: the same of {scope.subject.reference}",
+            statistic=Statistic(f"paired_{metric.statistic.name}", never, metric.statistic.per_joint),
+            finish=skill,
         )
 
 
