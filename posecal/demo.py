@@ -21,6 +21,7 @@ from posecal.errors import PoseFileError
 from posecal.io import written_whole
 from posecal.report import Report
 from posecal.skeleton import JOINT_SETS, Skeleton
+from posecal.tables import Sheet, Table
 
 __all__ = ["SAMPLERS", "World", "make_world", "run_demo", "sample", "write_demo"]
 
@@ -250,21 +251,19 @@ def run_demo(folder: Path, say: Callable[[str], object]) -> None:
 
 
 def _lesson(reports: Mapping[str, Report]) -> Iterator[str]:
-    yield "That was the calibrated sampler. All three:\n"
-    columns = ("min_mpjpe", "mpjpe", "ece", "signed_area", "coverage_90", "radius_50")
-    yield f"{'':16}" + "".join(f"{reports['calibrated'].metrics[name].label:>15}" for name in columns)
-    for name, report in reports.items():
-        values = [report.value(column) for column in columns]
-        units = [report.metrics[column].unit for column in columns]
-        shown = (
-            f"{v:.1f} {u}" if u else f"{v:+.3f}" if c == "signed_area" else f"{v:.3f}"
-            for c, v, u in zip(columns, values, units, strict=True)
-        )
-        yield f"{name:16}" + "".join(f"{text:>15}" for text in shown)
+    names = ("min_mpjpe", "mpjpe", "ece", "signed_area", "coverage_90", "radius_50")
+    metrics = [reports["calibrated"].metrics[name] for name in names]
+    rows: list[tuple[str, ...]] = []
+    for sampler, report in reports.items():
+        digits = (".1f" if metric.unit else "+.3f" if metric.direction == "zero" else ".3f" for metric in metrics)
+        rows.append((sampler, *(format(report.value(m.name), form) for m, form in zip(metrics, digits, strict=True))))
+    headings = (f"{metric.label} [mm]" if metric.unit else metric.label for metric in metrics)
+    columns = (("sampler", False), *((heading, True) for heading in headings))
+    yield Sheet("That was the calibrated sampler. All three:", tables=[Table("Samplers", columns, rows)]).text()
     best = min(reports, key=lambda name: reports[name].value("min_mpjpe"))
-    floor = reports["calibrated"].value("ece_floor_95")
-    yield ""
-    yield f"Notice: the {best} sampler has the best minMPJPE. A benchmark that ranks by it prefers a model whose"
-    yield "90 % ball holds the truth far less often than 9 times in 10. The calibration error tells them apart: a"
-    yield f"perfect sampler would stay below {floor:.3f} on independent frames, and the sign of the area says which way"
-    yield "a model errs (negative: overconfident)."
+    chance = reports["calibrated"].null("ece")
+    yield f"""
+Notice: the {best} sampler has the best minMPJPE. A benchmark that ranks by it prefers a model whose
+90 % ball holds the truth far less often than 9 times in 10. The calibration error tells them apart: on these
+{chance.sequences} sequences a calibrated sampler stays below {chance.high:.3f} in 95 of 100 cases, and the sign of the
+area says which way a model errs (negative: overconfident)."""

@@ -334,8 +334,12 @@ def _names(
         if names is None and how.joint_names is not None:
             names = joint_set(how.joint_names)
         if names is not None and len(names) != size:
-            whose = "joints" if poses.joints is not None else how.joint_names
-            problems.append(f"{poses.name}: {whose} names {len(names)} joints for K = {size}; expected one name each.")
+            what = (
+                f"{len(names)} joints named"
+                if poses.joints is not None
+                else f"{how.joint_names} has {len(names)} joints"
+            )
+            problems.append(f"{poses.name}: {what} for K = {size}; expected one name each.")
             names = None
         twice = [name for name, count in Counter(names or ()).items() if count > 1]
         if twice:

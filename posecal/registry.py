@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 from posecal.calibration.battery import PreRank
@@ -93,8 +93,15 @@ def metrics_of(
     }
 
 
-def check_names(protocol: Protocol) -> None:
+def check_names(protocol: Protocol, own: Collection[str] = ()) -> None:
     """Refuse names of metrics that no data could make known.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        The options.
+    own : collection of str
+        Names of the user's own metrics.
 
     Raises
     ------
@@ -102,10 +109,11 @@ def check_names(protocol: Protocol) -> None:
         For the names, all at once.
     """
     joints, n = JOINT_SETS["h36m-17"], ROUND_SIZES[-1] + 1
-    anything = Subject(n, joints, root=0, labels=("sequence",), fps=1.0, scored=True, marked=True)
-    known = {*known_metrics(Protocol(), anything), *GROUPS}
-    words = [word.strip() for word in protocol.metrics.split(",")]
-    raise_all(f"metrics: {word} is not known. {did_you_mean(word, known)}" for word in words if word not in known)
+    anything = Subject(n, joints, root=0, labels=("sequence",), fps=1.0, scored=True, marked=True, reference="another")
+    known = [*known_metrics(Protocol(), anything), *GROUPS, *own]
+    unknown = [word for word in (word.strip() for word in protocol.metrics.split(",")) if word not in known]
+    if unknown:
+        raise PoseDataError(f"metrics: {', '.join(unknown)} not known. {did_you_mean(unknown[0], known)}")
 
 
 def _lacks(name: str, subject: Subject, known: dict[str, Metric]) -> str:
