@@ -222,6 +222,18 @@ class Report:
                     definition=f"{words} {metric.label} of a perfect sampler: {about}; {definition} definition",
                 )
 
+    def definition(self, metric: str) -> str:
+        """Give the definition of a metric.
+
+        Raises
+        ------
+        PoseDataError
+            Where it is not in the report.
+        """
+        if metric not in self.metrics:
+            raise PoseDataError(f"{metric} is not in the report. {did_you_mean(metric, self.metrics)}")
+        return self.metrics[metric].definition
+
     def null(self, metric: str, group: str | None = None) -> Null:
         """Give what a calibrated sampler would show for a calibration error, by sequence sign-flips.
 

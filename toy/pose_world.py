@@ -28,7 +28,7 @@ __all__ = ["PoseWorld", "Posterior", "Scene"]
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 
-_TO_CAMERA = np.array([[1.0, 0, 0], [0, 0, -1], [0, -1, 0]])  # rest poses: x to the person's left, y forwards, z up
+_TO_CAMERA = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # rest poses: x to the person's left, y backwards, z up
 
 
 @dataclass(frozen=True)

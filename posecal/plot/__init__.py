@@ -118,11 +118,9 @@ def _caption(kind: str, report: Report) -> str:
     if kind == "errors":
         return f"{report.curve('errors_by_n')[0].definition}."
     if kind == "guide":
-        area = report.value("sparsification_area")
-        return f"{report.metrics['sparsification_area'].definition}: {area:.3f}."
+        return f"{report.definition('sparsification_area')}: {report.value('sparsification_area'):.3f}."
     if kind == "event":
-        score = report.value("brier")
-        return f"{report.metrics['brier'].definition}: {score:.3f}. Isotonic regression, equal p pooled."
+        return f"{report.definition('brier')}. Isotonic regression, equal p pooled."
     return f"Joints: {report.curve('pck_curve')[0].definition}. Poses: {report.curve('cps_curve')[0].definition}."
 
 

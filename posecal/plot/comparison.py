@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from typing import TYPE_CHECKING
 
 from posecal.comparison import Comparison
@@ -54,10 +55,9 @@ def accuracy_and_calibration(comparison: Comparison, *, ax: Axes | None = None) 
             ax.plot([x, x], [sure.low, sure.high], color=INK, lw=0.8, zorder=1)
         ax.plot(x, y, marker=markers[place % len(markers)], color=INK, ms=5, ls="", gid=name)
         ax.annotate(name, (x, y), xytext=(6, 3), textcoords="offset points", fontsize=7.5)
+    most = max(comparison.value("ece", name) for name in comparison.names)
     ax.set(xlabel="ECE (exchangeable)", ylabel="minMPJPE [mm]")
-    ax.set_xlim(0, None)
-    ax.margins(x=0.25)
-    ax.set_xlim(0, max(ax.get_xlim()[1], 0.05 if math.isnan(limit) else 1.6 * limit))
+    ax.set_xlim(0, 1.35 * max(most, 0.03 if math.isnan(limit) else limit))
     return ax
 
 
@@ -72,7 +72,8 @@ def draw_comparison(comparison: Comparison) -> Figure:
         accuracy_and_calibration(comparison, ax=ax)
         figure.subplots_adjust(left=0.14, right=0.96, top=0.97, bottom=0.27)
         words = (
-            "Bars: 95 % over sequences. Green: ECEs up to the 95 % quantile of a calibrated sampler's, by sign-flips.\n"
+            "Bars: 95 % over sequences. Green: ECEs up to the 95 % quantile of a calibrated sampler's, by sign-flips."
         )
-        figure.text(0.03, 0.02, words + comparison.totals[0].signature, fontsize=4.6, linespacing=1.4, color="#444444")
+        lines = [line for text in (words, comparison.totals[0].signature) for line in textwrap.wrap(text, 92)]
+        figure.text(0.03, 0.02, "\n".join(lines), fontsize=5.6, linespacing=1.35, color="#444444")
     return figure

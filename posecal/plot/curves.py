@@ -212,7 +212,7 @@ def event(report: Report, *, ax: Axes | None = None) -> Axes:
     Returns
     -------
     matplotlib Axes
-        The axes: the isotonic frequency, and marks that grow with the share of poses.
+        The axes: the isotonic frequency, and below it bars for the shares of poses.
 
     Raises
     ------
@@ -222,8 +222,9 @@ def event(report: Report, *, ax: Axes | None = None) -> Axes:
     ax = given(ax)
     found = report.event_reliability()
     ax.plot([0, 1], [0, 1], color=INK, lw=0.8, ls=(0, (4, 3)))
-    ax.plot(found.predicted, found.observed, color=INK, lw=1.2, gid="isotonic")
-    ax.scatter(found.predicted, found.observed, s=4 + 600 * found.weight, color=UNDER, alpha=0.5, lw=0, zorder=3)
+    ax.step(found.predicted, found.observed, where="mid", color=INK, lw=1.8, gid="isotonic")
+    share = 0.15 * found.weight / found.weight.max(initial=1e-9)
+    ax.vlines(found.predicted, 0, share, color=UNDER, lw=1.2, alpha=0.6, gid="weights")
     ax.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.02), aspect="equal")
     ax.set_xlabel("predicted: share of hypotheses near their median")
     ax.set_ylabel("observed: share of truths near it")
