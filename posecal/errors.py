@@ -5,7 +5,7 @@ Every message follows one shape::
     <which>: <what is, with numbers>; expected <what should be>. <what to do>
 
 The argument or the file comes first, then the actual value, then an action where there is one.
-Independent problems are collected and raised together by :func:`raise_all`.
+Independent problems are collected and raised together by ``raise_all``.
 """
 
 from __future__ import annotations

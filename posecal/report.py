@@ -374,7 +374,7 @@ class Report:
         Parameters
         ----------
         definition : str
-            One of :data:`posecal.calibration.DEFINITIONS`.
+            One of :data:`posecal.calibration.ranks.DEFINITIONS`.
         group : str, optional
             ``label=value``; all poses by default.
 

@@ -55,9 +55,9 @@ class Totals:
         What a careful reader should know.
     sequences : bool
         Whether the sequences were labelled; else they are runs of consecutive frames, taken as independent.
-    sums, counts : dicts of arrays (C, *shape) and (C,) or (C, J)
+    sums, counts : dicts of arrays (C, …) and (C,) or (C, J)
         By statistic: the sum over the poses that count, and their number.
-    kept : dict of arrays (M, *shape)
+    kept : dict of arrays (M, …)
         By statistic: the values of every pose, of the few that no sums replace.
     cell_of : array of int (M,)
         With them: the cell of each pose.
@@ -86,7 +86,7 @@ class Totals:
             The statistic.
         cells : array of int (R,)
             The cell of each row.
-        sums, counts : arrays (R, *shape) and (R,) or (R, J)
+        sums, counts : arrays (R, …) and (R,) or (R, J)
             What is added.
         """
         if name not in self.sums:
@@ -196,7 +196,7 @@ class Totals:
     def by_sequence(
         self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None = None
     ) -> tuple[FloatArray, npt.NDArray[np.int64]]:
-        """Add up a statistic over each sequence among some cells: sums (S, *shape) and counts (S,) or (S, J)."""
+        """Add up a statistic over each sequence among some cells: sums (S, …) and counts (S,) or (S, J)."""
         chosen = np.ones(len(self.poses), dtype=bool) if cells is None else cells
         _, place = np.unique(self.cells["sequence"][chosen], return_inverse=True)
         sums, counts = self.sums[statistic.name][chosen], self.counts[statistic.name][chosen]

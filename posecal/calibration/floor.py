@@ -57,7 +57,7 @@ def expected_curve(n_hypotheses: int, definition: Definition = "exchangeable") -
     n_hypotheses : int
         N, at least 2.
     definition : str
-        One of :data:`posecal.calibration.DEFINITIONS`.
+        One of :data:`posecal.calibration.ranks.DEFINITIONS`.
 
     Returns
     -------
@@ -126,9 +126,9 @@ def perfect_sampler(
     n_hypotheses, n_poses, n_joints : int
         N, M and K: hypotheses, poses that count, joints that count.
     definition : str
-        One of :data:`posecal.calibration.DEFINITIONS`.
+        One of :data:`posecal.calibration.ranks.DEFINITIONS`.
     over : str
-        The summary over joints; see :func:`posecal.calibration.ece`.
+        The summary over joints; see :func:`posecal.calibration.error.ece`.
     draws : int
         Test sets drawn, from a fixed seed.
 

@@ -254,7 +254,7 @@ def min_mpjpe(
 
     Notes
     -----
-    It falls with N whatever the model (see :func:`posecal.metrics.min_mpjpe_curve`), and the distribution that
+    It falls with N whatever the model (see :func:`posecal.metrics.position.min_mpjpe_curve`), and the distribution that
     minimises it is not the true one. Differs from the published code: none.
 
     References

@@ -33,7 +33,7 @@ def reliability(
     report : Report
         Holds the curves.
     definition : str, optional
-        One of :data:`posecal.calibration.DEFINITIONS`; by default the first of them that the report holds.
+        One of :data:`posecal.calibration.ranks.DEFINITIONS`; by default the first of them that the report holds.
     group : str, optional
         ``label=value``; all poses by default.
     ax : matplotlib Axes, optional
