@@ -233,13 +233,14 @@ def test_sums_of_a_sequence_are_those_of_its_cells() -> None:
 
 
 @pytest.mark.parametrize("protocol", [Protocol(), Protocol(average="action"), Protocol(best="batch:2")])
-def test_left_out_in_turn_each_sequence_is_as_if_it_had_not_been_there(protocol: str) -> None:
+def test_left_out_in_turn_each_sequence_is_as_if_it_had_not_been_there(protocol: Protocol) -> None:
     some = world(5, M=20)
-    found = some.totals(protocol)  # type: ignore[arg-type]
+    found = some.totals(protocol)
     names = np.unique(found.cells["sequence"])
     metrics = known_metrics(found.protocol, found.subject)
+    rest = [some.taken(np.flatnonzero(some.sequence != name)).values(found.protocol) for name in names]
     for name in ("min_mpjpe", "ece", "radius_50", "spread_error_correlation", "energy_score"):
-        expected = [some.taken(np.flatnonzero(some.sequence != s)).values(found.protocol)[name] for s in names]
+        expected = [values[name] for values in rest]
         np.testing.assert_allclose(found.without(metrics[name]), expected, rtol=1e-9, err_msg=name)
 
 
