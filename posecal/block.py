@@ -385,7 +385,9 @@ def in_order(tasks: Iterable[Callable[[], Result]], threads: int | None = None) 
     NumPy lets go of the interpreter's lock in its loops, so threads over blocks scale. Results are added up by
     one thread in the order of the poses: numbers don't depend on the number of threads.
     """
-    threads = threads or available_cores()
+    threads = available_cores() if threads is None else threads
+    if threads < 1:
+        raise PoseDataError(f"threads: {threads}; expected at least 1.")
     if threads == 1:
         for task in tasks:
             yield task()

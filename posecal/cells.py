@@ -105,6 +105,8 @@ def _parts(entry: str, spread: FloatArray) -> npt.NDArray[np.str_]:
     try:
         if "=" in entry:
             cuts = np.sort([float(cut) for cut in entry.partition("=")[2].split(",")])
+            if not np.isfinite(cuts).all():
+                raise ValueError
         else:
             parts = int(entry.partition(":")[2] or 3)
             cuts = np.quantile(known, np.arange(1, parts) / parts)

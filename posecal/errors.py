@@ -64,4 +64,4 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     """End a message with the nearest known word, or with all of them when none is near."""
     known = list(known)
     near = get_close_matches(word, known, n=1)
-    return f"Did you mean {near[0]}?" if near else f"Known: {', '.join(known)}."
+    return f"Did you mean {near[0]}?" if near else f"Known: {', '.join(known) or 'none'}."

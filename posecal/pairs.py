@@ -17,7 +17,10 @@ from posecal.block import BoolArray, FloatArray
 from posecal.errors import PoseDataError
 from posecal.layout import Layout, LazyArray
 
-__all__ = ["Hypotheses", "Labels", "PosePairs", "Poses", "Rows", "Stored"]
+__all__ = ["COMMON_LABELS", "Hypotheses", "Labels", "PosePairs", "Poses", "Rows", "Stored"]
+
+COMMON_LABELS = ("sequence", "subject", "action", "camera")
+"""Names under which a file can only mean a label of every pose."""
 
 Labels = Mapping[str, npt.NDArray[np.str_]]
 Rows = npt.NDArray[np.intp]
@@ -120,7 +123,7 @@ class Stored:
 
     def read(self, start: int, stop: int) -> FloatArray:
         """Read some poses, (N, stop - start, K, D) in mm."""
-        found = self.layout.read(self.array.open(), self.rows[start:stop])[: self.most]
+        found = self.layout.read(self.array, self.rows[start:stop])[: self.most]
         if not np.array_equal(self.columns, np.arange(found.shape[2])):
             found = found[:, :, self.columns]
         return in_millimetres(found, self.factor)

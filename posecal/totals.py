@@ -184,6 +184,7 @@ class Totals:
             **self.protocol.options,
         }
         parts.pop("metrics")
+        parts["where"] += ",mask" if s.masked else ""
         default = Protocol().options
         kept = ("posecal", "N", "K", "origin", "joints", "root", "where", "best", "align", "average")
         shown = {key: value for key, value in parts.items() if key in kept or value != default.get(key)}
@@ -238,6 +239,8 @@ class Totals:
         PoseDataError
             Where two differ in more than their poses, or hold the same poses.
         """
+        if not parts:
+            raise PoseDataError("merge: no results; expected at least one.")
         names = names or [f"part {number}" for number in range(1, len(parts) + 1)]
         first = parts[0]
         problems = []
@@ -343,6 +346,8 @@ class Totals:
                 kept=_part(members, "kept/"),
                 cell_of=members["cell_of"],
             )
+        except PoseFileError:
+            raise
         except FileNotFoundError:
             raise PoseFileError(f"{path}: no such file.") from None
         except IsADirectoryError:
@@ -355,10 +360,10 @@ class Totals:
             EOFError,
             zipfile.BadZipFile,
             zlib.error,
-        ) as error:
-            if isinstance(error, PoseFileError):
-                raise
+        ):
             raise PoseFileError(f"{name}: no result of posecal evaluate --save, or not a whole one.") from None
+        except OSError as error:
+            raise PoseFileError(f"{path}: can't be read ({error.strerror}).") from None
 
 
 def is_result(path: str | os.PathLike[str]) -> bool:
