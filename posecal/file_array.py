@@ -7,6 +7,7 @@ megabytes around each byte that is touched, so that some poses of each of 200 hy
 from __future__ import annotations
 
 import math
+import weakref
 from collections.abc import Iterator
 from dataclasses import dataclass
 from io import FileIO
@@ -29,7 +30,7 @@ class FileArray:
     name : str
         What messages call it.
     file : FileIO
-        Unbuffered, and open for as long as the array is used.
+        Unbuffered; it is closed with the array.
     offset : int
         Where its first byte lies.
     shape : tuple of int
@@ -46,6 +47,9 @@ class FileArray:
     shape: tuple[int, ...]
     dtype: np.dtype[np.generic]
     fortran: bool = False
+
+    def __post_init__(self) -> None:
+        weakref.finalize(self, self.file.close)
 
     @property
     def bytes_missing(self) -> int:
