@@ -18,12 +18,12 @@ import numpy.typing as npt
 
 from posecal.archive import write_members
 from posecal.block import FloatArray
+from posecal.conclusion import verdict
 from posecal.errors import PoseFileError
 from posecal.io import written_whole
 from posecal.report import Report
 from posecal.skeleton import JOINT_SETS, Skeleton
 from posecal.tables import Sheet, Table
-from posecal.verdict import verdict
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 import posecal
-from posecal.block import Block, FloatArray, block_length, blocks_of, in_order
+from posecal.block import Before, Block, FloatArray, block_length, blocks_of, in_order
 from posecal.calibration.battery import PreRank
 from posecal.cells import cells_of
 from posecal.errors import PoseDataError, raise_all
@@ -274,8 +274,8 @@ def walk(pairs: PosePairs) -> Iterator[tuple[slice, Callable[[], Block]]]:
     n, m, k, d = pairs.shape
     window = max(1, WINDOW_BYTES // (n * k * d * pairs.hypotheses.itemsize))
     sequence = pairs.labels.get("sequence", np.zeros(m, dtype=np.str_))
-    follows = np.concatenate([[False], sequence[1:] == sequence[:-1]])
-    previous: tuple[FloatArray, FloatArray] | None = None
+    follows = np.concatenate([[False], (sequence[1:] == sequence[:-1]) & (np.diff(pairs.place) == 1)])
+    previous: Before | None = None
     for start in range(0, m, window):
         poses = slice(start, min(start + window, m))
         hypotheses, truth = pairs.hypotheses.read(poses.start, poses.stop), pairs.truth[poses]
@@ -292,7 +292,7 @@ def walk(pairs: PosePairs) -> Iterator[tuple[slice, Callable[[], Block]]]:
         )
         for number, block in enumerate(blocks):
             yield slice(start + number * size, min(start + (number + 1) * size, poses.stop)), block
-        previous = hypotheses[:, -1:].copy(), truth[-1:]
+        previous = hypotheses[:, -1:].copy(), truth[-1:], None if pairs.where is None else pairs.where[poses][-1:]
 
 
 @dataclass(frozen=True)

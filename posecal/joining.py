@@ -124,7 +124,8 @@ def join(hypotheses: Poses, truth: Poses, how: Join | None = None) -> PosePairs:
     y = in_millimetres(true_layout.read(truth.array, np.arange(true_shape[0])), true_factor)
     root = _root(how.root_joint, true_names, y)
     if root is not None and root not in true_columns:
-        y = y - y[:, root, None]
+        with np.errstate(invalid="ignore"):  # joints that don't count may hold anything
+            y = y - y[:, root, None]
         remarks.append(f"{hypotheses.name} lacks the root {true_names[root]}; taken as relative to it.")
     occluded = _occluded(truth, true_rows, true_columns, true_shape[:2], problems)
     if occluded is None:
@@ -147,6 +148,7 @@ def join(hypotheses: Poses, truth: Poses, how: Join | None = None) -> PosePairs:
         joints=tuple(true_names[k] for k in true_columns),
         root=None if root is None else next((k for k, at in enumerate(true_columns) if at == root), None),
         frame_id=true_rows.astype(str) if truth.frame_id is None else truth.frame_id[true_rows],
+        place=true_rows,
         labels=labels,
         occluded=occluded,
         scores=None if scores is None else scores[:, rows],

@@ -152,6 +152,8 @@ class PosePairs:
         The joint to subtract from every pose.
     frame_id : array of str (M,)
         What each pose is called.
+    place : array of int (M,)
+        Its place among the truth's frames, as they were stored: two poses are consecutive where their places are.
     labels : mapping of arrays of str (M,)
         What else is said of each pose.
     occluded : bool array (M, K) or None
@@ -173,6 +175,7 @@ class PosePairs:
     joints: tuple[str, ...]
     root: int | None
     frame_id: npt.NDArray[np.str_]
+    place: Rows
     labels: Labels
     occluded: BoolArray | None
     scores: FloatArray | None
@@ -194,6 +197,7 @@ class PosePairs:
             hypotheses=self.hypotheses.taken(poses),
             truth=self.truth[poses],
             frame_id=self.frame_id[poses],
+            place=self.place[poses],
             labels={name: values[poses] for name, values in self.labels.items()},
             occluded=None if self.occluded is None else self.occluded[poses],
             scores=None if self.scores is None else self.scores[:, poses],

@@ -75,8 +75,10 @@ class Protocol:
             if choices and value not in choices:
                 problems.append(f"{option.name}: {value!r} is not known. {did_you_mean(str(value), choices)}")
         kind, _, clips = self.best.partition(":")
-        if kind not in {"frame", "sequence", "batch", "joint"} or (kind == "batch") != _is_count(clips):
+        if self.best not in {"frame", "sequence", "joint"} and not (kind == "batch" and _is_count(clips)):
             problems.append(f"best: {self.best!r}; expected frame, sequence, batch:k (k clips) or joint.")
+        elif self.best != "frame" and self.align_best == "linked":
+            problems.append(f"align_best: 'linked' with best: {self.best!r}; expected best: 'frame'.")
         if self.mode != "score" and not self.mode.isdecimal():
             problems.append(f"mode: {self.mode!r}; expected score or the index of a hypothesis.")
         if not 0 < self.pck_threshold < float("inf"):
@@ -338,7 +340,8 @@ def named_joints(option: str, text: str, joints: tuple[str, ...]) -> tuple[str, 
     Returns
     -------
     tuple of str
-        The chosen ones, in the poses' order. Members of a joint set that the poses lack are passed over.
+        The chosen ones, in the poses' order. Members of a joint set that the poses lack are passed over, and so is a
+        joint of the human tree to leave out.
 
     Raises
     ------

@@ -53,6 +53,9 @@ def known_metrics(
         found += [*calibration_metrics(scope), *battery_metrics(scope, preranks), *score_metrics(scope)]
         found += skill_metrics(scope)
         found += [*spread_metrics(scope), *guide_metrics(scope)]
+    if protocol.average != "poses":
+        averaged = f"; the mean of its values for each {protocol.average}"
+        found = [replace(metric, definition=metric.definition + averaged) for metric in found]
     return {metric.name: metric for metric in found}
 
 

@@ -78,7 +78,8 @@ def _bones(pairs: PosePairs) -> list[str]:
         return []
     parents, children = np.array(bones).T
     some = pairs.truth[:: max(1, len(pairs.truth) // 500)].astype(np.float64)
-    lengths = np.linalg.norm(some[:, children] - some[:, parents], axis=-1)
+    with np.errstate(invalid="ignore"):  # joints that don't count may hold anything
+        lengths = np.linalg.norm(some[:, children] - some[:, parents], axis=-1)
     lengths = lengths[np.isfinite(lengths)]
     if not lengths.size or BONES[0] <= np.median(lengths) <= BONES[1]:
         return []

@@ -11,6 +11,7 @@ from dataclasses import fields
 
 from posecal.block import FloatArray
 from posecal.comparison import Comparison
+from posecal.conclusion import verdict
 from posecal.metric import Metric
 from posecal.protocol import PRESETS, Protocol
 from posecal.recalibration import RadiusMap, SpreadMap
@@ -18,7 +19,6 @@ from posecal.registry import GROUPS
 from posecal.report import Report, Row
 from posecal.tables import Sheet, Table
 from posecal.totals import Totals
-from posecal.verdict import verdict
 
 __all__ = ["comparison_sheet", "presets_sheet", "radius_sheet", "report_sheet", "spread_sheet"]
 

@@ -160,11 +160,17 @@ class Totals:
         return total / number if number else float("nan")
 
     def by_joint(self, metric: Metric, cells: npt.NDArray[np.bool_] | None = None) -> FloatArray:
-        """Give a metric per joint, (K,); NaN for joints that don't count."""
+        """Give a metric per joint, (K,), averaged as its value; NaN for joints that don't count."""
         if metric.by_joint is None:
             return np.full(len(self.subject.joints), np.nan)
         statistic, finish = metric.by_joint
-        return finish(self.mean(statistic, cells))
+        if self.protocol.average == "poses":
+            return finish(self.mean(statistic, cells))
+        cells = np.ones(len(self.poses), dtype=bool) if cells is None else cells
+        groups = [finish(self.mean(statistic, cells & group)) for _, group in self.groups(self.protocol.average)]
+        values = np.stack(groups)
+        counted = ~np.isnan(values)
+        return _mean(np.where(counted, values, 0).sum(axis=0), counted.sum(axis=0))
 
     @property
     def signature(self) -> str:

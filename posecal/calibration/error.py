@@ -151,6 +151,11 @@ def coverage_at(coverage: FloatArray, level: float) -> FloatArray:
     array (...)
         Shares, 0 to 1; the level itself is best.
 
+    Raises
+    ------
+    PoseDataError
+        For a level that is no share.
+
     Notes
     -----
     Differs from the published code: none; ours.
@@ -160,6 +165,8 @@ def coverage_at(coverage: FloatArray, level: float) -> FloatArray:
     >>> float(coverage_at(LEVELS, 0.5))
     0.5
     """
+    if not 0 <= level <= 1:
+        raise PoseDataError(f"level: {level}; expected a share from 0 to 1.")
     place = level * (LEVELS.size - 1)
     below = min(int(place), LEVELS.size - 2)
     share = place - below

@@ -39,7 +39,7 @@ def _say_version(asked: bool) -> None:
 @guarded
 def _explain(metric: str | None) -> None:
     if metric is not None:
-        from posecal.explain import explain
+        from posecal.explanation import explain
 
         typer.echo(explain(metric))
         raise typer.Exit

@@ -48,7 +48,7 @@ def _whole(report: Report) -> Iterator[str]:
     if math.isnan(error):
         return
     coverage = report.value("coverage_90") if "coverage_90" in report.metrics else math.nan
-    share = "" if math.isnan(coverage) else f"; the 90 % balls hold {coverage:.0%} of the truths"
+    share = "" if math.isnan(coverage) else f"; the 90\u00a0% balls hold {100 * coverage:.0f}\u00a0% of the truths"
     found = report.null("ece")
     if math.isnan(found.p):
         yield f"Looks {_side(area)} (signed area {area:+.3f}{share}); whether by chance can't be tested here."
