@@ -40,7 +40,7 @@ def as_html(report: Report, name: str) -> str:
             svg = figure_bytes(draw(report, kind), ".svg").decode()
         except PoseDataError:
             continue  # the report lacks what the picture shows
-        pictures.append((about, svg[svg.index("<svg") :]))
+        pictures.append((about, svg[svg.index("<svg") :], kind == "battery"))
     template = files("posecal").joinpath("page.html").read_text(encoding="utf-8")
     page = Environment(autoescape=True, trim_blocks=True).from_string(template)
     sheet = report_sheet(report, joints=True, definitions=True)

@@ -222,7 +222,7 @@ def sign_flips(
 
     Notes
     -----
-    The band is the 95 % quantile of sup |ω(q) - q| / √(q (1 - q)) over the levels and the judged curves, with fixed
+    The band is the 95 % quantile of ``sup |ω(q) - q| / √(q (1 - q))`` over the levels and the judged curves, with fixed
     weights: estimated standard errors would inflate its level. Differs from the published code: none; ours.
 
     References

@@ -50,6 +50,8 @@ class Subject:
         Names of the user's own pre-ranks.
     reference : str
         What skills are relative to; empty without skills.
+    masked : bool
+        Whether the user left out joints of some poses by a mask of their own.
     """
 
     n_hypotheses: int
@@ -61,6 +63,7 @@ class Subject:
     marked: bool = False
     preranks: tuple[str, ...] = ()
     reference: str = ""
+    masked: bool = False
 
 
 @dataclass(frozen=True)

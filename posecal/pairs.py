@@ -17,7 +17,10 @@ from posecal.block import BoolArray, FloatArray
 from posecal.errors import PoseDataError
 from posecal.layout import Layout, LazyArray
 
-__all__ = ["Hypotheses", "Labels", "PosePairs", "Poses", "Rows", "Stored"]
+__all__ = ["COMMON_LABELS", "Hypotheses", "Labels", "PosePairs", "Poses", "Rows", "Stored"]
+
+COMMON_LABELS = ("sequence", "subject", "action", "camera")
+"""Names under which a file can only mean a label of every pose."""
 
 Labels = Mapping[str, npt.NDArray[np.str_]]
 Rows = npt.NDArray[np.intp]
@@ -120,7 +123,7 @@ class Stored:
 
     def read(self, start: int, stop: int) -> FloatArray:
         """Read some poses, (N, stop - start, K, D) in mm."""
-        found = self.layout.read(self.array.open(), self.rows[start:stop])[: self.most]
+        found = self.layout.read(self.array, self.rows[start:stop])[: self.most]
         if not np.array_equal(self.columns, np.arange(found.shape[2])):
             found = found[:, :, self.columns]
         return in_millimetres(found, self.factor)
@@ -149,6 +152,8 @@ class PosePairs:
         The joint to subtract from every pose.
     frame_id : array of str (M,)
         What each pose is called.
+    place : array of int (M,)
+        Its place among the truth's frames, as they were stored: two poses are consecutive where their places are.
     labels : mapping of arrays of str (M,)
         What else is said of each pose.
     occluded : bool array (M, K) or None
@@ -170,6 +175,7 @@ class PosePairs:
     joints: tuple[str, ...]
     root: int | None
     frame_id: npt.NDArray[np.str_]
+    place: Rows
     labels: Labels
     occluded: BoolArray | None
     scores: FloatArray | None
@@ -191,6 +197,7 @@ class PosePairs:
             hypotheses=self.hypotheses.taken(poses),
             truth=self.truth[poses],
             frame_id=self.frame_id[poses],
+            place=self.place[poses],
             labels={name: values[poses] for name, values in self.labels.items()},
             occluded=None if self.occluded is None else self.occluded[poses],
             scores=None if self.scores is None else self.scores[:, poses],

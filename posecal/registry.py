@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 from posecal.calibration.battery import PreRank
 from posecal.calibration.table import battery_metrics, calibration_metrics
 from posecal.errors import PoseDataError, did_you_mean, raise_all
 from posecal.metric import Curve, Metric, Scope, Subject
+from posecal.metrics.best_of import ROUND_SIZES
 from posecal.metrics.score_table import guide_metrics, score_metrics, skill_metrics
 from posecal.metrics.table import accuracy_curves, accuracy_metrics, spread_metrics
 from posecal.protocol import Protocol
 from posecal.sight import SIGHTS, sight_metrics
+from posecal.skeleton import JOINT_SETS
 
-__all__ = ["GROUPS", "curves_of", "known_metrics", "metrics_of", "sights_of"]
+__all__ = ["GROUPS", "check_names", "curves_of", "known_metrics", "metrics_of", "sights_of"]
 
 
 GROUPS = ("default", "battery", "scores", "all")
@@ -51,6 +53,9 @@ def known_metrics(
         found += [*calibration_metrics(scope), *battery_metrics(scope, preranks), *score_metrics(scope)]
         found += skill_metrics(scope)
         found += [*spread_metrics(scope), *guide_metrics(scope)]
+    if protocol.average != "poses":
+        averaged = f"; the mean of its values for each {protocol.average}"
+        found = [replace(metric, definition=metric.definition + averaged) for metric in found]
     return {metric.name: metric for metric in found}
 
 
@@ -79,7 +84,9 @@ def metrics_of(
     """
     known = known_metrics(protocol, subject, preranks)
     words = [word.strip() for word in protocol.metrics.split(",")]
-    raise_all(f"metrics: {word} {_lacks(word, subject, known)}" for word in words if word not in {*known, *GROUPS})
+    families = {metric.family for metric in known.values()}
+    possible = {*known, "default", "all", *families.intersection(GROUPS)}
+    raise_all(f"metrics: {word} {_lacks(word, subject, known)}" for word in words if word not in possible)
     free = {metric.statistic.name for metric in known.values() if metric.headline} | {"errors_by_n", "inside_reference"}
     return {
         name: metric
@@ -89,6 +96,29 @@ def metrics_of(
         or metric.family in words
         or ("default" in words and metric.statistic.name in free)
     }
+
+
+def check_names(protocol: Protocol, own: Collection[str] = ()) -> None:
+    """Refuse names of metrics that no data could make known.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        The options.
+    own : collection of str
+        Names of the user's own metrics.
+
+    Raises
+    ------
+    PoseDataError
+        For the names, all at once.
+    """
+    joints, n = JOINT_SETS["h36m-17"], ROUND_SIZES[-1] + 1
+    anything = Subject(n, joints, root=0, labels=("sequence",), fps=1.0, scored=True, marked=True, reference="another")
+    known = [*known_metrics(Protocol(), anything), *GROUPS, *own]
+    unknown = [word for word in (word.strip() for word in protocol.metrics.split(",")) if word not in known]
+    if unknown:
+        raise PoseDataError(f"metrics: {', '.join(unknown)} not known. {did_you_mean(unknown[0], known)}")
 
 
 def _lacks(name: str, subject: Subject, known: dict[str, Metric]) -> str:

@@ -14,7 +14,7 @@ import os
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal, cast
+from typing import TYPE_CHECKING, Literal, cast, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +29,7 @@ from posecal.calibration import (
     perfect_sampler,
     signed_area,
 )
+from posecal.calibration.ranks import known_definition
 from posecal.calibration.table import curve_of, summary
 from posecal.cells import label_name
 from posecal.errors import PoseDataError, did_you_mean
@@ -109,7 +110,7 @@ class Report:
 
     def __init__(self, totals: Totals, by: Sequence[str] = ()) -> None:
         self.totals = totals
-        self.by = tuple(dict.fromkeys(label_name(entry) for entry in by))
+        self.by = tuple(dict.fromkeys(label_name(entry) for entry in ((by,) if isinstance(by, str) else by)))
         self.metrics: dict[str, Metric] = metrics_of(totals.protocol, totals.subject)
         self._curves: dict[str, Curve] = curves_of(totals.protocol, totals.subject)
         self.groups: dict[str | None, Cells] = {None: None}
@@ -220,6 +221,18 @@ class Report:
                     direction="none",
                     definition=f"{words} {metric.label} of a perfect sampler: {about}; {definition} definition",
                 )
+
+    def definition(self, metric: str) -> str:
+        """Give the definition of a metric.
+
+        Raises
+        ------
+        PoseDataError
+            Where it is not in the report.
+        """
+        if metric not in self.metrics:
+            raise PoseDataError(f"{metric} is not in the report. {did_you_mean(metric, self.metrics)}")
+        return self.metrics[metric].definition
 
     def null(self, metric: str, group: str | None = None) -> Null:
         """Give what a calibrated sampler would show for a calibration error, by sequence sign-flips.
@@ -352,9 +365,8 @@ class Report:
             if (row.metric, row.group, row.joint) == (metric, group, joint):
                 return row.value
         known = sorted({row.metric for row in self.rows})
-        raise PoseDataError(
-            f"{metric} (group {group}, joint {joint}) is not in the report. {did_you_mean(metric, known)}"
-        )
+        where = "".join(f" {word} {said}" for word, said in (("of", group), ("at", joint)) if said is not None)
+        raise PoseDataError(f"{metric}{where} is not in the report. {did_you_mean(metric, known)}")
 
     def calibration(self, definition: Definition = "exchangeable", group: str | None = None) -> CalibrationCurve:
         """Give the calibration curves of a group of poses.
@@ -362,7 +374,7 @@ class Report:
         Parameters
         ----------
         definition : str
-            One of :data:`posecal.calibration.DEFINITIONS`.
+            One of :data:`posecal.calibration.ranks.DEFINITIONS`.
         group : str, optional
             ``label=value``; all poses by default.
 
@@ -376,7 +388,7 @@ class Report:
         PoseDataError
             Where the report has no such curves.
         """
-        name = f"inside_{definition}"
+        name = f"inside_{known_definition(definition)}"
         if name not in self.totals.sums or group not in self.groups:
             raise PoseDataError(f"calibration: the report has no {definition} curves of {group or 'its poses'}.")
         return curve_of(self._mean(name, self.groups[group]), definition)
@@ -510,6 +522,11 @@ class Report:
         -------
         str
             The whole text.
+
+        Raises
+        ------
+        PoseDataError
+            For another form.
         """
         if form == "json":
             return json.dumps(self.to_dict(), ensure_ascii=False, indent=1)
@@ -519,6 +536,8 @@ class Report:
             writer.writeheader()
             writer.writerows(asdict(row) for row in self.rows)
             return text.getvalue().rstrip("\n")
+        if form not in get_args(Format):
+            raise PoseDataError(f"format: {form!r} is not known. {did_you_mean(form, get_args(Format))}")
         from posecal.sheets import report_sheet
 
         sheet = report_sheet(self, joints=joints, definitions=definitions)

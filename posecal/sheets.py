@@ -11,6 +11,7 @@ from dataclasses import fields
 
 from posecal.block import FloatArray
 from posecal.comparison import Comparison
+from posecal.conclusion import verdict
 from posecal.metric import Metric
 from posecal.protocol import PRESETS, Protocol
 from posecal.recalibration import RadiusMap, SpreadMap
@@ -18,7 +19,6 @@ from posecal.registry import GROUPS
 from posecal.report import Report, Row
 from posecal.tables import Sheet, Table
 from posecal.totals import Totals
-from posecal.verdict import verdict
 
 __all__ = ["comparison_sheet", "presets_sheet", "radius_sheet", "report_sheet", "spread_sheet"]
 
@@ -62,7 +62,7 @@ def number(value: float, unit: str = "") -> str:
     """Write a number: three digits after the point for lengths, five for shares and errors of shares."""
     if math.isnan(value):
         return "–"
-    return f"{value:.3f} {unit}" if unit else f"{value:.5f}"
+    return f"{value:z.3f} {unit}" if unit else f"{value:z.5f}"
 
 
 def title(report: Report) -> str:
@@ -144,7 +144,9 @@ def tables(report: Report, *, joints: bool = False) -> list[Table]:
 
 def _row(report: Report, metric: Metric) -> tuple[str, ...]:
     value = number(report.value(metric.name), metric.unit)
-    return metric.label, value, _sureness(report, metric), ARROWS[metric.direction], metric.brief
+    floors = [row for row in report.rows if row.metric == f"{metric.name}_floor"]
+    brief = metric.brief + "".join(f"; {row.value:.4f} if frames were independent" for row in floors)
+    return metric.label, value, _sureness(report, metric), ARROWS[metric.direction], brief
 
 
 def _sureness(report: Report, metric: Metric) -> str:
@@ -170,7 +172,7 @@ def _group_row(group: str, rows: dict[str, Row], names: list[str]) -> tuple[str,
 
 
 def _short(value: float, unit: str) -> str:
-    return "–" if math.isnan(value) else f"{value:.1f}" if unit else f"{value:.3f}"
+    return "–" if math.isnan(value) else f"{value:z.1f}" if unit else f"{value:z.3f}"
 
 
 def definitions_of(report: Report) -> list[tuple[str, str]]:

@@ -87,7 +87,7 @@ def canonical_name(name: str) -> str:
     Returns
     -------
     str
-        The name in :data:`REST_POSE`, or ``name``.
+        The name in ``REST_POSE``, or ``name``.
 
     Notes
     -----

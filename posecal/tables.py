@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import io
 from dataclasses import dataclass, field
+from typing import Literal
 
 from rich import box
+from rich.cells import cell_len
 from rich.console import Console
 from rich.table import Table as RichTable
 from rich.text import Text
@@ -76,12 +78,13 @@ class Sheet:
         console.print(Text(self.title, style="bold"))
         for sentence in self.sentences:
             console.print(Text(sentence))
-        for table in self.tables:
+        for table in (part for whole in self.tables for part in _parts(whole, width)):
             console.print()
             drawn = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, header_style="bold")
-            for heading, is_number in table.columns:
+            for (heading, is_number), place in zip(table.columns, _widths(table, width), strict=True):
                 dim = "dim" if heading == "what it is" else ""
-                drawn.add_column(Text(heading), justify="right" if is_number else "left", style=dim, overflow="fold")
+                justify: Literal["left", "right"] = "right" if is_number else "left"
+                drawn.add_column(Text(heading), justify=justify, style=dim, overflow="fold", width=place)
             for row in table.rows:
                 drawn.add_row(*(Text(cell) for cell in row))
             console.print(drawn)
@@ -106,6 +109,45 @@ class Sheet:
             lines += ["", "### Definitions", ""]
             lines += [f"- **{_escaped(term)}**: {_escaped(meaning)}" for term, meaning in self.definitions]
         return "\n".join([*lines, "", f"`{self.footer}`"] if self.footer else lines)
+
+
+GAP = 3
+"""Columns of the terminal between two columns of a table."""
+
+
+def _narrowest(table: Table, column: int) -> int:
+    """How narrow a column can be: no number is broken over lines, and no word."""
+    heading, is_number = table.columns[column]
+    cells = [row[column] for row in table.rows]
+    pieces = [*heading.split(), *(cells if is_number else (word for cell in cells for word in cell.split()))]
+    return max(map(cell_len, pieces), default=0)
+
+
+def _widths(table: Table, width: int) -> list[int]:
+    """Share out the width of the terminal: the widest columns give way first."""
+    least = [_narrowest(table, column) for column in range(len(table.columns))]
+    cells = [[heading, *(row[column] for row in table.rows)] for column, (heading, _) in enumerate(table.columns)]
+    found = [max(cell_len(line) for cell in column for line in (cell.splitlines() or [""])) for column in cells]
+    while sum(found) + GAP * (len(found) - 1) > width:
+        yielding = [column for column in range(len(found)) if found[column] > least[column]]
+        if not yielding:
+            break
+        found[max(yielding, key=lambda column: found[column])] -= 1
+    return found
+
+
+def _parts(table: Table, width: int) -> list[Table]:
+    """Cut a table that is too wide for the terminal into some with the same first column."""
+    least = [_narrowest(table, column) for column in range(len(table.columns))]
+    parts: list[list[int]] = [[0]]
+    for column in range(1, len(least)):
+        if len(parts[-1]) > 1 and sum(least[c] + GAP for c in parts[-1]) + least[column] > width:
+            parts.append([0])
+        parts[-1].append(column)
+    return [
+        Table(table.title, tuple(table.columns[c] for c in part), [tuple(row[c] for c in part) for row in table.rows])
+        for part in parts
+    ]
 
 
 def _escaped(text: str) -> str:

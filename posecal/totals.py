@@ -55,9 +55,9 @@ class Totals:
         What a careful reader should know.
     sequences : bool
         Whether the sequences were labelled; else they are runs of consecutive frames, taken as independent.
-    sums, counts : dicts of arrays (C, *shape) and (C,) or (C, J)
+    sums, counts : dicts of arrays (C, …) and (C,) or (C, J)
         By statistic: the sum over the poses that count, and their number.
-    kept : dict of arrays (M, *shape)
+    kept : dict of arrays (M, …)
         By statistic: the values of every pose, of the few that no sums replace.
     cell_of : array of int (M,)
         With them: the cell of each pose.
@@ -86,7 +86,7 @@ class Totals:
             The statistic.
         cells : array of int (R,)
             The cell of each row.
-        sums, counts : arrays (R, *shape) and (R,) or (R, J)
+        sums, counts : arrays (R, …) and (R,) or (R, J)
             What is added.
         """
         if name not in self.sums:
@@ -160,11 +160,17 @@ class Totals:
         return total / number if number else float("nan")
 
     def by_joint(self, metric: Metric, cells: npt.NDArray[np.bool_] | None = None) -> FloatArray:
-        """Give a metric per joint, (K,); NaN for joints that don't count."""
+        """Give a metric per joint, (K,), averaged as its value; NaN for joints that don't count."""
         if metric.by_joint is None:
             return np.full(len(self.subject.joints), np.nan)
         statistic, finish = metric.by_joint
-        return finish(self.mean(statistic, cells))
+        if self.protocol.average == "poses":
+            return finish(self.mean(statistic, cells))
+        cells = np.ones(len(self.poses), dtype=bool) if cells is None else cells
+        groups = [finish(self.mean(statistic, cells & group)) for _, group in self.groups(self.protocol.average)]
+        values = np.stack(groups)
+        counted = ~np.isnan(values)
+        return _mean(np.where(counted, values, 0).sum(axis=0), counted.sum(axis=0))
 
     @property
     def signature(self) -> str:
@@ -178,6 +184,7 @@ class Totals:
             **self.protocol.options,
         }
         parts.pop("metrics")
+        parts["where"] += ",mask" if s.masked else ""
         default = Protocol().options
         kept = ("posecal", "N", "K", "origin", "joints", "root", "where", "best", "align", "average")
         shown = {key: value for key, value in parts.items() if key in kept or value != default.get(key)}
@@ -189,7 +196,7 @@ class Totals:
     def by_sequence(
         self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None = None
     ) -> tuple[FloatArray, npt.NDArray[np.int64]]:
-        """Add up a statistic over each sequence among some cells: sums (S, *shape) and counts (S,) or (S, J)."""
+        """Add up a statistic over each sequence among some cells: sums (S, …) and counts (S,) or (S, J)."""
         chosen = np.ones(len(self.poses), dtype=bool) if cells is None else cells
         _, place = np.unique(self.cells["sequence"][chosen], return_inverse=True)
         sums, counts = self.sums[statistic.name][chosen], self.counts[statistic.name][chosen]
@@ -232,12 +239,17 @@ class Totals:
         PoseDataError
             Where two differ in more than their poses, or hold the same poses.
         """
+        if not parts:
+            raise PoseDataError("merge: no results; expected at least one.")
         names = names or [f"part {number}" for number in range(1, len(parts) + 1)]
         first = parts[0]
         problems = []
         for name, part in zip(names[1:], parts[1:], strict=True):
             if part.signature != first.signature:
                 problems.append(f"{names[0]} and {name} were not made alike: {difference_of_signatures(first, part)}.")
+            if first.protocol.velocity == "second" and part.subject.fps != first.subject.fps:
+                rates = f"{first.subject.fps:g} and {part.subject.fps:g}"
+                problems.append(f"{names[0]} and {name} have {rates} frames per second; expected the same.")
             held, ours = ({*t.cells, *t.sums, *t.kept} for t in (first, part))
             if held != ours:
                 problems.append(f"{names[0]} and {name} differ in what they hold: {', '.join(sorted(held ^ ours))}.")
@@ -313,7 +325,7 @@ class Totals:
         """
         name = Path(path).name
         try:
-            with np.load(path, allow_pickle=False) as stored:
+            with open(path, "rb") as file, np.load(file, allow_pickle=False) as stored:
                 members: dict[str, Any] = {key: stored[key] for key in stored.files}
             about = json.loads(str(members.pop("about")))
             if about["format"] != FORMAT:
@@ -334,6 +346,8 @@ class Totals:
                 kept=_part(members, "kept/"),
                 cell_of=members["cell_of"],
             )
+        except PoseFileError:
+            raise
         except FileNotFoundError:
             raise PoseFileError(f"{path}: no such file.") from None
         except IsADirectoryError:
@@ -346,10 +360,10 @@ class Totals:
             EOFError,
             zipfile.BadZipFile,
             zlib.error,
-        ) as error:
-            if isinstance(error, PoseFileError):
-                raise
+        ):
             raise PoseFileError(f"{name}: no result of posecal evaluate --save, or not a whole one.") from None
+        except OSError as error:
+            raise PoseFileError(f"{path}: can't be read ({error.strerror}).") from None
 
 
 def is_result(path: str | os.PathLike[str]) -> bool:

@@ -110,6 +110,7 @@ def pair_distance(points: FloatArray, truth: FloatArray) -> FloatArray:
     for joint in range(1, poses.shape[1]):
         distances = squared_norms(poses[:, :joint] - poses[:, joint, None]) ** 0.25
         distances -= distances.mean(axis=-1, keepdims=True)
+        distances[np.isnan(distances)] = 0  # pairs with a joint that does not count
         found += np.einsum("bkn,bkn->bn", distances, distances)
     return found
 
@@ -157,7 +158,8 @@ class Test:
     fires : str
         What it means when the test rejects.
     prerank : callable or None
-        From the pool (B, J, D, N + 1) and the truth (B, J, D) to a number of each point; None for the coordinates.
+        From the pool (B, J, D, N + 1), 0 for joints that don't count, and the truth (B, J, D), NaN for them, to a
+        number of each point; None for the coordinates.
     """
 
     __test__ = False  # not one of pytest's
@@ -172,9 +174,10 @@ class Test:
         """Weights of the truth's rank, (B, 1, Q), or (B, K, D, Q) for the coordinates."""
         if self.prerank is None:
             return coordinate_weights(block, joints)
-        truth = block.truth[:, joints].astype(np.float64)
+        counted = block.where[:, joints]
+        truth = np.where(counted[..., None], block.truth[:, joints].astype(np.float64), np.nan)
         found = weights_of_ranks(self.prerank(pool(block, joints), truth))
-        found[~(block.where & joints).any(axis=1)] = np.nan
+        found[~counted.any(axis=1)] = np.nan
         return found[:, None]
 
 

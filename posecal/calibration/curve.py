@@ -1,7 +1,7 @@
 """How often does the truth lie within the ball that holds a share q of its hypotheses? The calibration curve.
 
 ω_k(q) of joint k is the mean over poses of how far inside its q-ball the truth lies
-(:func:`posecal.calibration.ranks.inside`). For a calibrated model ω_k(q) = q; below the diagonal the truth falls
+(:mod:`posecal.calibration.ranks`). For a calibrated model ω_k(q) = q; below the diagonal the truth falls
 outside too often and the model is overconfident, above it is underconfident.
 """
 
@@ -25,7 +25,7 @@ class CalibrationCurve:
     Attributes
     ----------
     definition : str
-        One of :data:`posecal.calibration.DEFINITIONS`.
+        One of :data:`posecal.calibration.ranks.DEFINITIONS`.
     coverage : array (K, Q)
         ω_k(q), 0 to 1; NaN for joints that never count.
     pooled : array (Q,)
@@ -65,7 +65,7 @@ def inside_table(block: Block, definition: Definition, joints: BoolArray | None 
     block : Block
         B poses.
     definition : str
-        One of :data:`posecal.calibration.DEFINITIONS`.
+        One of :data:`posecal.calibration.ranks.DEFINITIONS`.
     joints : bool array (K,), optional
         The joints that are scored.
 

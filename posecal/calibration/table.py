@@ -183,7 +183,8 @@ def battery_metrics(scope: Scope, preranks: Mapping[str, PreRank] | None = None)
 
 def _rank_metric(scope: Scope, test: Test, weights: Callable[[Block], FloatArray]) -> Metric:
     n, coordinates = scope.subject.n_hypotheses, test.name == "coordinate_pit"
-    over = f", mean over axes and {scope.counted(scope.moving)}" if coordinates else ""
+    joints = scope.counted(scope.moving)
+    over = f", mean over axes and {joints}" if coordinates else f" of poses of {joints}"
     statistic = Statistic(test.name, weights, per_joint=True)
 
     def by_joint(mean: FloatArray) -> FloatArray:

@@ -5,6 +5,8 @@ Exit codes: 0 done, 2 a wrong call, 3 the files can't be evaluated (one message 
 
 from __future__ import annotations
 
+import sys
+from io import TextIOWrapper
 from typing import Annotated
 
 import typer
@@ -37,7 +39,7 @@ def _say_version(asked: bool) -> None:
 @guarded
 def _explain(metric: str | None) -> None:
     if metric is not None:
-        from posecal.explain import explain
+        from posecal.explanation import explain
 
         typer.echo(explain(metric))
         raise typer.Exit
@@ -68,4 +70,7 @@ app.command()(evaluate.demo)
 
 def main() -> None:
     """Run the command line."""
-    app()
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a letter that the terminal lacks is no reason to stop
+    app(prog_name="posecal")

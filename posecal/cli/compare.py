@@ -24,7 +24,7 @@ from posecal.cli.options import (
     Where,
     option,
 )
-from posecal.cli.running import check_outputs, guarded, progress, protocol_of, read_pairs, say
+from posecal.cli.running import check_outputs, guarded, join_of, progress, protocol_of, read_pairs, say
 
 if TYPE_CHECKING:
     from posecal.totals import Totals
@@ -60,10 +60,9 @@ def compare(
     threads: Threads = None,
 ) -> None:
     """Compare models on the same poses: differences with intervals, p-values and ranks."""
-    check_outputs(plot=plot)
+    check_outputs(*files, plot=plot)
     from posecal.comparison import compare as compare_totals
     from posecal.evaluation import add_up
-    from posecal.joining import Join
     from posecal.sheets import comparison_sheet
     from posecal.totals import Totals, is_result
 
@@ -74,7 +73,7 @@ def compare(
     else:
         *models, truth = files
         names = [path.stem for path in models]
-        how = Join(axes, truth_axes, unit, truth_unit, joint_names, root_joint, missing.value)
+        how = join_of(axes, truth_axes, unit, truth_unit, joint_names, root_joint, missing)
         protocol = protocol_of(preset, options or [], where, "all", metrics)
         for path in models:
             pairs = read_pairs(path, truth, how, most)

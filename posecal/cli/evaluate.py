@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
@@ -33,7 +33,7 @@ from posecal.cli.options import (
     Where,
     option,
 )
-from posecal.cli.running import check_outputs, guarded, progress, protocol_of, read_pairs, say, write_report
+from posecal.cli.running import check_outputs, guarded, join_of, progress, protocol_of, read_pairs, say, write_report
 
 __all__ = ["demo", "evaluate", "merge", "presets", "report"]
 
@@ -78,18 +78,16 @@ def evaluate(
     threads: Threads = None,
 ) -> None:
     """Evaluate hypotheses against the truth: accuracy, calibration and spread, each with its definition."""
-    check_outputs(save=save, plot=plot, html=html)
     from posecal.calibration.battery import load_prerank
     from posecal.evaluation import add_up
-    from posecal.joining import Join
     from posecal.report import Report
 
     groups = [word for word, asked in (("battery", battery or prerank), ("scores", scores or skill)) if asked]
-    protocol = protocol_of(preset, options or [], where, joints, metrics)
-    protocol = protocol.changed({"metrics": ", ".join([protocol.metrics, *groups])}) if groups else protocol
     preranks = dict(load_prerank(entry) for entry in prerank or [])
-    shared: Literal["same", "common"] = "common" if joints == "common" else "same"
-    how = Join(axes, truth_axes, unit, truth_unit, joint_names, root_joint, missing.value, shared)
+    protocol = protocol_of(preset, options or [], where, joints, metrics, preranks)
+    protocol = protocol.changed({"metrics": ", ".join([protocol.metrics, *groups])}) if groups else protocol
+    how = join_of(axes, truth_axes, unit, truth_unit, joint_names, root_joint, missing, joints)
+    check_outputs(hypotheses, truth, save=save, plot=plot, html=html)
     pairs = read_pairs(hypotheses, truth, how, most)
     with progress(len(pairs.truth)) as advance:
         totals = add_up(pairs, protocol, by=by or (), preranks=preranks, threads=threads, progress=advance)
@@ -101,10 +99,16 @@ def evaluate(
         with progress(len(pairs.truth), "reference") as advance:
             against = add_up(reference, protocol, by=by or (), preranks=preranks, threads=threads, progress=advance)
         totals = with_skills(totals, against, reference.names[0])
-    found = Report(totals, by or ())
-    if save is not None:
-        found.save(save)
-    write_report(found, form, joints=per_joint, definitions=definitions, plot=plot, html=html, name=hypotheses.name)
+    write_report(
+        Report(totals, by or ()),
+        form,
+        joints=per_joint,
+        definitions=definitions,
+        plot=plot,
+        html=html,
+        name=hypotheses.name,
+        save=save,
+    )
 
 
 @guarded
@@ -118,7 +122,7 @@ def report(
     html: Html = None,
 ) -> None:
     """Write the report of a saved result, without the hypotheses."""
-    check_outputs(plot=plot, html=html)
+    check_outputs(result, plot=plot, html=html)
     from posecal.report import Report
     from posecal.totals import Totals
 
@@ -132,7 +136,7 @@ def merge(
     output: Output,
 ) -> None:
     """Add the results of shards: the same numbers as one run over everything."""
-    check_outputs(output=output)
+    check_outputs(*results, output=output)
     from posecal.totals import Totals
 
     whole = Totals.merged([Totals.load(path) for path in results], [path.name for path in results])

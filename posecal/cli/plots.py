@@ -22,7 +22,7 @@ from posecal.cli.options import (
     Unit,
     option,
 )
-from posecal.cli.running import check_outputs, guarded, read_pairs
+from posecal.cli.running import check_outputs, guarded, join_of, read_pairs
 
 __all__ = ["app"]
 
@@ -30,7 +30,7 @@ app = typer.Typer(no_args_is_help=True, help="Draw a saved result, or some poses
 
 
 def _draw(result: Path, kind: str, output: Path) -> None:
-    check_outputs(plot=output)
+    check_outputs(result, plot=output)
     from posecal.plot import draw, save
     from posecal.report import Report
     from posecal.totals import Totals
@@ -105,10 +105,9 @@ def poses(
     missing: MissingFrames = Missing.error,
 ) -> None:
     """Skeletons in 3D: hypotheses grey, truth blue, one joint's hypotheses pink."""
-    check_outputs(plot=output)
-    from posecal.joining import Join
+    how = join_of(axes, truth_axes, unit, truth_unit, joint_names, root_joint, missing)
+    check_outputs(hypotheses, truth, plot=output)
     from posecal.plot import draw_poses, frames_of, save
 
-    how = Join(axes, truth_axes, unit, truth_unit, joint_names, root_joint, missing.value)
     pairs = read_pairs(hypotheses, truth, how)
     save(draw_poses(pairs, frames_of(pairs, frames), cloud=joint, most=most), output)

@@ -22,7 +22,7 @@ from posecal.cli.options import (
     Unit,
     option,
 )
-from posecal.cli.running import check_outputs, guarded, progress, read_pairs, say
+from posecal.cli.running import check_outputs, guarded, join_of, progress, read_pairs, say
 
 __all__ = ["app"]
 
@@ -56,8 +56,7 @@ def fit(
     threads: Threads = None,
 ) -> None:
     """Fit a recalibration on all poses; --split also says what it does to sequences it has not seen."""
-    check_outputs(output=output)
-    from posecal.joining import Join
+    check_outputs(hypotheses, truth, output=output)
     from posecal.maps import write_map
     from posecal.recalibration import cross_fitted, fit_radius, fit_spread, held_out_coverage
     from posecal.sheets import radius_sheet, spread_sheet
@@ -66,7 +65,7 @@ def fit(
         raise typer.BadParameter("goes with --radius only.", param_hint="--scaled")
     if per_joint and radius is not None:
         raise typer.BadParameter("radii are per joint always.", param_hint="--per-joint")
-    how = Join(axes, truth_axes, unit, truth_unit, joint_names, root_joint, missing.value)
+    how = join_of(axes, truth_axes, unit, truth_unit, joint_names, root_joint, missing)
     pairs = read_pairs(hypotheses, truth, how)
     if radius is not None:
         radii = fit_radius(pairs, radius, scaled=scaled, threads=threads)
@@ -92,14 +91,15 @@ def apply(
     root_joint: RootJoint = None,
 ) -> None:
     """Apply a fitted map: new hypotheses, or the centres and radii of balls."""
-    check_outputs(output=output)
+    how = join_of(axes, unit=unit, joint_names=joint_names, root_joint=root_joint)
+    check_outputs(hypotheses, map_file, output=output)
     from posecal.io import read_poses
-    from posecal.joining import Join, alone
+    from posecal.joining import alone
     from posecal.maps import apply_map, read_map
 
     map_ = read_map(map_file)
     poses = read_poses(hypotheses, "hypotheses")
-    stored, joints, root = alone(poses, Join(axes=axes, unit=unit, joint_names=joint_names, root_joint=root_joint))
+    stored, joints, root = alone(poses, how)
     members = {} if poses.frame_id is None else {"frame_id": poses.frame_id}
     with progress(len(stored.rows), "applying") as advance:
         apply_map(map_, stored, joints, root, len(stored.rows), output, {**members, **poses.labels}, advance)

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import errno
 import functools
+import os
 import shutil
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, ParamSpec, TypeVar, cast
+from typing import TYPE_CHECKING, Literal, ParamSpec, TextIO, TypeVar, cast
 
 import typer
 
-from posecal.cli.options import Form, Where
+from posecal.cli.options import Form, Missing, Where
 
 if TYPE_CHECKING:
     from posecal.joining import Join
@@ -21,7 +23,18 @@ if TYPE_CHECKING:
     from posecal.report import Format, Report
     from posecal.tables import Sheet
 
-__all__ = ["check_outputs", "guarded", "progress", "protocol_of", "read_pairs", "say", "write_report"]
+__all__ = [
+    "check_outputs",
+    "guarded",
+    "join_of",
+    "on_terminal",
+    "progress",
+    "protocol_of",
+    "read_pairs",
+    "say",
+    "write_report",
+    "wrong_call",
+]
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -32,31 +45,81 @@ def guarded(command: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(command)
     def run(*args: P.args, **kwargs: P.kwargs) -> R:
-        from posecal.errors import PosecalError
-
         try:
             return command(*args, **kwargs)
-        except PosecalError as error:
-            typer.echo(f"posecal: {error}", err=True)
-            raise typer.Exit(3) from None
         except KeyboardInterrupt:
             typer.echo("posecal: interrupted.", err=True)
             raise typer.Exit(130) from None
+        except Exception as error:
+            from posecal.errors import PosecalError
+
+            if isinstance(error, PosecalError):
+                typer.echo(f"posecal: {error}", err=True)
+            elif isinstance(error, OSError) and error.errno not in {None, errno.EPIPE}:
+                typer.echo(f"posecal: {error.strerror}{f': {error.filename}' if error.filename else ''}.", err=True)
+                _drop_output()
+            else:
+                raise
+            raise typer.Exit(3) from None
 
     return run
 
 
-def check_outputs(**paths: Path | None) -> None:
-    """Refuse, before any work is done, what could not be written after it; ``plot`` must be a picture."""
+def _drop_output() -> None:
+    """Let go of what stdout could not take: Python would fail on it once more when it leaves."""
+    if sys.stdout is not None:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+@contextmanager
+def wrong_call() -> Iterator[None]:
+    """Turn what posecal refuses whatever the files hold into a wrong call."""
+    from posecal.errors import PosecalError
+
+    try:
+        yield
+    except PosecalError as error:
+        raise typer.BadParameter(str(error)) from None
+
+
+def check_outputs(*inputs: Path, **outputs: Path | None) -> None:
+    """Refuse, before any work is done, what could not be written after it, or would overwrite what is read.
+
+    The output ``plot`` must be a picture.
+    """
     from posecal.io import check_writable
 
-    for kind, path in paths.items():
-        if path is not None:
-            check_writable(path)
-            if kind == "plot":
-                from posecal.plot import check_suffix
+    taken = {path.resolve(): "read" for path in inputs}
+    for kind, path in outputs.items():
+        if path is None:
+            continue
+        if kind == "plot":
+            from posecal.plot import check_suffix
 
+            with wrong_call():
                 check_suffix(path)
+        if path.resolve() in taken:
+            raise typer.BadParameter(f"{path} is {taken[path.resolve()]} already; expected another name.")
+        check_writable(path)
+        taken[path.resolve()] = "written"
+
+
+def join_of(
+    axes: str | None = None,
+    truth_axes: str | None = None,
+    unit: str | None = None,
+    truth_unit: str | None = None,
+    joint_names: str | None = None,
+    root_joint: str | None = None,
+    missing: Missing = Missing.error,
+    joints: str = "all",
+) -> Join:
+    """Give what the flags say of the files."""
+    from posecal.joining import Join
+
+    shared: Literal["same", "common"] = "common" if joints == "common" else "same"
+    with wrong_call():
+        return Join(axes, truth_axes, unit, truth_unit, joint_names, root_joint, missing.value, shared)
 
 
 def read_pairs(hypotheses: Path, truth: Path, how: Join, most: int | None = None) -> PosePairs:
@@ -69,13 +132,18 @@ def read_pairs(hypotheses: Path, truth: Path, how: Join, most: int | None = None
 
 
 def protocol_of(
-    preset: str | None, options: list[str], where: Where = Where.all, joints: str = "all", metrics: str = "default"
+    preset: str | None,
+    options: list[str],
+    where: Where = Where.all,
+    joints: str = "all",
+    metrics: str = "default",
+    own: Collection[str] = (),
 ) -> Protocol:
-    """Give the protocol of a preset, changed by options and flags."""
+    """Give the protocol of a preset, changed by options and flags; ``own`` are names of the user's own metrics."""
     from posecal.protocol import Protocol
     from posecal.protocol import preset as named
+    from posecal.registry import check_names
 
-    start = Protocol() if preset is None else named(preset).protocol
     said = {}
     for entry in options:
         key, equals, value = entry.partition("=")
@@ -88,7 +156,10 @@ def protocol_of(
         said["joints"] = joints
     if metrics != "default":
         said["metrics"] = metrics
-    return start.changed(said)
+    with wrong_call():
+        protocol = (Protocol() if preset is None else named(preset).protocol).changed(said)
+        check_names(protocol, own)
+    return protocol
 
 
 def write_report(
@@ -100,37 +171,56 @@ def write_report(
     plot: Path | None,
     html: Path | None,
     name: str,
+    save: Path | None = None,
 ) -> None:
-    """Write a report to stdout and into the files that were asked for; remarks go to stderr."""
+    """Make all that was asked for, and only then write it: files, the report to stdout, remarks to stderr."""
+    files: list[Callable[[], None]] = []
+    if save is not None:
+        files.append(functools.partial(report.save, save))
     if plot is not None:
-        from posecal.plot import draw, save
+        from posecal.plot import draw
+        from posecal.plot import save as save_figure
 
-        save(draw(report, title=name), plot)
+        files.append(functools.partial(save_figure, draw(report, title=name), plot))
     if html is not None:
-        from posecal.html import write_html
+        from posecal.html import as_html
+        from posecal.io import written_whole
 
-        write_html(report, html, name)
+        page = as_html(report, name).encode()
+        files.append(functools.partial(written_whole, html, lambda file: file.write(page)))
     if form is Form.text:
         from posecal.sheets import report_sheet
 
-        say(report_sheet(report, joints=joints, definitions=definitions))
+        text = _fitted(report_sheet(report, joints=joints, definitions=definitions))
     else:
-        typer.echo(report.render(cast("Format", form.value), joints=joints, definitions=definitions))
+        text = report.render(cast("Format", form.value), joints=joints, definitions=definitions)
+    for write in files:
+        write()
+    typer.echo(text, color=on_terminal(sys.stdout))
     for remark in report.remarks:
         typer.echo(f"note: {remark}", err=True)
 
 
 def say(sheet: Sheet) -> None:
-    """Write a sheet to stdout: as wide as the terminal and in its colours, or plainly into a pipe."""
-    terminal = sys.stdout.isatty()
-    columns = shutil.get_terminal_size((120, 40)).columns if terminal else 120
-    typer.echo(sheet.text(columns, colour=terminal), color=terminal)
+    """Write a sheet to stdout."""
+    typer.echo(_fitted(sheet), color=on_terminal(sys.stdout))
+
+
+def _fitted(sheet: Sheet) -> str:
+    """Write a sheet as wide as the terminal and in its colours, or plainly for a pipe."""
+    terminal = on_terminal(sys.stdout)
+    return sheet.text(shutil.get_terminal_size((120, 40)).columns if terminal else 120, colour=terminal)
+
+
+def on_terminal(stream: TextIO | None) -> bool:
+    """Whether a stream is a terminal; one that was closed is none."""
+    return stream is not None and stream.isatty()
 
 
 @contextmanager
 def progress(total: int, what: str = "evaluating") -> Iterator[Callable[[int], object] | None]:
     """Show a progress bar on a terminal, on stderr; nothing in a pipe."""
-    if not sys.stderr.isatty():
+    if not on_terminal(sys.stderr):
         yield None
         return
     from rich.console import Console

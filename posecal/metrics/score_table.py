@@ -22,7 +22,7 @@ def guide_metrics(scope: Scope) -> Iterator[Metric]:
 
     def spread_and_error(block: Block) -> FloatArray:
         error = pose_errors(block, "none", "mean_pose", scope.body)[:, 0]
-        return np.stack([predicted_spread(block), error], axis=1, dtype=np.float64)
+        return np.stack([predicted_spread(block, scope.moving), error], axis=1, dtype=np.float64)
 
     statistic = Statistic("spread_and_error", spread_and_error, kept=True)
     about = f"predicted spread (mean standard deviation of {scope.counted(scope.moving)}) and error of the mean pose"
@@ -110,6 +110,10 @@ def score_metrics(scope: Scope) -> Iterator[Metric]:
         finish=item(),
     )
     threshold = scope.protocol.pck_threshold
+    event = (
+        f"of the truth, and the share of hypotheses of which, each of {joints} lies within {threshold:g} mm of the "
+        f"median of the N={n} hypotheses"
+    )
     yield Metric(
         name="brier",
         label=f"Brier score, {threshold:g} mm",
@@ -117,8 +121,7 @@ def score_metrics(scope: Scope) -> Iterator[Metric]:
         direction="lower",
         family="scores",
         brief=f"of: median pose right to {threshold:g} mm at every joint",
-        definition=f"mean over poses of (p − o)² − p (1 − p) / (N − 1); o: each of {joints} lies within {threshold:g} "
-        f"mm of the median of the N={n} hypotheses; p: the share of hypotheses of which that is true",
+        definition=f"mean over poses of (p − o)² − p (1 − p) / (N − 1); o, p: {event}",
         statistic=Statistic("brier", lambda block: fair_brier(block, scope.moving, threshold)),
         finish=item(),
     )
@@ -134,7 +137,7 @@ def score_metrics(scope: Scope) -> Iterator[Metric]:
             direction="lower" if place == 0 else "higher",
             family="scores",
             brief=words.removeprefix("part of the Brier score that "),
-            definition=f"{words}, by isotonic regression of the outcome on p, equal p pooled (CORP)",
+            definition=f"{words}, by isotonic regression of o on p, equal p pooled (CORP); o, p: {event}",
             statistic=counts,
             finish=lambda mean, place=place: reliability_of_counts(mean).parts[place],  # type: ignore[misc]
         )

@@ -1,19 +1,22 @@
 """How do the numbers look? Reliability diagrams and the rest: ``ax`` in, ``ax`` out.
 
 Everything here draws what a report, a comparison or an array of poses holds, and computes nothing. Pictures that need
-a file go through the functions that begin with ``draw``, which never touch a display, and :func:`save`.
+a file go through the functions that begin with ``draw``, which never touch a display, and
+:func:`posecal.plot.style.save`.
 """
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from posecal.errors import PoseDataError, did_you_mean
 from posecal.plot.battery import deviation, draw_battery
 from posecal.plot.body import draw_poses, frames_of, poses, signed_areas, with_sign
 from posecal.plot.comparison import accuracy_and_calibration, draw_comparison
-from posecal.plot.curves import correct, errors_by_n, event, guide, reliability
+from posecal.plot.curves import correct, drawn_definition, errors_by_n, event, guide, reliability
 from posecal.plot.style import STYLE, check_suffix, figure_bytes, save
 from posecal.report import Report
 
@@ -61,7 +64,7 @@ def draw(report: Report, kind: str = "reliability", *, title: str | None = None)
     report : Report
         The numbers.
     kind : str
-        A key of :data:`KINDS`.
+        A key of :data:`KINDS`, or ``battery``.
     title : str, optional
         Above the picture.
 
@@ -77,6 +80,8 @@ def draw(report: Report, kind: str = "reliability", *, title: str | None = None)
     """
     if kind == "battery":
         return draw_battery(report)
+    if kind not in KINDS:
+        raise PoseDataError(f"picture: {kind!r} is not known. {did_you_mean(kind, [*KINDS, 'battery'])}")
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
@@ -114,20 +119,24 @@ def _caption(kind: str, report: Report) -> str:
     if kind == "errors":
         return f"{report.curve('errors_by_n')[0].definition}."
     if kind == "guide":
-        return f"{report.metrics['sparsification_area'].definition}: {report.value('sparsification_area'):.3f}."
+        return f"{report.definition('sparsification_area')}: {report.value('sparsification_area'):.3f}."
     if kind == "event":
-        return f"{report.metrics['brier'].definition}. Isotonic regression, equal p pooled."
+        return f"{report.definition('brier')}. Isotonic regression, equal p pooled."
     return f"Joints: {report.curve('pck_curve')[0].definition}. Poses: {report.curve('cps_curve')[0].definition}."
 
 
 def _reliability_caption(report: Report) -> str:
-    found = report.null("ece")
-    words = f"ECE {report.value('ece'):.4f}: {report.metrics['ece'].definition}."
+    definition = drawn_definition(report)
+    metric = report.metrics.get("ece" if definition == "exchangeable" else f"ece_{definition}")
+    words = f"{definition.capitalize()} definition."
+    if metric is not None:
+        words = f"{metric.label} {report.value(metric.name):.4f}: {metric.definition}."
     if "signed_area" in report.metrics:
         words += f" Signed area {with_sign(report.value('signed_area'), 4)}."
-    if found.p == found.p:  # a test was possible
-        words += (
-            f" Band: 95 % of calibrated samplers, by sign-flips of {found.sequences} sequences; their mean ECE "
-            f"{found.mean:.4f}, p = {found.p:.3f}."
-        )
-    return words
+    words += " Grey: each joint; dashed: a calibrated sampler."
+    if metric is None or definition != "exchangeable" or math.isnan((found := report.null(metric.name)).p):
+        return words
+    return (
+        f"{words} Band: 95 % of calibrated samplers, by sign-flips of {found.sequences} sequences; their mean ECE "
+        f"{found.mean:.4f}, p = {found.p:.3f}."
+    )

@@ -10,9 +10,9 @@ import numpy as np
 from posecal.block import FloatArray
 from posecal.errors import PoseDataError, did_you_mean, first_few
 from posecal.pairs import PosePairs
-from posecal.plot.style import FAINT, INK, OVER, OVER_TEXT, STYLE, UNDER, given
+from posecal.plot.style import FAINT, INK, OVER, STYLE, UNDER, given
 from posecal.report import Report
-from posecal.skeleton import Skeleton
+from posecal.skeleton import Skeleton, canonical_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,7 +46,7 @@ def signed_areas(report: Report, *, ax: Axes | None = None) -> Axes:
     report.value("signed_area")
     joints = report.totals.subject.joints
     skeleton = Skeleton(joints)
-    at = skeleton.rest_pose[:, [0, 2]] * [2.4, 1.0]  # from the front, and broad, so that the numbers have room
+    at = skeleton.rest_pose[:, [0, 2]] * [2.0, 1.0]  # from the front, and broad, so that the numbers have room
     for parent, child in skeleton.bones:
         ax.plot(*at[[parent, child]].T, color=FAINT, lw=3, solid_capstyle="round", zorder=1)
     values = {row.joint: row.value for row in report.rows if row.metric == "signed_area" and row.joint is not None}
@@ -61,7 +61,7 @@ def signed_areas(report: Report, *, ax: Axes | None = None) -> Axes:
         ax.annotate(
             with_sign(value, 3),
             (x, y),
-            xytext=(side * (3 + np.sqrt(area / np.pi)), -9 if joint == "Thorax" else 0),  # off the shoulder bone
+            xytext=(side * (3 + np.sqrt(area / np.pi)), 5 if x == 0 else 0),  # off the shoulder bone
             textcoords="offset points",
             ha="left" if side > 0 else "right",
             va="center",
@@ -73,8 +73,9 @@ def signed_areas(report: Report, *, ax: Axes | None = None) -> Axes:
     ax.axis("off")
     for side_name, place in (("right side", 0.08), ("left side", 0.92)):
         ax.text(place, 0.98, side_name, transform=ax.transAxes, ha="center", fontsize=7.5, color="#666666")
-    for word, y, colour in (("overconfident", 0.32, OVER_TEXT), ("underconfident", 0.26, UNDER)):
-        ax.text(0.5, y, word, transform=ax.transAxes, ha="center", color=colour)
+    for word, colour in (("overconfident", OVER), ("underconfident", UNDER)):
+        ax.scatter([], [], s=60, color=colour, edgecolor="white", lw=0.8, label=word)
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, 0.03), ncols=2, handletextpad=0.2, columnspacing=1.5)
     return ax
 
 
@@ -113,36 +114,61 @@ def poses(
     -------
     matplotlib Axes3D
         The axes, with the person upright: up is where the head is.
+
+    Raises
+    ------
+    PoseDataError
+        Where no bones are known between the joints, or no coordinate is finite.
     """
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection
+
+    skeleton = Skeleton(tuple(joints))
+    bones = list(skeleton.bones)
+    if not bones:
+        raise PoseDataError(
+            f"joints: no bones between {first_few(joints)}; expected names such as RKnee, RFoot (--joint-names)."
+        )
+    if cloud is not None and cloud not in joints:
+        raise PoseDataError(f"joint: {cloud!r} is not among the joints. {did_you_mean(cloud, joints)}")
+    turn = _upright(truth, skeleton)
+    chosen = np.linspace(0, len(hypotheses) - 1, min(most, len(hypotheses))).astype(int)
+    shown, true = (np.where(np.isfinite(points), points, np.nan) @ turn for points in (hypotheses[chosen], truth))
+    if not (np.isfinite(true).any() and np.isfinite(shown).any()):
+        raise PoseDataError("pose: no joint with finite coordinates; expected some to draw.")
     if ax is None:
         from matplotlib import pyplot as plt
 
         ax = plt.figure().add_subplot(projection="3d")
-    skeleton = Skeleton(tuple(joints))
-    turn = _upright(truth, skeleton)
-    shown = hypotheses[np.linspace(0, len(hypotheses) - 1, min(most, len(hypotheses))).astype(int)] @ turn
-    true = truth @ turn
-    for pose in shown:
-        for bone in skeleton.bones:
-            ax.plot(*pose[list(bone)].T, color="#8C8C8C", lw=0.4, alpha=0.35, zorder=1)
+    ax.computed_zorder = False
+    grey = Line3DCollection(shown[:, bones].reshape(-1, 2, 3), colors="#8C8C8C", lw=0.4, alpha=0.35, zorder=1)
+    grey.set_gid("hypotheses")
+    ax.add_collection3d(grey)
     if cloud is not None:
         points = shown[:, list(joints).index(cloud)]
-        ax.scatter(*points.T, s=4, color=OVER, alpha=0.8, lw=0, zorder=3, depthshade=False)
-    for bone in skeleton.bones:
-        ax.plot(*true[list(bone)].T, color=UNDER, lw=1.8, solid_capstyle="round", zorder=4)
-    centre = (true.max(axis=0) + true.min(axis=0)) / 2
-    reach = 0.56 * (true.max(axis=0) - true.min(axis=0)).max()
-    ax.set(xlim=centre[0] + reach * np.array([-1, 1]), ylim=centre[1] + reach * np.array([-1, 1]))
-    ax.set_zlim(centre[2] - reach, centre[2] + reach)
-    ax.set_box_aspect((1, 1, 1), zoom=1.6)
+        ax.scatter(*points.T, s=4, color=OVER, alpha=0.8, lw=0, zorder=3, depthshade=False, gid=f"cloud {cloud}")
+    for bone in bones:
+        ends = " ".join(joints[end] for end in bone)
+        ax.plot(*true[list(bone)].T, color=UNDER, lw=1.8, solid_capstyle="round", zorder=4, gid=f"truth {ends}")
+    _frame(ax, np.concatenate([true[None], shown]))
+    return ax
+
+
+def _frame(ax: Axes3D, points: FloatArray) -> None:
+    """Look at some poses from the side, as large as they fit; a few far ones may stick out."""
+    low, high = np.nanquantile(points.reshape(-1, 3), [0.01, 0.99], axis=0)
+    middle, reach = (low + high) / 2, np.maximum(0.55 * (high - low), 1.0)
+    reach[:2] = reach[:2].max()
+    ax.set(xlim=middle[0] + reach[0] * np.array([-1, 1]), ylim=middle[1] + reach[1] * np.array([-1, 1]))
+    ax.set_zlim(middle[2] - reach[2], middle[2] + reach[2])
+    ax.set_box_aspect(tuple(reach), zoom=0.85 * float(np.linalg.norm(reach) / reach.max()))
     ax.view_init(elev=8, azim=-62)
     ax.set_axis_off()
-    return ax
 
 
 def _upright(truth: FloatArray, skeleton: Skeleton) -> FloatArray:
     """A rotation of the axes, (3, 3), that puts the axis from the feet to the head upwards."""
-    at = {name: place for place, name in enumerate(skeleton.joints)}
+    seen = np.asarray(np.isfinite(truth).all(axis=1))
+    at = {name: place for place, name in enumerate(skeleton.joints) if seen[place]}
     top = next((at[name] for name in ("Head", "Neck/Nose", "Thorax") if name in at), None)
     low = [at[name] for name in ("LFoot", "RFoot", "LKnee", "RKnee", "Hip") if name in at][:2]
     if top is None or not low:
@@ -208,26 +234,30 @@ def draw_poses(
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    if cloud is not None and cloud not in pairs.joints:
-        raise PoseDataError(f"joint: {cloud!r} is not among the joints. {did_you_mean(cloud, pairs.joints)}")
+    cloud = None if cloud is None else canonical_name(cloud)
     across = min(columns, len(frames))
     down = -(-len(frames) // across)
+    wide, tall, side, below = 1.7, 2.25, 2.2, 0.25  # of a picture, of its square axes and of the words, inches
+    width, height = wide * across, tall * down + below
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(1.9 * across, 2.7 * down + 0.25))
+        figure = Figure(figsize=(width, height))
         for place, frame in enumerate(frames):
-            ax = figure.add_subplot(down, across, place + 1, projection="3d")
-            poses(
-                pairs.hypotheses.read(frame, frame + 1)[:, 0],
-                pairs.truth[frame],
-                pairs.joints,
-                cloud=cloud,
-                most=most,
-                ax=cast("Axes3D", ax),
+            row, column = divmod(place, across)
+            left, bottom = wide * (column + 0.5) - side / 2, height - tall * (row + 1)
+            corner = (left / width, bottom / height, side / width, side / height)
+            ax = cast("Axes3D", figure.add_axes(corner, projection="3d"))
+            ax.patch.set_visible(False)
+            hypotheses, truth = pairs.hypotheses.read(frame, frame + 1)[:, 0], pairs.truth[frame]
+            poses(hypotheses, truth, pairs.joints, cloud=cloud, most=most, ax=ax)
+            figure.text(
+                wide * (column + 0.5) / width,
+                (bottom + tall - 0.03) / height,
+                str(pairs.frame_id[frame]),
+                ha="center",
+                va="top",
+                fontsize=7,
             )
-            ax.set_title(str(pairs.frame_id[frame]), fontsize=7, y=1.0)
-        edge = 0.25 / figure.get_figheight()
-        figure.subplots_adjust(left=0, right=1, top=0.96, bottom=edge, wspace=0, hspace=0.08)
         words = f"blue: truth · grey: {min(most, pairs.shape[0])} of {pairs.shape[0]} hypotheses"
         words += f" · pink: {cloud}" if cloud else ""
-        figure.text(0.02, 0.3 * edge, words, fontsize=6.5, color="#444444")
+        figure.text(0.12 / width, 0.3 * below / height, words, fontsize=6.5, color="#444444")
     return figure

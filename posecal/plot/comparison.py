@@ -45,8 +45,8 @@ def accuracy_and_calibration(comparison: Comparison, *, ax: Axes | None = None) 
     limit = comparison.feasible()
     if not math.isnan(limit):
         ax.axvspan(0, limit, color=GREEN, alpha=0.12, lw=0, gid="feasible")
-        words, at = "calibrated,\nbut for chance", ax.get_xaxis_transform()
-        ax.text(limit / 2, 0.99, words, transform=at, ha="center", va="top", fontsize=7, color=GREEN)
+        words, at = " ◂ calibrated, but for chance", ax.get_xaxis_transform()
+        ax.text(limit, 0.01, words, transform=at, ha="left", va="bottom", fontsize=7, color=GREEN)
     markers = "osD^vP*X"
     for place, name in enumerate(comparison.names):
         x, y = comparison.value("ece", name), comparison.value("min_mpjpe", name)

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from posecal.calibration import Definition
+from posecal.calibration import DEFINITIONS, Definition
+from posecal.errors import PoseDataError
 from posecal.metrics.best_of import ROUND_SIZES
 from posecal.metrics.guide import DROPPED
 from posecal.plot.style import FAINT, INK, ORANGE, OVER, OVER_TEXT, UNDER, given
@@ -15,13 +16,13 @@ from posecal.report import Report
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["correct", "errors_by_n", "event", "guide", "reliability"]
+__all__ = ["correct", "drawn_definition", "errors_by_n", "event", "guide", "reliability"]
 
 
 def reliability(
     report: Report,
     *,
-    definition: Definition = "exchangeable",
+    definition: Definition | None = None,
     group: str | None = None,
     ax: Axes | None = None,
 ) -> Axes:
@@ -31,8 +32,8 @@ def reliability(
     ----------
     report : Report
         Holds the curves.
-    definition : str
-        One of :data:`posecal.calibration.DEFINITIONS`.
+    definition : str, optional
+        One of :data:`posecal.calibration.ranks.DEFINITIONS`; by default the first of them that the report holds.
     group : str, optional
         ``label=value``; all poses by default.
     ax : matplotlib Axes, optional
@@ -49,9 +50,9 @@ def reliability(
     PoseDataError
         Where the report has no such curve.
     """
+    definition = definition or drawn_definition(report)
+    curve, middle = report.calibration(definition, group), report.summary_curve(definition, group)
     ax = given(ax)
-    curve = report.calibration(definition, group)
-    middle = report.summary_curve(definition, group)
     ax.fill_between([0, 1], [0, 1], 1, color=UNDER, alpha=0.07, lw=0, zorder=0)
     ax.fill_between([0, 1], 0, [0, 1], color=OVER, alpha=0.11, lw=0, zorder=0)
     ax.text(0.04, 0.93, "underconfident", color=UNDER, va="top")
@@ -77,6 +78,22 @@ def reliability(
     ax.set_xlabel("share of hypotheses within the ball, q")
     ax.set_ylabel("share of truths within it, ω(q)")
     return ax
+
+
+def drawn_definition(report: Report) -> Definition:
+    """Choose the definition of a reliability diagram: exchangeable, or another that the report holds curves of.
+
+    Raises
+    ------
+    PoseDataError
+        Where it holds none.
+    """
+    if report.totals.subject.n_hypotheses < 2:
+        raise PoseDataError("reliability: calibration needs at least 2 hypotheses; there is 1.")
+    held = [definition for definition in DEFINITIONS if f"inside_{definition}" in report.totals.sums]
+    if not held:
+        raise PoseDataError("reliability: the report has no calibration curves. Evaluate the metrics ece, or default.")
+    return held[0]
 
 
 def errors_by_n(report: Report, *, ax: Axes | None = None) -> Axes:

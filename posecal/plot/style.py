@@ -53,6 +53,7 @@ STYLE: dict[Any, Any] = {
     "ytick.color": INK,
     "text.color": INK,
     "legend.frameon": False,
+    "text.parse_math": False,
     "figure.dpi": 110,
     "savefig.dpi": 200,
     "svg.fonttype": "none",

@@ -48,7 +48,7 @@ def _whole(report: Report) -> Iterator[str]:
     if math.isnan(error):
         return
     coverage = report.value("coverage_90") if "coverage_90" in report.metrics else math.nan
-    share = "" if math.isnan(coverage) else f"; the 90 % balls hold {coverage:.0%} of the truths"
+    share = "" if math.isnan(coverage) else f"; the 90\u00a0% balls hold {100 * coverage:.0f}\u00a0% of the truths"
     found = report.null("ece")
     if math.isnan(found.p):
         yield f"Looks {_side(area)} (signed area {area:+.3f}{share}); whether by chance can't be tested here."
@@ -91,10 +91,11 @@ def _several(joints: list[str], most: int = 6) -> str:
 def _battery(report: Report) -> Iterator[str]:
     tests = report.battery()
     fired = [name for name, (_, p) in tests.items() if p < LEVEL]
-    if fired:
-        missed = " that the ECE does not see" if not report.null("ece").p < LEVEL else ""
+    labels = ", ".join(report.metrics[name].label for name in fired)
+    if fired and report.null("ece").p < LEVEL:
+        yield f"The battery fires as well: {labels}. Mend the spread first, and look again."
+    elif fired:
         meanings = dict.fromkeys(report.metrics[name].fires for name in fired)
-        labels = ", ".join(report.metrics[name].label for name in fired)
-        yield f"The battery fires{missed} ({labels}): {'; '.join(meanings)}."
+        yield f"What the ECE does not see, the battery does ({labels}): {'; '.join(meanings)}."
     elif tests and not any(math.isnan(p) for _, p in tests.values()):
         yield "The battery finds nothing more. A model that ignores the image would pass it too: look at a score."
