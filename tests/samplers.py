@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -68,8 +69,6 @@ def pairs_of(
     hypotheses = Poses("hypotheses", MemoryArray(x), axes="NMKD", unit="mm", joints=names)
     pairs = join(hypotheses, truth, Join(root_joint=root_joint))
     if where is not None:
-        from dataclasses import replace
-
         pairs = replace(pairs, where=where)
     return pairs
 

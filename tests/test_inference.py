@@ -7,13 +7,12 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
 from posecal.calibration import LEVELS
 from posecal.inference import (
-    DRAWS,
     FEWEST,
     Deviation,
     Interval,
@@ -27,7 +26,6 @@ from posecal.inference import (
 from tests.benchmarks.level import BAND, Design, rejection_rates
 
 Array = np.ndarray
-drawn = settings(derandomize=True, deadline=None, max_examples=25, database=None)
 Q = LEVELS.size
 
 
@@ -43,7 +41,6 @@ def left_out(sums: Array, sizes: Array) -> Array:
     return np.array(found)
 
 
-@drawn
 @given(means=st.lists(st.floats(-50, 50), min_size=2, max_size=12), frames=st.integers(1, 9))
 def test_a_mean_over_equal_sequences_has_the_t_interval_of_their_means(means: list[float], frames: int) -> None:
     sums, sizes = frames * np.array(means), np.full(len(means), frames)
@@ -134,11 +131,15 @@ def some(seed: int, S: int = 7, J: int = 3) -> tuple[Array, Array]:
 @pytest.mark.parametrize("offset", [None, 0.02 * np.sin(np.arange(Q))], ids=["unbiased", "biased definition"])
 def test_few_sequences_are_flipped_in_every_way(over: str, offset: Array | None) -> None:
     D, counts = some(3)
-    every = [flipped(D, counts, signs, 0 if offset is None else offset) for signs in itertools.product((1, -1), repeat=7)]
+    every = [
+        flipped(D, counts, signs, 0 if offset is None else offset) for signs in itertools.product((1, -1), repeat=7)
+    ]
     if offset is None:
         reference = every
     else:  # a pattern and its opposite differ where the definition is biased; posecal takes those with the last sign +
-        reference = [mean for mean, signs in zip(every, itertools.product((1, -1), repeat=7), strict=True) if signs[-1] > 0]
+        reference = [
+            mean for mean, signs in zip(every, itertools.product((1, -1), repeat=7), strict=True) if signs[-1] > 0
+        ]
     errors = np.array([statistic(mean, over) for mean in reference])
     observed = statistic(every[0], over)
     found = sign_flips(D, counts, Deviation(over=over), offset=offset)  # type: ignore[arg-type]
@@ -154,15 +155,18 @@ def test_few_sequences_are_flipped_in_every_way(over: str, offset: Array | None)
 
 @pytest.mark.parametrize("over", ["median", "mean", "worst"])
 def test_many_sequences_are_flipped_at_random_as_if_in_every_way(over: str) -> None:
-    D, counts = some(4, S=13, J=2)
-    assert 2**12 > DRAWS  # so posecal draws
-    errors = [statistic(flipped(D, counts, signs), over) for signs in itertools.product((1, -1), repeat=12)
-              for signs in [(*signs, 1)]]
-    p = float((np.array(errors) >= statistic(flipped(D, counts, (1,) * 13), over)).mean())
-    found = sign_flips(D, counts, Deviation(over=over))  # type: ignore[arg-type]
+    D, counts, draws = *some(4, S=11, J=2), 500
+    assert draws < 2**10  # so posecal does not try all of them
+    errors = [
+        statistic(flipped(D, counts, signs), over)
+        for signs in itertools.product((1, -1), repeat=10)
+        for signs in [(*signs, 1)]
+    ]
+    p = float((np.array(errors) >= statistic(flipped(D, counts, (1,) * 11), over)).mean())
+    found = sign_flips(D, counts, Deviation(over=over), draws=draws)  # type: ignore[arg-type]
     assert 0.01 < p < 0.9
-    assert abs(found.p - p) < 4 * math.sqrt(p * (1 - p) / DRAWS) + 1 / DRAWS
-    assert abs(found.mean - np.mean(errors)) < 4 * np.std(errors) / math.sqrt(DRAWS)
+    assert abs(found.p - p) < 4 * math.sqrt(p * (1 - p) / draws) + 1 / draws
+    assert abs(found.mean - np.mean(errors)) < 4 * np.std(errors) / math.sqrt(draws)
 
 
 def test_a_slice_of_the_curves_is_judged_by_itself() -> None:
@@ -223,11 +227,12 @@ def test_nothing_that_counts_gives_no_number() -> None:
 
 @pytest.fixture(scope="module")
 def rates() -> dict[str, int]:
-    return rejection_rates(Design(20, 100), 200).rejected
+    return rejection_rates(Design(20, 100), 200, draws=500).rejected
 
 
 @pytest.mark.parametrize(
-    "name", ["sign-flips, ECE (median over joints)", "sign-flips, mean of the joints' ECEs", "sign-flips, worst joint", BAND]
+    "name",
+    ["sign-flips, ECE (median over joints)", "sign-flips, mean of the joints' ECEs", "sign-flips, worst joint", BAND],
 )
 def test_a_perfect_sampler_on_correlated_frames_is_rejected_3_to_7_percent_of_the_time(
     rates: dict[str, int], name: str
@@ -244,7 +249,7 @@ def test_tests_that_believe_in_independent_frames_reject_it_80_percent_of_the_ti
 
 
 def test_those_tests_keep_their_level_where_frames_are_independent() -> None:
-    found = rejection_rates(Design(20, 20, frame_correlation=0.0, joint_correlation=0.0), 200).rejected
+    found = rejection_rates(Design(20, 20, frame_correlation=0.0, joint_correlation=0.0), 200, draws=20).rejected
     low, high = stats.binom(200, 0.05).interval(0.999)
     for test in ("Kolmogorov–Smirnov", "simultaneous ECDF envelope", "χ², 20 bins"):
         assert low <= found[f"{test}, one joint"] <= high
@@ -252,7 +257,9 @@ def test_those_tests_keep_their_level_where_frames_are_independent() -> None:
 
 def test_a_spread_that_is_a_tenth_too_narrow_is_found_more_often_with_more_sequences() -> None:
     few, many = (
-        rejection_rates(Design(S, 20, spread=0.9), 60, independent=False).rejected["sign-flips, ECE (median over joints)"]
+        rejection_rates(Design(S, 20, spread=0.9), 60, independent=False, draws=500).rejected[
+            "sign-flips, ECE (median over joints)"
+        ]
         for S in (10, 60)
     )
     assert many > few
@@ -317,7 +324,6 @@ def test_one_sequence_or_none_that_counts_says_nothing_of_chance(number: object)
 # --- p-values ---------------------------------------------------------------------------------------------------------
 
 
-@drawn
 @given(differences=st.lists(st.floats(-9, 9).filter(lambda v: v == 0 or abs(v) > 1e-3), min_size=2, max_size=15))
 def test_a_paired_p_value_is_the_t_tests(differences: list[float]) -> None:
     if np.std(differences) < 1e-6:
@@ -336,7 +342,6 @@ def test_one_sequence_gives_no_paired_p_value() -> None:
     assert math.isnan(paired_p(jackknife(1.0, np.array([1.0]))))
 
 
-@drawn
 @given(p=st.lists(st.floats(0, 1), min_size=1, max_size=7))
 def test_holm_is_the_closed_test_of_bonferronis(p: list[float]) -> None:
     everyone = range(len(p))

@@ -221,7 +221,10 @@ def main() -> None:
     options.add_argument("--joint-correlation", type=float, default=0.3)
     options.add_argument("--spread", type=float, default=0.9, help="of the model whose rejection is wanted")
     asked = options.parse_args()
-    for title, spread in (("a perfect sampler is rejected", 1.0), (f"spread × {asked.spread:g} is found", asked.spread)):
+    for title, spread in (
+        ("a perfect sampler is rejected", 1.0),
+        (f"spread × {asked.spread:g} is found", asked.spread),
+    ):
         designs = tuple(
             Design(
                 d.sequences,
