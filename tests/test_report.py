@@ -191,7 +191,10 @@ def test_the_floors_say_n_and_that_they_are_of_a_perfect_sampler() -> None:
         (lambda r: r.null("mpjpe"), r"^mpjpe \(group None\) is no calibration error here\."),
         (lambda r: r.null("ece", "action=no"), r"^ece \(group action=no\) is no calibration error here\."),
         (lambda r: r.curve("curve"), r"^curve: 'curve' is not in the report; it holds .*pck_curve"),
-        (lambda r: r.calibration("paper", "action=no"), r"^calibration: the report has no paper curves of action=no\.$"),
+        (
+            lambda r: r.calibration("paper", "action=no"),
+            r"^calibration: the report has no paper curves of action=no\.$",
+        ),
         (lambda r: r.calibration("papers"), r"^definition: 'papers' is not known\. Did you mean paper\?$"),
         (lambda r: r.rank_curves("ece"), r"^ece is no test in the report\."),
         (lambda r: r.event_reliability(), r"^event: the report has no Brier score\. Evaluate with --scores\.$"),
