@@ -49,10 +49,10 @@ def as_html(report: Report, name: str) -> str:
 
 
 def _named_apart(svg: str, kind: str) -> str:
-    """Give the parts of a picture names that no other picture of the page has."""
-    return re.sub(
-        r'(\bid="|href="#|url\(#)([^")]+)', lambda found: f"{found[1]}{kind}-{found[2].replace(' ', '-')}", svg
-    )
+    """Leave names only to the parts that a picture refers to, and none that another picture of the page has."""
+    used = set(re.findall(r'(?:href="|url\()#([^")]+)', svg))
+    named = re.sub(r' id="([^"]*)"', lambda found: f' id="{kind}-{found[1]}"' if found[1] in used else "", svg)
+    return re.sub(r'(href="|url\()#', rf"\g<1>#{kind}-", named)
 
 
 def write_html(report: Report, path: str | os.PathLike[str], name: str) -> None:
