@@ -190,7 +190,7 @@ def test_the_floors_say_n_and_that_they_are_of_a_perfect_sampler() -> None:
         (lambda r: r.definition("ecee"), r"^ecee is not in the report\. Did you mean ece\?$"),
         (lambda r: r.null("mpjpe"), r"^mpjpe \(group None\) is no calibration error here\."),
         (lambda r: r.null("ece", "action=no"), r"^ece \(group action=no\) is no calibration error here\."),
-        (lambda r: r.curve("curve"), r"^curve: 'curve' is not in the report; it holds .*pck_curve"),
+        (lambda r: r.curve("pck_curv"), r"^curve: 'pck_curv' is not known\. Did you mean pck_curve\?$"),
         (
             lambda r: r.calibration("paper", "action=no"),
             r"^calibration: the report has no paper curves of action=no\.$",
