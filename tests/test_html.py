@@ -12,7 +12,7 @@ import posecal
 from posecal.demo import sample
 from posecal.errors import PoseFileError
 from posecal.html import as_html, write_html
-from posecal.sheets.report import report_sheet
+from posecal.sheets import report_sheet
 from tests.reports import report_of, unlabelled, world
 
 VOID = {"meta", "br", "link", "img", "input", "hr"}

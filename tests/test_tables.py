@@ -5,8 +5,7 @@ import re
 import pytest
 from rich.cells import cell_len
 
-from posecal.sheets.presets import presets_sheet
-from posecal.sheets.report import report_sheet
+from posecal.sheets import presets_sheet, report_sheet
 from posecal.tables import Sheet, Table
 from tests.reports import report_of
 
