@@ -1,7 +1,6 @@
 """The demonstration is a world where the truth is known: each sampler is what its name says, and posecal sees it."""
 
 import re
-from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
@@ -18,12 +17,12 @@ JOINTS = JOINT_SETS["h36m-17"]
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, str]]:
+def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """The demonstration as a user sees it: the folder, and all that it said."""
     folder = tmp_path_factory.mktemp("demo") / "made" / "anew"
     said: list[str] = []
     run_demo(folder, said.append)
-    yield folder, "\n".join(said)
+    return folder, "\n".join(said)
 
 
 # --- the world ------------------------------------------------------------------------------------------------
@@ -60,7 +59,7 @@ def test_hidden_joints_are_uncertain_twice_as_much() -> None:
 
 @pytest.mark.parametrize("spread", SAMPLERS.values())
 def test_a_sampler_has_the_mean_and_the_spread_that_it_should(spread: float) -> None:
-    """Errors add up along the tree, so variances do; 4 standard errors of a mean and of a variance of N normal draws."""
+    """Errors add up along the tree, so variances do; some 4 standard errors of a mean and a variance of N draws."""
     world, n = make_world(3, 1), 4000
     variances = (spread * world.spread) ** 2
     for joint, parent in enumerate(Skeleton(JOINTS).parents):
@@ -116,9 +115,7 @@ def test_it_leaves_files_pages_pictures_and_results(run: tuple[Path, str]) -> No
 
 def test_posecal_sees_what_each_sampler_is(run: tuple[Path, str]) -> None:
     folder, said = run
-    area = {
-        name: posecal.Report(Totals.load(folder / f"{name}-result.npz")).value("signed_area") for name in SAMPLERS
-    }
+    area = {name: posecal.Report(Totals.load(folder / f"{name}-result.npz")).value("signed_area") for name in SAMPLERS}
     assert area["overconfident"] < -0.1 < area["calibrated"] < 0.1 < area["underconfident"]
     assert re.search(r"^calibrated: Not miscalibrated beyond chance", said, re.MULTILINE)
     assert re.search(r"^overconfident: Overconfident, beyond chance", said, re.MULTILINE)
