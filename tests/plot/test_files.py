@@ -82,6 +82,26 @@ def test_an_unknown_picture_is_refused_with_the_nearest() -> None:
         draw(report_of(), "reliabilty")
 
 
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        (
+            "reliability",
+            r"^reliability: the report has no calibration curves\. Evaluate the metrics ece, or default\.$",
+        ),
+        ("joints", r"^signed_area is not in the report\. "),
+        ("errors", r"^curve: the report has no errors_by_n; it is among the default metrics\.$"),
+        ("correct", r"^curve: the report has no pck_curve; it is among the default metrics\.$"),
+        ("guide", r"^sparsification: the report kept no spreads and errors; they are among the default metrics\.$"),
+        ("event", r"^event: the report has no Brier score\. Evaluate with --scores\.$"),
+        ("battery", r"^battery: the report has none\. Evaluate with --battery\.$"),
+    ],
+)
+def test_what_a_picture_lacks_is_said_with_what_to_ask_for(kind: str, words: str) -> None:
+    with pytest.raises(PoseDataError, match=words):
+        draw(report_of(metrics="min_mpjpe"), kind)
+
+
 def test_a_report_of_unnamed_joints_is_drawn_all_the_same() -> None:
     assert figure_bytes(draw(unlabelled(), "reliability"), ".svg").startswith(STARTS[".svg"])
 
