@@ -1,175 +1,70 @@
-"""How is one coordinate of every joint moved, given the other two? One block of the flow.
+"""How is one coordinate of every joint moved, given the other two? What the blocks of the flow learn.
 
-A block is an ActNorm and an affine coupling whose shift and scale come from two message-passing layers.
+A block is an ActNorm and an affine coupling whose shift and scale come from two message-passing layers. For given
+keypoints everything is multiplied out that does not depend on the pose, in an arithmetic order that gives the same
+numbers with fewer operations:
 
-The two layers are evaluated in an arithmetic order that gives the same numbers with fewer operations:
-the first layer's linear update and the second layer's maps are one matrix, because nothing stands between them; and the
-second layer's update, linear too, is applied before the sum over the bones, which then has 2 features instead of H.
+- the ActNorms are absorbed into the maps that read the coordinates;
+- the first layer's update and the second layer's maps are one matrix, because nothing stands between them;
+- the second layer's update is linear, so it is applied before the sum over the bones, which then has 2 features, not H.
 """
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
 from posecal_models.cgnf.message_passing import Evidence, MessagePassing
 from posecal_models.graph import PoseGraph
 
-__all__ = ["Block", "ReadyBlock", "Scale"]
-
-Scale = Literal["sigmoid", "exp"]
+__all__ = ["Couplings", "FoldedCouplings"]
 
 
-class ReadyBlock(NamedTuple):
-    """A block with its weights multiplied out and the messages of the context computed.
+class FoldedCouplings(NamedTuple):
+    """The blocks of a flow with their weights multiplied out; see :class:`posecal_models.cgnf.passes.BlockTensors`.
 
     Attributes
     ----------
-    first : Tensor
-        Maps of the first layer with their biases as last row, (maps, d + 1, H).
-    second, second_bias : Tensor
-        First update and second maps in one, (H, maps * H) and (maps * H,).
-    pool : Tensor
-        The second update, (2, H).
-    relations : Tensor
-        What each kind of message adds up to along the bones, (maps, K, K).
-    evidence, offset : Tensor
-        What context and root add after the first layer, (K, P, 1, H), and after the second, (K, P, 1, 2).
-    actnorm_log_scale, actnorm_shift : Tensor
-        The ActNorm, (D,) each.
-    moved : int
-        The coordinate that this block moves.
-    kept : tuple of int
-        The d = D - 1 coordinates that it reads.
-    scale : str
-        How the unconstrained scale becomes a positive one.
+    first, second, second_bias, pool : Tensor
+        (L, maps, D + 1, H), (L, H, maps * H), (L, maps * H) and (L, 2 * maps, maps * H).
+    behind_scale, behind_shift : Tensor
+        (L + 1, D) each: the ActNorms that a coordinate has yet to pass in each block, and after all blocks.
+    log_determinant : Tensor
+        Log of the volume change of all ActNorms at one node, nats; a scalar.
     """
 
     first: Tensor
     second: Tensor
     second_bias: Tensor
     pool: Tensor
-    relations: Tensor
-    evidence: Tensor
-    offset: Tensor
-    actnorm_log_scale: Tensor
-    actnorm_shift: Tensor
-    moved: int
-    kept: tuple[int, ...]
-    scale: Scale
-
-    def of_poses(self, poses: slice) -> ReadyBlock:
-        """Take the messages of some of the poses."""
-        if self.evidence.shape[1] == 1:
-            return self
-        return self._replace(evidence=self.evidence[:, poses], offset=self.offset[:, poses])
-
-    def shift_and_log_scale(self, coordinates: list[Tensor]) -> tuple[Tensor, Tensor]:
-        """Evaluate both message-passing layers on the kept coordinates.
-
-        Parameters
-        ----------
-        coordinates : list of Tensor
-            D tensors (K, P, n), unitless, after the ActNorm; the moved one is not read.
-
-        Returns
-        -------
-        shift, log_scale : Tensor
-            (K, P, n) each, unitless.
-        """
-        kept = [coordinates[i] for i in self.kept]
-        grid = kept[0].shape
-        nodes, hidden = grid[0], self.pool.shape[1]
-        read = torch.stack([*kept, torch.ones_like(kept[0])], dim=-1).flatten(0, -2)
-        own, *along_bones = (torch.relu_(read @ weight) for weight in self.first)
-        message = own.reshape(nodes, -1)
-        for relation, heard in zip(self.relations[1:], along_bones, strict=True):
-            message = torch.addmm(message, relation, heard.reshape(nodes, -1))
-        message = message.reshape(*grid, hidden)
-        message = message.add_(self.evidence) if len(along_bones) else message + self.evidence
-
-        maps = len(self.relations)
-        spoken = torch.relu_(torch.addmm(self.second_bias, message.reshape(-1, hidden), self.second))
-        pooled = self.pool @ spoken.reshape(-1, hidden).T
-        pooled = pooled.reshape(2, nodes, -1, maps).permute(0, 2, 3, 1).reshape(2, -1, maps * nodes)
-        gathered = pooled @ self.relations.transpose(1, 2).reshape(maps * nodes, nodes)
-        shift, unconstrained = gathered.transpose(1, 2).reshape(2, *grid) + self.offset.movedim(-1, 0)
-        if self.scale == "exp":
-            return shift, unconstrained
-        return shift, torch.log(torch.sigmoid(unconstrained + 2) + 1e-3)
-
-    def forward(self, coordinates: list[Tensor]) -> tuple[list[Tensor], Tensor]:
-        """Move towards the latent, and say by how much volume shrinks.
-
-        Parameters
-        ----------
-        coordinates : list of Tensor
-            D tensors (K, P, n), unitless.
-
-        Returns
-        -------
-        coordinates : list of Tensor
-            The same shapes.
-        log_determinant : Tensor
-            (K, P, n), nats per node.
-        """
-        moved = [
-            scale * x + shift
-            for x, scale, shift in zip(coordinates, self.actnorm_log_scale.exp(), self.actnorm_shift, strict=True)
-        ]
-        shift, log_scale = self.shift_and_log_scale(moved)
-        moved[self.moved] = moved[self.moved] * log_scale.exp() + shift
-        return moved, log_scale + self.actnorm_log_scale.sum()
-
-    def inverse(self, coordinates: list[Tensor]) -> list[Tensor]:
-        """Move from the latent towards the pose.
-
-        Parameters
-        ----------
-        coordinates : list of Tensor
-            D tensors (K, P, n), unitless.
-
-        Returns
-        -------
-        list of Tensor
-            The same shapes.
-        """
-        shift, log_scale = self.shift_and_log_scale(coordinates)
-        moved = list(coordinates)
-        moved[self.moved] = (moved[self.moved] - shift) * torch.exp(-log_scale)
-        return [
-            (y - shift) * scale
-            for y, scale, shift in zip(moved, (-self.actnorm_log_scale).exp(), self.actnorm_shift, strict=True)
-        ]
+    behind_scale: Tensor
+    behind_shift: Tensor
+    log_determinant: Tensor
 
 
-class Block(nn.Module):
-    """One block of the flow: an ActNorm shared by all nodes, then the affine coupling of one coordinate.
+class Couplings(nn.Module):
+    r"""The L blocks of a flow: an ActNorm shared by all nodes, then the affine coupling of one coordinate.
 
-    .. math:: y = e^{a} \\odot x + b, \\qquad z_i = y_i \\, s(y_{\\neq i}, c) + t(y_{\\neq i}, c)
+    .. math:: y = e^{a} \odot x + b, \qquad z_i = y_i \, s(y_{\neq i}, c) + t(y_{\neq i}, c), \qquad i = l \bmod D
 
     Parameters
     ----------
     graph : PoseGraph
         The bones between the K nodes.
+    blocks : int
+        L.
     dimensions : int
         D, the coordinates of a node.
-    moved : int
-        i, the coordinate that is moved.
     hidden, context : int
         Features of a message and of an embedded keypoint.
     backward_weights : bool
         Whether messages from child to parent have their own map.
-    scale : str
-        ``exp``: s = exp(u). ``sigmoid``: s = sigmoid(u + 2) + 0.001, never above 1.001.
 
     Notes
     -----
-    Differs from the published code: none with ``scale="sigmoid"`` and ``backward_weights=False``; the paper's text
-    has ``exp`` and its own map for each direction.
+    Differs from the published code: none with ``backward_weights=False``; the paper's text has a map for each direction.
 
     References
     ----------
@@ -181,22 +76,19 @@ class Block(nn.Module):
         self,
         graph: PoseGraph,
         *,
+        blocks: int,
         dimensions: int,
-        moved: int,
         hidden: int,
         context: int,
         backward_weights: bool,
-        scale: Scale,
     ) -> None:
         super().__init__()
-        self.moved = moved
-        self.kept = tuple(i for i in range(dimensions) if i != moved)
-        self.scale: Scale = scale
-        self.actnorm_log_scale = nn.Parameter(torch.zeros(dimensions))
-        self.actnorm_shift = nn.Parameter(torch.zeros(dimensions))
+        self.actnorm_log_scale = nn.Parameter(torch.zeros(blocks, dimensions))
+        self.actnorm_shift = nn.Parameter(torch.zeros(blocks, dimensions))
         self.first = MessagePassing(
             graph,
-            len(self.kept),
+            blocks,
+            dimensions - 1,
             hidden,
             hidden,
             context=context,
@@ -206,6 +98,7 @@ class Block(nn.Module):
         )
         self.second = MessagePassing(
             graph,
+            blocks,
             hidden,
             hidden,
             2,
@@ -215,8 +108,47 @@ class Block(nn.Module):
             backward_weights=backward_weights,
         )
 
-    def ready(self, evidence: Evidence) -> ReadyBlock:
-        """Multiply the weights out and compute what context and root say, once for all samples.
+    def folded(self, blocks: int | None = None) -> FoldedCouplings:
+        """Multiply out the weights that poses and keypoints have nothing to do with.
+
+        Parameters
+        ----------
+        blocks : int, optional
+            Only the first blocks; all of them where not given.
+
+        Returns
+        -------
+        FoldedCouplings
+            The blocks, less what the keypoints say.
+        """
+        log_scale, shift = self.actnorm_log_scale[:blocks], self.actnorm_shift[:blocks]
+        behind_scale, behind_shift = _behind(log_scale, shift)
+        count, dimensions = log_scale.shape
+        every = torch.arange(dimensions, device=shift.device)
+        moved = torch.arange(count, device=shift.device) % dimensions
+        kept = torch.stack([every[every != i] for i in range(dimensions)])[moved]
+
+        weights, biases = (stacked[:blocks] for stacked in self.first.weights_and_biases())
+        read = weights * behind_scale[:-1].gather(1, kept)[:, None, None]
+        biases = biases + (weights @ behind_shift[:-1].gather(1, kept)[:, None, :, None]).squeeze(-1)
+        first = weights.new_zeros(*biases.shape, dimensions).scatter(3, kept[:, None, None].expand_as(read), read)
+
+        update_weight, update_bias = self.first.pool.weight[:blocks], self.first.pool.bias[:blocks]
+        weights, second_biases = (stacked[:blocks] for stacked in self.second.weights_and_biases())
+        own_map = torch.eye(weights.shape[1], dtype=weights.dtype, device=weights.device)
+        pool = self.second.pool.weight[:blocks, :, None, None] * own_map[:, :, None]
+        return FoldedCouplings(
+            first=torch.cat([first, biases[..., None]], dim=-1).mT.contiguous(),
+            second=(weights.flatten(1, 2) @ update_weight).mT.contiguous(),
+            second_bias=(weights.flatten(1, 2) @ update_bias[..., None]).squeeze(-1) + second_biases.flatten(1),
+            pool=pool.flatten(3).flatten(1, 2),
+            behind_scale=behind_scale,
+            behind_shift=behind_shift,
+            log_determinant=log_scale.sum(),
+        )
+
+    def messages(self, evidence: Evidence) -> tuple[Tensor, Tensor]:
+        """Compute what context and root add after each layer.
 
         Parameters
         ----------
@@ -225,40 +157,33 @@ class Block(nn.Module):
 
         Returns
         -------
-        ReadyBlock
-            The block as a function of coordinates alone.
+        evidence, offset : Tensor
+            (L, K, P, 1, H) after the first layer and, pooled, (L, 2, K, P, 1) after the second.
         """
-        first, second = self.first, self.second
-        layers = [first.from_self, *first.bone_maps]
-        maps = [second.from_self, *second.bone_maps]
-        weights = torch.cat([layer.weight for layer in maps])
-        biases = torch.cat([layer.bias for layer in maps])
-        heard = second.evidence_messages(first.next_evidence(evidence))
-        return ReadyBlock(
-            first=torch.stack([torch.cat([layer.weight.T, layer.bias[None]]) for layer in layers]),
-            second=(weights @ first.pool.weight).T,
-            second_bias=weights @ first.pool.bias + biases,
-            pool=second.pool.weight,
-            relations=first.relations(),
-            evidence=first.evidence_messages(evidence),
-            offset=functional.linear(heard, second.pool.weight, second.pool.bias),
-            actnorm_log_scale=self.actnorm_log_scale,
-            actnorm_shift=self.actnorm_shift,
-            moved=self.moved,
-            kept=self.kept,
-            scale=self.scale,
-        )
+        from_context, from_root, carried = self.first.hear(evidence)
+        after_first = self.first.place(from_context, from_root, evidence.observed)
+        from_context, from_root, _ = self.second.hear(carried)
+        pool = self.second.pool.weight.mT
+        if from_context is not None:
+            from_context = from_context @ pool[:, None]
+        after_second = self.second.place(from_context, from_root @ pool, evidence.observed)
+        after_second = after_second + self.second.pool.bias[:, None, None]
+        return after_first.unsqueeze(3), after_second.movedim(-1, 1).unsqueeze(4)
 
-    @torch.no_grad()
-    def initialise_actnorm(self, coordinates: list[Tensor]) -> None:
-        """Set the ActNorm so that each coordinate of these poses has mean 0 and standard deviation 1 after it.
 
-        Parameters
-        ----------
-        coordinates : list of Tensor
-            D tensors (K, P, n), unitless: what reaches this block for the first batch.
-        """
-        for i, x in enumerate(coordinates):
-            spread, mean = torch.std_mean(x)
-            self.actnorm_log_scale[i] = -torch.log(spread)
-            self.actnorm_shift[i] = -mean / spread
+def _behind(log_scale: Tensor, shift: Tensor) -> tuple[Tensor, Tensor]:
+    """Give the ActNorms that each coordinate has yet to pass when it reaches a block, that block's own included.
+
+    Coordinates pass their ActNorms when a block moves them. Row l is for block l, the last row for after all blocks:
+    scale and shift, (L + 1, D) each, of (L, D) log scales and shifts.
+    """
+    blocks, dimensions = log_scale.shape
+    passed = torch.cat([log_scale, log_scale.new_zeros(1, dimensions)]).cumsum(0)
+    block = torch.arange(blocks + 1, device=shift.device)[:, None, None]
+    actnorm = torch.arange(blocks, device=shift.device)[:, None]
+    coordinate = torch.arange(dimensions, device=shift.device)
+    last_moved = block - 1 - (block - 1 - coordinate) % dimensions
+    waiting = (actnorm <= block) & (actnorm > last_moved)
+    log_scales = torch.where(waiting, log_scale, 0).sum(1)
+    since = torch.where(waiting, passed[:, None] - passed[:-1], 0).exp()
+    return log_scales.exp(), torch.where(waiting, since * shift, 0).sum(1)

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 
-from posecal_models.cgnf.coupling import Block, ReadyBlock, Scale
+from posecal_models.cgnf.coupling import Couplings, FoldedCouplings
 from posecal_models.cgnf.embedding import ContextEmbedding
 from posecal_models.cgnf.message_passing import Evidence
+from posecal_models.cgnf.passes import BlockTensors, Scale, latents_of, poses_of
 from posecal_models.graph import PoseGraph
 
 __all__ = ["SIZES", "FlowSize", "GraphFlow", "ReadyFlow"]
@@ -39,23 +40,28 @@ SIZES = {
 }
 """The paper's three sizes, and a tiny one for trying things out."""
 
-_ROWS_IN_CACHE = 512
 
+class ReadyFlow(NamedTuple):
+    """The flow for given keypoints: a map between poses and latents.
 
-class ReadyFlow:
-    """The flow for given keypoints: a map between poses and latents, with the messages of the context in place.
-
-    Parameters
+    Attributes
     ----------
-    blocks : list of ReadyBlock
-        The L blocks.
+    folded : FoldedCouplings
+        The L blocks with their weights multiplied out.
+    evidence, offset : Tensor
+        What context and root add after the first layer, (L, K, P or 1, 1, H), and after the second,
+        (L, 2, K, P or 1, 1).
+    relations : Tensor
+        What each kind of message adds up to along the bones, (K, maps * K).
+    scale : str
+        How an unconstrained scale becomes a positive one.
     """
 
-    def __init__(self, blocks: list[ReadyBlock]) -> None:
-        self._blocks = blocks
-
-    def _of_poses(self, poses: slice) -> ReadyFlow:
-        return ReadyFlow([block.of_poses(poses) for block in self._blocks])
+    folded: FoldedCouplings
+    evidence: Tensor
+    offset: Tensor
+    relations: Tensor
+    scale: Scale
 
     def forward(self, poses: Tensor) -> tuple[Tensor, Tensor]:
         """Give the latents of poses.
@@ -72,17 +78,9 @@ class ReadyFlow:
         log_determinant : Tensor
             (P, n, K): log of the volume change at each node, nats.
         """
-        if (chunks := _chunks(poses)) is not None:
-            latents, log_determinant = torch.empty_like(poses), poses.new_empty(poses.shape[:-1])
-            for chunk in chunks:
-                latents[chunk], log_determinant[chunk] = self._of_poses(chunk[0]).forward(poses[chunk])
-            return latents, log_determinant
-        coordinates = list(poses.permute(3, 2, 0, 1).contiguous())
-        log_determinant = torch.zeros_like(coordinates[0])
-        for block in self._blocks:
-            coordinates, change = block.forward(coordinates)
-            log_determinant = log_determinant + change
-        return torch.stack(coordinates, dim=-1).permute(1, 2, 0, 3), log_determinant.permute(1, 2, 0)
+        coordinates, log_stretch = latents_of(_coordinates(poses), self._blocks(), self.relations, self.scale)
+        latents = _poses(coordinates) * self.folded.behind_scale[-1] + self.folded.behind_shift[-1]
+        return latents, (log_stretch + self.folded.log_determinant).permute(1, 2, 0)
 
     def inverse(self, latents: Tensor) -> Tensor:
         """Give the poses of latents.
@@ -97,15 +95,8 @@ class ReadyFlow:
         Tensor
             (P, n, K, D), standardised poses, unitless.
         """
-        if (chunks := _chunks(latents)) is not None:
-            poses = torch.empty_like(latents)
-            for chunk in chunks:
-                poses[chunk] = self._of_poses(chunk[0]).inverse(latents[chunk])
-            return poses
-        coordinates = list(latents.permute(3, 2, 0, 1).contiguous())
-        for block in reversed(self._blocks):
-            coordinates = block.inverse(coordinates)
-        return torch.stack(coordinates, dim=-1).permute(1, 2, 0, 3)
+        latents = (latents - self.folded.behind_shift[-1]) / self.folded.behind_scale[-1]
+        return _poses(poses_of(_coordinates(latents), self._blocks(), self.relations, self.scale))
 
     def log_prob_per_node(self, poses: Tensor) -> Tensor:
         """Give each node's share of the log density; they sum to the log density of the pose.
@@ -125,20 +116,22 @@ class ReadyFlow:
         return log_determinant - 0.5 * (latents.square().sum(-1) + dimensions * math.log(2 * math.pi))
 
 
-def _chunks(poses: Tensor) -> list[tuple[slice, slice]] | None:
-    """Cut (P, n) into pieces whose activations stay in the processor's cache; None where cutting gains nothing."""
-    many, samples, nodes, _ = poses.shape
-    at_once = max(1, _ROWS_IN_CACHE // nodes)
-    if torch.is_grad_enabled() or poses.device.type != "cpu" or many * samples <= at_once:
-        return None
-    pieces = -(-samples // at_once)
-    samples_each = -(-samples // pieces)
-    poses_each = max(1, at_once // samples_each)
-    return [
-        (slice(p, p + poses_each), slice(n, n + samples_each))
-        for p in range(0, many, poses_each)
-        for n in range(0, samples, samples_each)
-    ]
+    def _blocks(self) -> list[BlockTensors]:
+        moved = torch.arange(len(self.evidence), device=self.evidence.device) % self.folded.behind_scale.shape[1]
+        both = (self.folded.behind_scale, self.folded.behind_shift)
+        behind = (behind[:-1].gather(1, moved[:, None]).squeeze(1) for behind in both)
+        tensors = (*self.folded[:4], self.evidence, self.offset, *behind)
+        return [BlockTensors(*block) for block in zip(*(tensor.unbind() for tensor in tensors), strict=True)]
+
+
+def _coordinates(poses: Tensor) -> Tensor:
+    """Turn (P, n, K, D) into (D + 1, K, P, n), the last row ones."""
+    return torch.cat([poses.permute(3, 2, 0, 1), torch.ones_like(poses[None, ..., 0]).movedim(-1, 1)])
+
+
+def _poses(coordinates: Tensor) -> Tensor:
+    """Turn (D + 1, K, P, n) into (P, n, K, D)."""
+    return coordinates[:-1].permute(2, 3, 1, 0)
 
 
 class GraphFlow(nn.Module):
@@ -157,7 +150,7 @@ class GraphFlow(nn.Module):
     backward_weights : bool
         Whether messages from child to parent have their own map.
     scale : str
-        ``exp`` or ``sigmoid``, as in :class:`posecal_models.cgnf.coupling.Block`.
+        ``exp``: s = exp(u). ``sigmoid``: s = sigmoid(u + 2) + 0.001, never above 1.001.
 
     Notes
     -----
@@ -181,23 +174,20 @@ class GraphFlow(nn.Module):
     ) -> None:
         super().__init__()
         self.dimensions = dimensions
+        self.scale: Scale = scale
         self.embedding = ContextEmbedding(
             nodes=len(graph.joints),
             features=keypoint_features,
             hidden=size.embedding,
             context=size.context,
         )
-        self.blocks = nn.ModuleList(
-            Block(
-                graph,
-                dimensions=dimensions,
-                moved=index % dimensions,
-                hidden=size.hidden,
-                context=size.context,
-                backward_weights=backward_weights,
-                scale=scale,
-            )
-            for index in range(size.blocks)
+        self.couplings = Couplings(
+            graph,
+            blocks=size.blocks,
+            dimensions=dimensions,
+            hidden=size.hidden,
+            context=size.context,
+            backward_weights=backward_weights,
         )
 
     def evidence(self, keypoints: Tensor, observed: Tensor, root: Tensor | None = None) -> Evidence:
@@ -215,39 +205,43 @@ class GraphFlow(nn.Module):
         Returns
         -------
         Evidence
-            The observed keypoints' features and the root's.
+            The keypoints' features and the root's.
         """
-        embedded = self.embedding(keypoints, observed).transpose(0, 1).flatten(0, 1)
-        rows = observed.T.flatten().nonzero().squeeze(1)
-        if root is None:
-            root = keypoints.new_zeros(1, self.dimensions)
-        return Evidence(embedded[rows], rows, root, len(keypoints))
+        context = self.embedding(keypoints, observed).transpose(0, 1)
+        root = keypoints.new_zeros(1, self.dimensions) if root is None else root
+        return Evidence(context[None], observed.T[..., None].to(keypoints.dtype), root[None])
 
     def no_evidence(self) -> Evidence:
         """Give what is known of a pose of which nothing was observed: that its root is the origin."""
-        weight = self.embedding.second_own.weight
-        nothing = weight.new_zeros(0, weight.shape[0])
-        rows = torch.zeros(0, dtype=torch.long, device=weight.device)
-        return Evidence(nothing, rows, weight.new_zeros(1, self.dimensions), 1)
+        return Evidence(None, None, self.embedding.adjacency.new_zeros(1, 1, self.dimensions))
 
-    def ready(self, evidence: Evidence) -> ReadyFlow:
+    def ready(
+        self, evidence: Evidence, *, folded: FoldedCouplings | None = None, blocks: int | None = None
+    ) -> ReadyFlow:
         """Compute everything that the samples of a pose share.
 
         Parameters
         ----------
         evidence : Evidence
             From :meth:`evidence` or :meth:`no_evidence`.
+        folded : FoldedCouplings, optional
+            The multiplied weights, where they are at hand.
+        blocks : int, optional
+            Only the first blocks; all of them where not given.
 
         Returns
         -------
         ReadyFlow
             The map between poses and latents.
         """
-        return ReadyFlow([block.ready(evidence) for block in self._blocks()])
+        folded = self.couplings.folded(blocks) if folded is None else folded
+        after_first, after_second = self.couplings.messages(evidence)
+        relations = self.couplings.first.relations
+        return ReadyFlow(folded, after_first[:blocks], after_second[:blocks], relations, self.scale)
 
     @torch.no_grad()
     def initialise_actnorm(self, poses: Tensor, evidence: Evidence) -> None:
-        """Set every ActNorm from a first batch, block after block.
+        """Set every ActNorm from a first batch, block after block, to give coordinates mean 0 and deviation 1.
 
         Parameters
         ----------
@@ -256,10 +250,8 @@ class GraphFlow(nn.Module):
         evidence : Evidence
             Their keypoints.
         """
-        coordinates = list(poses.permute(3, 2, 0, 1).contiguous())
-        for block in self._blocks():
-            block.initialise_actnorm(coordinates)
-            coordinates, _ = block.ready(evidence).forward(coordinates)
-
-    def _blocks(self) -> list[Block]:
-        return [block for block in self.blocks if isinstance(block, Block)]
+        for block in range(len(self.couplings.actnorm_shift)):
+            reaching, _ = self.ready(evidence, blocks=block).forward(poses)
+            spread, mean = torch.std_mean(reaching, dim=(0, 1, 2))
+            self.couplings.actnorm_log_scale[block] = -torch.log(spread)
+            self.couplings.actnorm_shift[block] = -mean / spread

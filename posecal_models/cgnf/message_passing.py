@@ -2,10 +2,14 @@
 
 Every message is ReLU(W h + b). What the context and the root say depends on the keypoints alone, never on the pose:
 it is computed once per pose here, and shared among all samples of the pose.
+
+The weights of all L blocks of a flow lie in one tensor, the block first, so that what is computed from weights alone is
+computed for all blocks at once.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import torch
@@ -13,7 +17,7 @@ from torch import Tensor, nn
 
 from posecal_models.graph import PoseGraph
 
-__all__ = ["Evidence", "MessagePassing"]
+__all__ = ["Evidence", "Linears", "MessagePassing"]
 
 
 class Evidence(NamedTuple):
@@ -21,20 +25,45 @@ class Evidence(NamedTuple):
 
     Attributes
     ----------
-    context : Tensor
-        Features of the observed keypoints only, (R, C): row i belongs to ``rows[i]``.
-    rows : Tensor
-        Where each observed keypoint stands in the (K, P) grid, flattened; (R,), integer.
+    context : Tensor or None
+        Features of the keypoints, (1 or L, K, P, C); None where nothing is observed.
+    observed : Tensor or None
+        1 for an observed keypoint and 0 for a missing one, (K, P, 1); None where nothing is observed.
     root : Tensor
-        Features of the root, (P, D) or (1, D) where all poses share them. The root of a root-relative pose is 0.
-    poses : int
-        P, the number of poses; 1 where nothing is observed and all poses share the same messages.
+        Features of the root, (1 or L, P, D), P = 1 where all poses share them. The root of a root-relative pose is 0.
     """
 
-    context: Tensor
-    rows: Tensor
+    context: Tensor | None
+    observed: Tensor | None
     root: Tensor
-    poses: int
+
+
+class Linears(nn.Module):
+    """L linear maps with biases, one for each block of a flow.
+
+    Parameters
+    ----------
+    blocks : int
+        L.
+    features, features_out : int
+        Features before and after.
+
+    Notes
+    -----
+    Drawn uniformly within 1/sqrt(features), as :class:`torch.nn.Linear` does.
+
+    Examples
+    --------
+    >>> maps = Linears(10, 2, 100)
+    >>> maps.weight.shape, maps.bias.shape
+    (torch.Size([10, 100, 2]), torch.Size([10, 100]))
+    """
+
+    def __init__(self, blocks: int, features: int, features_out: int) -> None:
+        super().__init__()
+        bound = 1 / math.sqrt(features)
+        self.weight = nn.Parameter(torch.empty(blocks, features_out, features).uniform_(-bound, bound))
+        self.bias = nn.Parameter(torch.empty(blocks, features_out).uniform_(-bound, bound))
 
 
 class MessagePassing(nn.Module):
@@ -49,6 +78,8 @@ class MessagePassing(nn.Module):
     ----------
     graph : PoseGraph
         The bones between the K nodes.
+    blocks : int
+        L.
     features, hidden, features_out : int
         Features of a node before, within and after the layer.
     context, root : int
@@ -71,15 +102,20 @@ class MessagePassing(nn.Module):
     --------
     >>> from posecal_models.graph import human36m_graph
     >>> layer = MessagePassing(
-    ...     human36m_graph(), 2, 8, 8, context=4, root=3, last=False, backward_weights=False
+    ...     human36m_graph(), 10, 2, 8, 8, context=4, root=3, last=False, backward_weights=False
     ... )
-    >>> layer.relations().shape  # two kinds of messages, from node (16) to node (16)
-    torch.Size([2, 16, 16])
+    >>> layer.relations.shape  # a node's own message and those of its neighbours, 2 * 16 columns
+    torch.Size([16, 32])
     """
+
+    relations: Tensor
+    """What each kind of message adds up to: (K, maps * K), a node's own message and those along the bones."""
+    next_to_root: Tensor
 
     def __init__(
         self,
         graph: PoseGraph,
+        blocks: int,
         features: int,
         hidden: int,
         features_out: int,
@@ -90,76 +126,85 @@ class MessagePassing(nn.Module):
         backward_weights: bool,
     ) -> None:
         super().__init__()
-        self.from_self = nn.Linear(features, hidden)
-        self.from_parent = nn.Linear(features, hidden)
-        self.from_child = nn.Linear(features, hidden) if backward_weights else None
-        self.from_context = nn.Linear(context, hidden)
-        self.from_root = nn.Linear(root, hidden)
-        self.next_context = None if last else nn.Linear(context, hidden)
-        self.next_root = None if last else nn.Linear(root, hidden)
-        self.pool = nn.Linear(hidden, features_out)
-        down = torch.from_numpy(graph.from_parent)
-        self.register_buffer("from_parent_matrix", down.to(torch.get_default_dtype()), persistent=False)
-        next_to_root = torch.zeros(len(graph.joints), dtype=torch.get_default_dtype())
+        self.from_self = Linears(blocks, features, hidden)
+        self.from_parent = Linears(blocks, features, hidden)
+        self.from_child = Linears(blocks, features, hidden) if backward_weights else None
+        self.from_context = Linears(blocks, context, hidden)
+        self.from_root = Linears(blocks, root, hidden)
+        self.next_context = None if last else Linears(blocks, context, hidden)
+        self.next_root = None if last else Linears(blocks, root, hidden)
+        self.pool = Linears(blocks, hidden, features_out)
+        down = torch.from_numpy(graph.from_parent).to(torch.get_default_dtype())
+        along = [down, down.T] if backward_weights else [down + down.T]
+        self.register_buffer("relations", torch.cat([torch.eye(len(down)), *along], dim=1), persistent=False)
+        next_to_root = torch.zeros(len(down))
         next_to_root[list(graph.next_to_root)] = 1
         self.register_buffer("next_to_root", next_to_root, persistent=False)
 
-    from_parent_matrix: Tensor
-    next_to_root: Tensor
-
-    @property
-    def bone_maps(self) -> list[nn.Linear]:
-        """The maps along the bones: one for both directions, or parent to child and child to parent."""
-        return [self.from_parent] if self.from_child is None else [self.from_parent, self.from_child]
-
-    def relations(self) -> Tensor:
-        """Give the matrices that carry the messages along the bones.
+    def weights_and_biases(self) -> tuple[Tensor, Tensor]:
+        """Stack the maps between nodes.
 
         Returns
         -------
-        Tensor
-            (1 + maps along bones, K, K): the identity, then one matrix for each of :attr:`bone_maps`.
+        weights, biases : Tensor
+            (L, maps, H, features) and (L, maps, H), in the order of :attr:`relations`.
         """
-        down = self.from_parent_matrix
-        own = torch.eye(len(down), dtype=down.dtype, device=down.device)
-        return torch.stack([own, down + down.T] if self.from_child is None else [own, down, down.T])
+        maps = [self.from_self, self.from_parent, *([] if self.from_child is None else [self.from_child])]
+        return torch.stack([m.weight for m in maps], dim=1), torch.stack([m.bias for m in maps], dim=1)
 
-    def evidence_messages(self, evidence: Evidence) -> Tensor:
-        """Sum the messages of the observed keypoints and of the root.
+    def hear(self, evidence: Evidence) -> tuple[Tensor | None, Tensor, Evidence]:
+        """Give what context and root say to this layer, and carry them on to the next.
 
         Parameters
         ----------
         evidence : Evidence
-            Observed keypoints and root.
+            Keypoints and root.
+
+        Returns
+        -------
+        from_context, from_root : Tensor
+            The messages of the keypoints (L, K, P, H), None where nothing is observed, and of the root (L, P or 1, H).
+        evidence : Evidence
+            For the next layer, H features each; unchanged where this is the last.
+        """
+        from_context, context = _said(self.from_context, self.next_context, evidence.context)
+        from_root, root = _said(self.from_root, self.next_root, evidence.root)
+        if from_root is None or root is None:
+            raise ValueError("evidence.root: None; expected the root's features.")
+        return from_context, from_root, Evidence(context, evidence.observed, root)
+
+    def place(self, from_context: Tensor | None, from_root: Tensor, observed: Tensor | None) -> Tensor:
+        """Bring the messages to the nodes that they are for, and add them up.
+
+        Parameters
+        ----------
+        from_context, from_root : Tensor
+            (L, K, P, features) and (L, P or 1, features), as of :meth:`hear` or linear in it.
+        observed : Tensor or None
+            Which keypoints are there to say something, (K, P, 1).
 
         Returns
         -------
         Tensor
-            (K, P, 1, H), the same for every sample of a pose.
+            (L, K, P or 1, features), the same for every sample of a pose.
         """
-        nodes, hidden = len(self.next_to_root), self.from_root.out_features
-        root = torch.relu(self.from_root(evidence.root))
-        messages = (self.next_to_root[:, None, None] * root).expand(nodes, evidence.poses, hidden)
-        if len(evidence.rows):
-            heard = torch.relu(self.from_context(evidence.context))
-            messages = messages.reshape(-1, hidden).index_add(0, evidence.rows, heard)
-        return messages.reshape(nodes, evidence.poses, 1, hidden)
+        messages = self.next_to_root[:, None, None] * from_root[:, None]
+        if from_context is None or observed is None:
+            return messages
+        return torch.addcmul(messages, from_context, observed)
 
-    def next_evidence(self, evidence: Evidence) -> Evidence:
-        """Carry context and root on to the next layer.
 
-        Parameters
-        ----------
-        evidence : Evidence
-            What this layer was told.
-
-        Returns
-        -------
-        Evidence
-            The same keypoints and root with ``hidden`` features each.
-        """
-        if self.next_context is None or self.next_root is None:
-            return evidence
-        return evidence._replace(
-            context=torch.relu(self.next_context(evidence.context)), root=torch.relu(self.next_root(evidence.root))
-        )
+def _said(said: Linears, carried: Linears | None, features: Tensor | None) -> tuple[Tensor | None, Tensor | None]:
+    """Apply L maps with ReLU, and L more where a layer follows, to features (1 or L, ..., F), in one product."""
+    if features is None:
+        return None, None
+    maps = [said] if carried is None else [said, carried]
+    weights = torch.cat([m.weight for m in maps], dim=1)
+    biases = torch.cat([m.bias for m in maps], dim=1)
+    rows = features.flatten(1, -2).expand(len(weights), -1, -1)
+    spoken = torch.relu_(torch.baddbmm(biases[:, None], rows, weights.mT))
+    spoken = spoken.view(len(weights), *features.shape[1:-1], -1)
+    if carried is None:
+        return spoken, features
+    first, second = spoken.split([said.bias.shape[1], carried.bias.shape[1]], dim=-1)
+    return first, second

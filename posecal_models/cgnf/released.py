@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
+import torch
 from torch import Tensor
 
 from posecal.errors import PoseDataError, first_few
@@ -69,6 +70,7 @@ def from_released(state: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], dict[
     Traceback (most recent call last):
     posecal.errors.PoseDataError: checkpoint: 1 tensor is not part of a cGNF (_extra.attention.bias)...
     """
+    stacks: dict[str, dict[int, Tensor]] = {}
     live: dict[str, Tensor] = {}
     dead: dict[str, Tensor] = {}
     unknown: list[str] = []
@@ -76,14 +78,15 @@ def from_released(state: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], dict[
         if _BUFFER.search(name):
             continue
         if match := _ACTNORM.match(name):
-            live[f"blocks.{int(match[1]) // 2}.actnorm_{match[2]}"] = tensor
+            stacks.setdefault(f"couplings.actnorm_{match[2]}", {})[int(match[1]) // 2] = tensor
         elif match := _NET.match(name):
             block, layer = int(match[1]) // 2, int(match[2])
             ours = _LAYER.get(match[3])
             if ours is None or (layer == 1 and ours.startswith("next_")):
                 dead[name] = tensor
             else:
-                live[f"blocks.{block}.{('first', 'second')[layer]}.{ours}.{match[4]}"] = tensor
+                name = f"couplings.{('first', 'second')[layer]}.{ours}.{match[4]}"
+                stacks.setdefault(name, {})[block] = tensor
         elif name.startswith("_embedding_net.") and (ours := _EMBEDDING.get(name.split(".", 1)[1])):
             live[f"embedding.{ours}"] = tensor
         else:
@@ -93,4 +96,5 @@ def from_released(state: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], dict[
             f"checkpoint: {len(unknown)} tensor{'s are' if len(unknown) > 1 else ' is'} not part of a cGNF "
             f"({first_few(unknown)}); expected the state_dict of propose 0.2.0's cGNF."
         )
+    live |= {name: torch.stack([blocks[i] for i in sorted(blocks)]) for name, blocks in stacks.items()}
     return live, dead
