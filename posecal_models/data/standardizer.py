@@ -152,12 +152,27 @@ class Standardizer(nn.Module):
         Tensor
             (M, K, 2), unitless; 0 where nothing was observed.
         """
-        known = context.observed[..., None]
-        keypoints = torch.where(known, context.keypoints, 0)
+        return torch.where(context.observed[..., None], self.all_keypoints(context), 0)
+
+    def all_keypoints(self, context: Context) -> Tensor:
+        """Standardise the keypoints, also those that are not observed, for estimators that read them all.
+
+        Parameters
+        ----------
+        context : Context
+            Keypoints in pixels.
+
+        Returns
+        -------
+        Tensor
+            (M, K, 2), unitless; relative to the observed ones.
+        """
+        origin = torch.zeros_like(context.keypoints[:, :1])
         if self.origin == "observed":
+            known = context.observed[..., None]
             count = known.sum(1, keepdim=True).clamp(min=1)
-            keypoints = keypoints - keypoints.sum(1, keepdim=True) / count
-        return torch.where(known, keypoints / self.keypoint_scale, 0)
+            origin = torch.where(known, context.keypoints, 0).sum(1, keepdim=True) / count
+        return (context.keypoints - origin) / self.keypoint_scale
 
     def poses(self, poses: Tensor) -> Tensor:
         """Standardise poses (..., K, D) in mm; unitless."""
