@@ -112,7 +112,14 @@ class FlowObjective:
         evidence = flow.evidence(standardizer.keypoints(context), context.observed)
         flow.initialise_actnorm(standardizer.poses(truth)[:, None], evidence)
 
-    def backward(self, context: Context, truth: Tensor, *, graphs_per_pose: int = 1) -> dict[str, Tensor]:
+    def backward(
+        self,
+        context: Context,
+        truth: Tensor,
+        *,
+        generator: torch.Generator | None = None,
+        graphs_per_pose: int = 1,
+    ) -> dict[str, Tensor]:
         """Compute the losses of a batch and add their gradients to the parameters.
 
         Parameters
@@ -121,6 +128,8 @@ class FlowObjective:
             Keypoints of M graphs, pixels.
         truth : Tensor
             (M, K, 3), mm. Graphs of one pose stand together.
+        generator : torch.Generator, optional
+            Not needed: nothing is drawn.
         graphs_per_pose : int
             How many consecutive graphs have the same truth.
 
@@ -130,6 +139,7 @@ class FlowObjective:
             ``loss`` (what is minimised), ``prior`` and ``posterior`` (nats per pose, standardised) and, where it is
             used, ``mode`` (mm); scalars without gradient; lower is better.
         """
+        del generator
         flow, standardizer = self.estimator.flow, self.estimator.standardizer
         poses = standardizer.poses(truth)[:, None]
         half = 0.5 / (poses.shape[2] if self.per_node else 1)
@@ -165,7 +175,9 @@ class FlowObjective:
         return losses
 
     @torch.no_grad()
-    def evaluate(self, context: Context, truth: Tensor) -> dict[str, Tensor]:
+    def evaluate(
+        self, context: Context, truth: Tensor, *, generator: torch.Generator | None = None
+    ) -> dict[str, Tensor]:
         """Compute the losses of a batch without gradients.
 
         Parameters
@@ -174,12 +186,15 @@ class FlowObjective:
             Keypoints of M poses, pixels.
         truth : Tensor
             (M, K, 3), mm.
+        generator : torch.Generator, optional
+            Not needed: nothing is drawn.
 
         Returns
         -------
         dict of str to Tensor
             As :meth:`backward` gives them.
         """
+        del generator
         flow, standardizer = self.estimator.flow, self.estimator.standardizer
         poses = standardizer.poses(truth)[:, None]
         half = 0.5 / (poses.shape[2] if self.per_node else 1)
