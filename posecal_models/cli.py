@@ -30,6 +30,11 @@ _Threads = Annotated[int, typer.Option(help="CPU threads; 0 leaves it to PyTorch
 _Device = Annotated[str, typer.Option(help="cpu, cuda, cuda:1 or auto.")]
 
 
+@app.callback()
+def _of_all_commands() -> None:
+    pass
+
+
 def main() -> None:
     """Run the command line."""
     try:
