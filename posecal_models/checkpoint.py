@@ -70,7 +70,9 @@ def device_named(name: str) -> torch.device:
     except RuntimeError as problem:
         raise PoseDataError(f"device: {name!r} is not known; expected cpu, cuda or auto.") from problem
     if device.type == "cuda" and not torch.cuda.is_available():
-        raise PoseDataError(f"device: {name} was asked for and PyTorch {torch.__version__} sees no GPU. Use cpu or auto.")
+        raise PoseDataError(
+            f"device: {name} was asked for and PyTorch {torch.__version__} sees no GPU. Use cpu or auto."
+        )
     if device.type not in ("cpu", "cuda"):
         raise PoseDataError(f"device: {name!r}; expected cpu, cuda or auto.")
     return device
@@ -112,7 +114,9 @@ def write_tensors(path: str | Path, tensors: Mapping[str, Tensor], about: dict[s
             Path(temporary).unlink(missing_ok=True)
 
 
-def read_tensors(path: str | Path, *, device: torch.device | str = "cpu") -> tuple[dict[str, Tensor], dict[str, Any]]:
+def read_tensors(
+    path: str | Path, *, device: torch.device | str = "cpu"
+) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """Read a file of :func:`write_tensors`.
 
     Parameters
@@ -141,13 +145,17 @@ def read_tensors(path: str | Path, *, device: torch.device | str = "cpu") -> tup
             about = json.loads((file.metadata() or {})[_HEADER])
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except KeyError as problem:
-        raise PoseFileError(f"{path}: a safetensors file without the header of posecal; expected one of ours.") from problem
+        raise PoseFileError(
+            f"{path}: a safetensors file without the header of posecal; expected one of ours."
+        ) from problem
     except (SafetensorError, OSError, ValueError) as problem:
         raise PoseFileError(f"{path}: damaged or no safetensors file ({problem}). Get it anew.") from problem
     return tensors, about
 
 
-def save_estimator(path: str | Path, estimator: ReferenceEstimator, *, notes: dict[str, Any] | None = None) -> None:
+def save_estimator(
+    path: str | Path, estimator: ReferenceEstimator, *, notes: dict[str, Any] | None = None
+) -> None:
     """Write the weights of an estimator.
 
     Parameters
@@ -168,9 +176,7 @@ def save_estimator(path: str | Path, estimator: ReferenceEstimator, *, notes: di
     write_tensors(path, estimator.state_dict(), about)
 
 
-def load_estimator(
-    name: str | Path, *, device: torch.device | str = "cpu"
-) -> ReferenceEstimator:
+def load_estimator(name: str | Path, *, device: torch.device | str = "cpu") -> ReferenceEstimator:
     """Read an estimator, ready to be called.
 
     Parameters
@@ -195,7 +201,9 @@ def load_estimator(
         raise PoseFileError(f"{name}: no such weights. {did_you_mean(str(name), named_weights())}".strip())
     tensors, about = read_tensors(path, device=device)
     if "estimator" not in about:
-        raise PoseFileError(f"{name}: holds the state of a training, not weights. Give weights.safetensors beside it.")
+        raise PoseFileError(
+            f"{name}: holds the state of a training, not weights. Give weights.safetensors beside it."
+        )
     estimator = build(about["estimator"])
     _fill(estimator, tensors, str(name))
     return estimator.to(device).eval()

@@ -61,7 +61,8 @@ def train(
     data: Annotated[Path, typer.Option(help="Motion capture or pairs of poses and keypoints, .npz.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="The folder of the training.")],
     change: Annotated[
-        list[str] | None, typer.Option("--set", help='Change a setting, e.g. --set train.epochs=20 or model.scale="exp".')
+        list[str] | None,
+        typer.Option("--set", help='Change a setting, e.g. --set train.epochs=20 or model.scale="exp".'),
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the folder's checkpoint.")] = False,
     device: _Device = "cpu",

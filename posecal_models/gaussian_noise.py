@@ -35,9 +35,7 @@ class GaussianDistribution:
         self.mean = mean
         self.sigma = sigma
 
-    def sample(
-        self, n: int, *, generator: torch.Generator | None = None, temperature: float = 1.0
-    ) -> Tensor:
+    def sample(self, n: int, *, generator: torch.Generator | None = None, temperature: float = 1.0) -> Tensor:
         """Draw n hypotheses of each pose.
 
         Parameters

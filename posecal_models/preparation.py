@@ -68,7 +68,9 @@ def split(path: str | Path, config: DataConfig) -> tuple[LiftingSet, LiftingSet 
                 f"{path}: subjects {', '.join(missing)} not there; there are {', '.join(sorted(known))}."
             )
         training = pairs.take(~np.isin(pairs.subject, held_out))
-        rest = pairs.take(np.isin(pairs.subject, config.validation_subjects)) if config.validation_subjects else None
+        rest = (
+            pairs.take(np.isin(pairs.subject, config.validation_subjects)) if config.validation_subjects else None
+        )
     if not len(training):
         raise PoseDataError(f"{path}: no pose is left for training. Hold out fewer subjects.")
     if rest is not None and len(rest) > config.validation_poses:
@@ -141,7 +143,9 @@ def _estimator(config: Config) -> ReferenceEstimator:
     if config.model.kind == "gaussian-noise" and config.model.mean:
         loaded = load_estimator(config.model.mean)
         if not isinstance(loaded, SimpleBaseline):
-            raise PoseDataError(f"model.mean: {config.model.mean} holds a {type(loaded).__name__}, not a SimpleBaseline.")
+            raise PoseDataError(
+                f"model.mean: {config.model.mean} holds a {type(loaded).__name__}, not a SimpleBaseline."
+            )
         mean = loaded
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.train.seed)

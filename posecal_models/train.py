@@ -57,7 +57,13 @@ class Progress:
 
 
 def draw_graphs(
-    context: Context, truth: Tensor, *, graphs_per_pose: int, first: int, augmentation: str, generator: torch.Generator
+    context: Context,
+    truth: Tensor,
+    *,
+    graphs_per_pose: int,
+    first: int,
+    augmentation: str,
+    generator: torch.Generator,
 ) -> tuple[Context, Tensor]:
     """Give every pose several sets of observed keypoints, the paper's five in turn.
 
@@ -312,7 +318,10 @@ class Training:
 
     def _state(self) -> dict[str, Any]:
         schedule = {name: value for name, value in asdict(self.schedule).items() if name != "config"}
-        return {"training": {"config": self.config.table(), "step": self.step, "epoch": self.epoch}, "schedule": schedule}
+        return {
+            "training": {"config": self.config.table(), "step": self.step, "epoch": self.epoch},
+            "schedule": schedule,
+        }
 
     def _write_losses(self) -> None:
         lines = ["epoch,step,learning_rate,training_loss,validation_loss"]
@@ -322,7 +331,9 @@ class Training:
             temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
             temporary.replace(self.folder / "losses.csv")
         except OSError as problem:
-            raise PoseFileError(f"{self.folder / 'losses.csv'}: can't be written ({problem.strerror}).") from problem
+            raise PoseFileError(
+                f"{self.folder / 'losses.csv'}: can't be written ({problem.strerror})."
+            ) from problem
 
     def resume(self) -> None:
         """Go back to the last checkpoint in the folder.

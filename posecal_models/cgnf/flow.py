@@ -115,7 +115,6 @@ class ReadyFlow(NamedTuple):
         dimensions = latents.shape[-1]
         return log_determinant - 0.5 * (latents.square().sum(-1) + dimensions * math.log(2 * math.pi))
 
-
     def _blocks(self) -> list[BlockTensors]:
         moved = torch.arange(len(self.evidence), device=self.evidence.device) % self.folded.behind_scale.shape[1]
         both = (self.folded.behind_scale, self.folded.behind_shift)

@@ -32,9 +32,7 @@ class FlowDistribution:
         self._standardizer = standardizer
         self._poses = poses
 
-    def sample(
-        self, n: int, *, generator: torch.Generator | None = None, temperature: float = 1.0
-    ) -> Tensor:
+    def sample(self, n: int, *, generator: torch.Generator | None = None, temperature: float = 1.0) -> Tensor:
         """Draw n hypotheses of each pose.
 
         Parameters
@@ -83,7 +81,9 @@ class FlowDistribution:
     def mode(self) -> Tensor:
         """Give the pose of the latent 0, (M, K, 3), mm: the paper's single best pose."""
         mean = self._standardizer.pose_mean
-        return self._standardizer.millimetres(self._flow.inverse(mean.new_zeros(self._poses, 1, *mean.shape)))[:, 0]
+        return self._standardizer.millimetres(self._flow.inverse(mean.new_zeros(self._poses, 1, *mean.shape)))[
+            :, 0
+        ]
 
 
 class CGNF(nn.Module):

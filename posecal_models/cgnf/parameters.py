@@ -38,7 +38,9 @@ class ParameterTable(NamedTuple):
         return sum(self)
 
 
-def parameter_table(size: FlowSize, *, dimensions: int = 3, nodes: int = 16, keypoint_features: int = 2) -> ParameterTable:
+def parameter_table(
+    size: FlowSize, *, dimensions: int = 3, nodes: int = 16, keypoint_features: int = 2
+) -> ParameterTable:
     """Count the parameters of the released code by what they do.
 
     Parameters

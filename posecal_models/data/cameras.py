@@ -84,9 +84,7 @@ class Camera:
         if np.linalg.norm(right) == 0:
             raise PoseDataError(f"camera at {position}: looks straight along z at {target}. Move it aside.")
         axes = np.array([right, np.cross(ahead, right), ahead])
-        return cls(
-            axes / np.linalg.norm(axes, axis=1, keepdims=True), np.array(position, float), focal, centre
-        )
+        return cls(axes / np.linalg.norm(axes, axis=1, keepdims=True), np.array(position, float), focal, centre)
 
     def turn(self, vectors: npt.NDArray[np.floating]) -> Array:
         """Turn directions or root-relative positions (..., 3), mm, from the room's frame into the camera's."""

@@ -93,5 +93,3 @@ class Detector:
         sigma = torch.where(hidden, self.hidden_sigma, self.sigma)
         reported = keypoints + sigma[..., None] * torch.where(hidden[..., None], heavy, noise).to(keypoints.dtype)
         return Context(reported, sigma <= self.threshold, sigma.to(keypoints.dtype))
-
-

@@ -103,9 +103,7 @@ class LiftingSet:
             Those poses.
         """
         parts = {f.name: getattr(self, f.name) for f in fields(self)}
-        return replace(
-            self, **{name: part[rows] for name, part in parts.items() if isinstance(part, np.ndarray)}
-        )
+        return replace(self, **{name: part[rows] for name, part in parts.items() if isinstance(part, np.ndarray)})
 
     def in_order_of(
         self, joints: Sequence[str] | None = None, keypoint_joints: Sequence[str] | None = None
@@ -175,9 +173,7 @@ class LiftingSet:
             "keypoints_sigma": self.sigma,
             "keypoints_observed": self.observed,
             "keypoint_joints": np.array(self.keypoint_joints),
-            **{
-                name: getattr(self, name) for name in ("frame_id", "sequence", "subject", "action", "camera")
-            },
+            **{name: getattr(self, name) for name in ("frame_id", "sequence", "subject", "action", "camera")},
         }
         write_npz(path, members)
 
@@ -223,10 +219,7 @@ class LiftingSet:
             observed=np.asarray(observed, bool),
             sigma=np.asarray(members.get("keypoints_sigma", np.zeros(keypoints.shape[:2])), np.float32),
             frame_id=members.get("frame_id", np.arange(many).astype(str)).astype(str),
-            **{
-                name: members.get(name, empty).astype(str)
-                for name in ("sequence", "subject", "action", "camera")
-            },
+            **{name: members.get(name, empty).astype(str) for name in ("sequence", "subject", "action", "camera")},
         )
 
 
@@ -269,7 +262,9 @@ def read_npz(path: str | Path, *, required: Sequence[str] = ()) -> dict[str, npt
         raise PoseFileError(f"{path}: {what}; expected an .npz of plain arrays.") from problem
     missing = [name for name in required if name not in members]
     if missing:
-        raise PoseFileError(f"{path}: lacks {', '.join(missing)}; it holds {', '.join(sorted(members)) or 'nothing'}.")
+        raise PoseFileError(
+            f"{path}: lacks {', '.join(missing)}; it holds {', '.join(sorted(members)) or 'nothing'}."
+        )
     return members
 
 

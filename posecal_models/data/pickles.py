@@ -54,7 +54,15 @@ class _PlainUnpickler(pickle.Unpickler):
 def _load(file: io.BufferedIOBase, which: str) -> Any:
     try:
         return _PlainUnpickler(file, encoding="latin1").load()
-    except (pickle.UnpicklingError, EOFError, ValueError, IndexError, TypeError, KeyError, AttributeError) as problem:
+    except (
+        pickle.UnpicklingError,
+        EOFError,
+        ValueError,
+        IndexError,
+        TypeError,
+        KeyError,
+        AttributeError,
+    ) as problem:
         raise PoseFileError(
             f"{which}: {problem}; expected a pickle of plain arrays, dictionaries, lists and text. "
             "It was not loaded: a pickle that asks for more can run programs."

@@ -115,9 +115,7 @@ def test_the_actnorms_start_equals_the_reference(numbers, state):
     for block in range(2):
         for name in ("log_scale", "shift"):
             ours = getattr(flow.couplings, f"actnorm_{name}")[block].detach()
-            np.testing.assert_allclose(
-                ours.numpy(), numbers[f"actnorm_init/{block}/{name}"], rtol=0, atol=5e-6
-            )
+            np.testing.assert_allclose(ours.numpy(), numbers[f"actnorm_init/{block}/{name}"], rtol=0, atol=5e-6)
     ours = flow.ready(evidence).log_prob_per_node(poses)[:, 0].detach()
     np.testing.assert_allclose(ours.numpy(), numbers["actnorm_init/logp_node"], rtol=0, atol=5e-5)
 
@@ -141,7 +139,9 @@ def training_losses(numbers, state, dtype, **options):
 
 def reference_gradients(numbers, prefix):
     """The reference's gradients by our names, each block's stacked."""
-    found = {n.removeprefix(f"{prefix}/"): torch.from_numpy(a) for n, a in numbers.items() if n.startswith(f"{prefix}/")}
+    found = {
+        n.removeprefix(f"{prefix}/"): torch.from_numpy(a) for n, a in numbers.items() if n.startswith(f"{prefix}/")
+    }
     return from_released(found)[0]
 
 
@@ -160,15 +160,11 @@ def test_losses_equal_the_reference(numbers, state, dtype, suffix, tolerance):
 
 def test_the_released_sample_loss_is_named_pairs(numbers, state):
     losses, _ = training_losses(numbers, state, torch.float64, sample_weight=0.1, sample_loss="pairs")
-    np.testing.assert_allclose(
-        losses["mode"], numbers["train/mode_err_published_pairs_mm_f64"], rtol=0, atol=1e-7
-    )
+    np.testing.assert_allclose(losses["mode"], numbers["train/mode_err_published_pairs_mm_f64"], rtol=0, atol=1e-7)
     np.testing.assert_allclose(losses["loss"], numbers["train/loss_published_f64"], rtol=0, atol=1e-7)
 
 
-@pytest.mark.parametrize(
-    ("prefix", "options"), [("grad_nll", {}), ("grad_full3d", {"sample_weight": 0.1})]
-)
+@pytest.mark.parametrize(("prefix", "options"), [("grad_nll", {}), ("grad_full3d", {"sample_weight": 0.1})])
 @pytest.mark.parametrize(("dtype", "suffix", "tolerance"), PRECISIONS)
 def test_gradients_equal_the_reference(numbers, state, prefix, options, dtype, suffix, tolerance):
     _, gradients = training_losses(numbers, state, dtype, **options)

@@ -61,9 +61,7 @@ def test_the_log_density_is_scipy_s(spread):
 def test_likelihood_training_finds_the_closed_form(spread):
     model, poses = noise_model(spread), truth(400, (60.0, 140.0))
     minimise(Likelihood(model), poses, 300)
-    np.testing.assert_allclose(
-        model.log_sigma.detach().exp(), likelihood_optimum(poses, spread=spread), rtol=1e-3
-    )
+    np.testing.assert_allclose(model.log_sigma.detach().exp(), likelihood_optimum(poses, spread=spread), rtol=1e-3)
 
 
 def test_min_mpjpe_training_finds_the_sigma_of_the_quadrature():
@@ -99,7 +97,9 @@ def test_min_mpjpe_training_finds_the_sigma_of_the_quadrature():
         found.append(float(model.log_sigma.detach().exp()))
     # the minimum is flat: within 4 % of σ the expected error changes by less than the standard error of 4,000 poses
     standard_error = 100 * 0.3 / math.sqrt(many)
-    assert true_sigma * (expected_error(found[-1] / true_sigma) - expected_error(best / true_sigma)) < standard_error
+    assert (
+        true_sigma * (expected_error(found[-1] / true_sigma) - expected_error(best / true_sigma)) < standard_error
+    )
     np.testing.assert_allclose(found[-1], best, rtol=0.04)
 
 
