@@ -4,8 +4,8 @@ The field numbers the same joints in different orders, so posecal joins by name 
 There is one tree of joints; a *joint set* such as ``h36m-17`` is a tuple of names on it, and the bones of any
 named selection follow from the tree: a joint's parent is its nearest ancestor that is present.
 
-Names are Human3.6M's. Other spellings (``right_ankle``, ``RAnkle``, ``Pelvis``) mean the same joint; joints that only
-lie near each other (MPII's upper neck, Human3.6M's neck/nose) stay different.
+Names are Human3.6M's. Other spellings (``right_ankle``, ``RAnkle``, ``Pelvis``) mean the same joint; joints that
+only lie near each other (MPII's upper neck, Human3.6M's neck/nose) stay different.
 """
 
 from __future__ import annotations

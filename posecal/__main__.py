@@ -1,0 +1,5 @@
+"""``python -m posecal`` is ``posecal``."""
+
+from posecal.cli import main
+
+main()

@@ -1,0 +1,370 @@
+"""How do a few poses lie in memory while they are measured?
+
+A *block* holds B poses as one contiguous array of *offsets* from the truth, ``x - y``, laid out ``(B, K, D, N)``:
+along the last axis the N hypotheses of one coordinate of one joint. Rows that one sorts or sums are then
+contiguous, and a block fits into the processor's cache. What several metrics need (errors, sorted coordinates) is
+computed once per block, when it is first asked for.
+
+Everything posecal measures walks these blocks: an array in memory, a file of many gigabytes, and a public
+function on three poses take the same path.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from posecal.errors import PoseDataError
+
+if TYPE_CHECKING:
+    from collections.abc import Hashable
+
+__all__ = ["Block", "FloatArray", "blocks_of", "checked", "in_order", "per_pose", "squared_norms", "working_dtype"]
+
+FloatArray = npt.NDArray[np.floating]
+BoolArray = npt.NDArray[np.bool_]
+Result = TypeVar("Result")
+
+BLOCK_BYTES = 1024 * 1024
+"""About what the offsets of one block take: few enough to stay in cache, enough to be worth a call."""
+
+
+class Block:
+    """B poses with their N hypotheses, and what several metrics share about them.
+
+    Parameters
+    ----------
+    hypotheses : array (N, B, K, D)
+        Hypotheses, mm, in any memory layout.
+    truth : array (B, K, D)
+        True poses, mm.
+    where : bool array (B, K), optional
+        The joints that count; the others may hold anything, NaN included.
+    root : int, optional
+        The joint that is subtracted from every pose; None leaves positions as they are.
+    previous : tuple of arrays (N, 1, K, D) and (1, K, D), optional
+        The pose before the first one, for velocities.
+    follows : bool array (B,), optional
+        Whether each pose comes right after the one before it in its sequence.
+    scores : array (N, B), optional
+        The model's own score of each hypothesis; higher is better.
+
+    Attributes
+    ----------
+    offsets : array (B, K, D, N)
+        Hypotheses minus truth, mm; 0 for joints that don't count.
+    truth : array (B, K, D)
+        True poses, mm, relative to the root; 0 for joints that don't count.
+    where : bool array (B, K)
+        The joints that count.
+    """
+
+    def __init__(
+        self,
+        hypotheses: FloatArray,
+        truth: FloatArray,
+        where: BoolArray | None = None,
+        *,
+        root: int | None = None,
+        previous: tuple[FloatArray, FloatArray] | None = None,
+        follows: BoolArray | None = None,
+        scores: FloatArray | None = None,
+    ) -> None:
+        self.where = np.ones(truth.shape[:2], dtype=bool) if where is None else where
+        self.offsets = _offsets(hypotheses, truth, root)
+        self.truth = truth.astype(self.offsets.dtype) if root is None else truth - truth[:, root, None]
+        if not self.where.all():
+            self.offsets[~self.where] = 0
+            self.truth = np.where(self.where[..., None], self.truth, 0)
+        self._root, self._previous, self._follows, self._scores = root, previous, follows, scores
+        self._shared: dict[Hashable, Any] = {}
+
+    @cached_property
+    def non_finite(self) -> BoolArray:
+        """The poses and joints, (B, K), at which a coordinate that counts is NaN or infinite."""
+        if np.isfinite(self.squared_errors.sum()):  # one fast pass; true of nearly every block
+            return np.zeros_like(self.where)
+        return np.asarray(~np.isfinite(self.offsets).all(axis=(2, 3)))
+
+    def share(self, key: Hashable, compute: Callable[[], Result]) -> Result:
+        """Compute something once per block, whoever asks first."""
+        if key not in self._shared:
+            self._shared[key] = compute()
+        found: Result = self._shared[key]
+        return found
+
+    @property
+    def n_hypotheses(self) -> int:
+        """N."""
+        return int(self.offsets.shape[-1])
+
+    @property
+    def scores(self) -> FloatArray:
+        """The model's score of each hypothesis, (B, N)."""
+        if self._scores is None:
+            raise PoseDataError("hypotheses: no scores given; expected a member scores (N, M) beside them.")
+        return self._scores.T
+
+    @cached_property
+    def sorted(self) -> FloatArray:
+        """Each coordinate's offsets in ascending order, (B, K, D, N), mm."""
+        ordered = self.offsets.copy()
+        ordered.sort(axis=-1)
+        return ordered
+
+    @cached_property
+    def median(self) -> FloatArray:
+        """Per-coordinate median of the offsets, (B, K, D), mm; between the two middle values for an even N."""
+        middle, odd = divmod(self.n_hypotheses, 2)
+        upper: FloatArray = self.sorted[..., middle]
+        return upper if odd else (self.sorted[..., middle - 1] + upper) / 2
+
+    @cached_property
+    def squared_errors(self) -> FloatArray:
+        """Squared distance of each hypothesis from the truth per joint, (B, K, N), mm²."""
+        return squared_norms(self.offsets)
+
+    @cached_property
+    def errors(self) -> FloatArray:
+        """Distance of each hypothesis from the truth per joint, (B, K, N), mm."""
+        return np.sqrt(self.squared_errors)
+
+    def weights(self, joints: BoolArray | None = None) -> FloatArray:
+        """Give each joint's share in the mean over a pose's joints, (B, K); 0 where a pose has none that counts.
+
+        Parameters
+        ----------
+        joints : bool array (K,), optional
+            The joints that a metric is about; all by default.
+        """
+        counted = self.where if joints is None else self.where & joints
+        number = counted.sum(axis=1, keepdims=True)
+        shares: FloatArray = (counted / np.maximum(number, 1)).astype(self.offsets.dtype)
+        return shares
+
+    @cached_property
+    def velocity_offsets(self) -> FloatArray:
+        """Change of the offsets since the pose before, (B, K, D, N), mm per frame; NaN without one."""
+        before = np.full_like(self.offsets, np.nan)
+        before[1:] = self.offsets[:-1]
+        if self._previous is not None:
+            before[:1] = _offsets(*self._previous, self._root)
+        if self._follows is not None:
+            before[~self._follows] = np.nan
+        return self.offsets - before
+
+
+def _offsets(hypotheses: FloatArray, truth: FloatArray, root: int | None) -> FloatArray:
+    """Subtract the truth, (N, B, K, D) minus (B, K, D), root-relative where a root is given, as (B, K, D, N)."""
+    offsets = np.empty((*truth.shape, len(hypotheses)), dtype=working_dtype(hypotheses.dtype))
+    offsets[...] = hypotheses.transpose(1, 2, 3, 0)
+    offsets -= truth[..., None].astype(offsets.dtype, copy=False)
+    if root is not None and offsets[:, root].any():
+        offsets -= offsets[:, root, None].copy()
+    return offsets
+
+
+def working_dtype(dtype: npt.DTypeLike) -> np.dtype[np.floating]:
+    """Give the precision that hypotheses of a dtype are measured in: single stays single, all else is double."""
+    dtype = np.dtype(dtype)
+    return np.dtype(np.float32 if dtype.kind == "f" and dtype.itemsize <= 4 else np.float64)
+
+
+def squared_norms(vectors: FloatArray) -> FloatArray:
+    """Squared lengths of vectors that lie along the last axis but one, (..., D, n) to (..., n)."""
+    found: FloatArray = np.einsum("...dn,...dn->...n", vectors, vectors)
+    return found
+
+
+def checked(
+    hypotheses: npt.ArrayLike, truth: npt.ArrayLike, where: npt.ArrayLike | None = None
+) -> tuple[FloatArray, FloatArray, BoolArray | None]:
+    """Check two arrays in the paper's layout, and the mask.
+
+    Parameters
+    ----------
+    hypotheses : array (N, M, K, D)
+        Hypotheses.
+    truth : array (M, K, D)
+        True poses.
+    where : bool array (M, K), optional
+        The joints that count.
+
+    Returns
+    -------
+    tuple
+        The three as arrays.
+
+    Raises
+    ------
+    PoseDataError
+        Where a dtype or a shape is wrong; shapes are named with the letters that they break.
+    """
+    arrays = [_real(hypotheses, "hypotheses"), _real(truth, "truth")]
+    x, y = arrays
+    shapes = f"hypotheses {x.shape} and truth {y.shape}"
+    expected = "expected (N, M, K, D) and (M, K, D)"
+    if x.ndim == 3 and y.ndim == 4:
+        raise PoseDataError(f"{shapes}: {expected}. The two look swapped.")
+    if x.ndim != 4 or y.ndim != 3:
+        raise PoseDataError(f"{shapes}: {expected}.")
+    wrong = [
+        f"{letter} is {ours} and {theirs}"
+        for letter, ours, theirs in zip("MKD", x.shape[1:], y.shape, strict=True)
+        if ours != theirs
+    ]
+    if wrong:
+        raise PoseDataError(f"{shapes}: {expected}, but {', '.join(wrong)}.")
+    if 0 in x.shape:
+        empty = [letter for letter, size in zip("NMKD", x.shape, strict=True) if size == 0]
+        raise PoseDataError(f"{shapes}: {', '.join(empty)} is 0; expected at least one of each.")
+    if where is None:
+        return x, y, None
+    mask = np.asarray(where)
+    if mask.dtype != bool or mask.shape != y.shape[:2]:
+        raise PoseDataError(
+            f"where: {mask.dtype} {mask.shape}; expected bool (M, K) = {y.shape[:2]}, True where a joint counts."
+        )
+    return x, y, mask
+
+
+def _real(array: npt.ArrayLike, name: str) -> FloatArray:
+    found = np.asanyarray(array)
+    if found.dtype.kind not in "fiu":
+        raise PoseDataError(f"{name}: dtype {found.dtype}; expected real numbers such as float32.")
+    return found if found.dtype.kind == "f" else found.astype(np.float64)
+
+
+def block_length(shape: tuple[int, ...], dtype: npt.DTypeLike) -> int:
+    """Give the number of poses in a block of hypotheses of shape (N, M, K, D)."""
+    n, _, k, d = shape
+    return max(1, min(512, BLOCK_BYTES // (n * k * d * working_dtype(dtype).itemsize)))
+
+
+def blocks_of(
+    hypotheses: FloatArray,
+    truth: FloatArray,
+    where: BoolArray | None = None,
+    *,
+    root: int | None = None,
+    scores: FloatArray | None = None,
+    follows: BoolArray | None = None,
+    previous: tuple[FloatArray, FloatArray] | None = None,
+) -> Iterator[Callable[[], Block]]:
+    """Cut checked arrays in the paper's layout into blocks, in the order of their poses.
+
+    Parameters
+    ----------
+    hypotheses, truth, where, root, scores, follows, previous
+        As for :class:`Block`, of M poses instead of B.
+
+    Yields
+    ------
+    callable
+        Lays out the next few poses as a :class:`Block`: a copy, so better done by the thread that needs it.
+    """
+    step = block_length(hypotheses.shape, hypotheses.dtype)
+    for start in range(0, truth.shape[0], step):
+        poses = slice(start, start + step)
+        if start:
+            previous = hypotheses[:, start - 1 : start], truth[start - 1 : start]
+        yield partial(
+            Block,
+            hypotheses[:, poses],
+            truth[poses],
+            None if where is None else where[poses],
+            root=root,
+            scores=None if scores is None else scores[:, poses],
+            follows=None if follows is None else follows[poses],
+            previous=previous,
+        )
+
+
+def per_pose(
+    statistic: Callable[[Block], FloatArray],
+    hypotheses: npt.ArrayLike,
+    truth: npt.ArrayLike,
+    where: npt.ArrayLike | None = None,
+    *,
+    root: int | None = None,
+) -> FloatArray:
+    """Compute a statistic of every pose, walking the blocks.
+
+    Parameters
+    ----------
+    statistic : callable
+        From a block to an array (B, ...).
+    hypotheses, truth, where
+        As for :func:`checked`.
+    root : int, optional
+        The joint to subtract from every pose.
+
+    Returns
+    -------
+    array (M, ...)
+        The statistic of each pose, in double.
+    """
+    x, y, mask = checked(hypotheses, truth, where)
+    if root is not None and not -y.shape[1] <= root < y.shape[1]:
+        raise PoseDataError(f"root: {root}; expected the index of one of {y.shape[1]} joints.")
+    root = None if root is None else root % y.shape[1]
+    found: list[FloatArray] = []
+    for number, lay_out in enumerate(blocks_of(x, y, mask, root=root)):
+        block = lay_out()
+        if block.non_finite.any():
+            pose, joint = np.argwhere(block.non_finite)[0]
+            pose += number * block_length(x.shape, x.dtype)
+            raise PoseDataError(
+                f"hypotheses or truth: non-finite coordinates (first: pose {pose}, joint {joint}). "
+                "Mask those joints with where, or leave those poses out."
+            )
+        found.append(np.asarray(statistic(block), dtype=np.float64))
+    return np.concatenate(found)
+
+
+def in_order(tasks: Iterable[Callable[[], Result]], threads: int | None = None) -> Iterator[Result]:
+    """Run tasks on threads and yield their results in the order of the tasks.
+
+    Parameters
+    ----------
+    tasks : iterable of callables
+        Taken one by one, a few ahead of what was yielded.
+    threads : int, optional
+        How many; by default one per core that this process may use.
+
+    Notes
+    -----
+    NumPy lets go of the interpreter's lock in its loops, so threads over blocks scale. Results are added up by
+    one thread in the order of the poses: numbers don't depend on the number of threads.
+    """
+    threads = threads or available_cores()
+    if threads == 1:
+        for task in tasks:
+            yield task()
+        return
+    waiting: deque[Future[Result]] = deque()
+    with ThreadPoolExecutor(threads) as pool:
+        try:
+            for task in tasks:
+                waiting.append(pool.submit(task))
+                if len(waiting) > 2 * threads:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            for future in waiting:
+                future.cancel()
+
+
+def available_cores() -> int:
+    """Give the number of cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

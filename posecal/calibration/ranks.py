@@ -1,0 +1,188 @@
+"""Where does the truth fall among its hypotheses?
+
+Every calibration number starts here: for each pose and joint, how far inside the ball that holds a share q of
+the hypotheses is the truth? Three definitions are in use, and each has its own centre and its own rule. All count
+integers; none compares a rounded Φ with a rounded q.
+
+=================  ==================================  =================================================
+definition         centre, per coordinate              the truth is inside the q-ball
+=================  ==================================  =================================================
+``exchangeable``   median of the N + 1 pooled points   with weight clip(((N+1) q - n_less)/(n_equal+1), 0, 1)
+``paper``          median of the N hypotheses          where n_less_or_equal / N ≤ q
+``reference``      lower of the two middle values      where the interpolated q-quantile of the
+                                                       distances is strictly larger than the truth's
+=================  ==================================  =================================================
+
+n_less counts the hypotheses that lie nearer to the centre than the truth, n_equal those just as far.
+
+If the truth and the hypotheses are exchangeable given the input (a perfect sampler), ``exchangeable`` has
+E ω(q) = q exactly, for every N, D, distribution and dependence between the hypotheses, ties included. ``paper``
+(the text of the publication) and ``reference`` (its released script) are biased at finite N, by rank
+discreteness and by a centre that only the hypotheses pull; see :mod:`posecal.calibration.floor`.
+
+References
+----------
+Pierzchlewicz et al., arXiv:2210.11179, section 3.1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from posecal.block import Block, BoolArray, FloatArray, squared_norms
+from posecal.errors import PoseDataError, did_you_mean
+
+__all__ = ["DEFINITIONS", "LEVELS", "Definition", "inside", "known_definition", "nearness"]
+
+Counts = npt.NDArray[np.intp]
+Definition = Literal["exchangeable", "paper", "reference"]
+DEFINITIONS: tuple[Definition, ...] = get_args(Definition)
+
+LEVELS: FloatArray = np.arange(21) / 20
+"""The quantile levels q of every calibration curve: 0, 0.05, … 1, both ends in."""
+
+TIE = 8
+"""Squared distances that differ by less than so many units of rounding are equal: two points about their midpoint."""
+
+
+def known_definition(definition: str) -> Definition:
+    """Check the name of a definition.
+
+    Raises
+    ------
+    PoseDataError
+        Where it is none of :data:`DEFINITIONS`.
+    """
+    for known in DEFINITIONS:
+        if known == definition:
+            return known
+    raise PoseDataError(f"definition: {definition!r} is not known. {did_you_mean(definition, DEFINITIONS)}")
+
+
+def inside(block: Block, definition: Definition = "exchangeable") -> FloatArray:
+    """How far inside each q-ball of its hypotheses the truth lies.
+
+    Parameters
+    ----------
+    block : Block
+        B poses of K joints.
+    definition : str
+        One of :data:`DEFINITIONS`.
+
+    Returns
+    -------
+    array (B, K, Q)
+        Weights W in [0, 1] for the levels of :data:`LEVELS`, rising with q; NaN for joints that don't count and
+        where there are fewer than two hypotheses. Their mean over poses is ω_k(q).
+    """
+    if block.n_hypotheses < 2:
+        return np.full((*block.where.shape, LEVELS.size), np.nan)
+    weights = {"exchangeable": _exchangeable, "paper": _paper, "reference": _reference}[definition](block)
+    if not block.where.all():
+        weights[~block.where] = np.nan
+    return weights
+
+
+@dataclass(frozen=True)
+class Nearness:
+    """Which hypotheses lie nearer to each definition's centre than the truth.
+
+    Attributes
+    ----------
+    centres : array (B, K, 3, D)
+        The centre of each of :data:`DEFINITIONS`, relative to the truth, mm.
+    within : bool array (B, K, 3, N)
+        The hypotheses at most as far from it as the truth.
+    at_most : array (B, K, 3)
+        How many those are.
+    less : array (B, K)
+        How many are nearer than the truth to the exchangeable centre.
+    """
+
+    centres: FloatArray
+    within: BoolArray
+    at_most: Counts
+    less: Counts
+
+
+def nearness(block: Block) -> Nearness:
+    """Compare every hypothesis with the truth, as seen from the three centres.
+
+    With everything relative to the truth, a hypothesis e lies nearer to a centre c than the truth, ‖e - c‖ < ‖c‖,
+    where ‖e‖² < 2 e·c: in the ball about the centre that has the truth on its rim. One product for all three.
+    """
+    return block.share("nearness", lambda: _nearness(block))
+
+
+def _nearness(block: Block) -> Nearness:
+    middle, odd = divmod(block.n_hypotheses, 2)
+    ordered = block.sorted
+    below, above = ordered[..., middle - 1], ordered[..., middle]
+    # The i-th of the pooled values is the truth, which is 0, clipped to the (i-1)-th and i-th of the hypotheses'.
+    pooled = np.minimum(np.maximum(below, 0), above)
+    if odd:
+        pooled = (pooled + np.minimum(np.maximum(above, 0), ordered[..., middle + 1])) / 2
+    centres = np.stack([pooled, block.median, above if odd else below], axis=2)
+    reach = (2 * centres) @ block.offsets
+    eps = TIE * np.finfo(reach.dtype).eps
+    within = (block.squared_errors * (1 - eps))[:, :, None] <= reach
+    less = block.squared_errors * (1 + eps) < reach[:, :, 0]
+    return Nearness(centres, within, _count(within), _count(less))
+
+
+def _count(chosen: BoolArray) -> Counts:
+    """Count along the last axis, by bytes: many times faster than by words."""
+    total = np.zeros(chosen.shape[:-1], dtype=np.intp)
+    for start in range(0, chosen.shape[-1], 255):
+        total += np.add.reduce(chosen[..., start : start + 255].view(np.uint8), axis=-1, dtype=np.uint8)
+    return total
+
+
+def _exchangeable(block: Block) -> FloatArray:
+    found = nearness(block)
+    less, equal = found.less[..., None], (found.at_most[..., 0] - found.less)[..., None]
+    weights = (LEVELS * (block.n_hypotheses + 1) - less) / (equal + 1)
+    return np.asarray(np.clip(weights, 0, 1, out=weights))
+
+
+def _paper(block: Block) -> FloatArray:
+    allowed = np.arange(LEVELS.size) * block.n_hypotheses // (LEVELS.size - 1)  # floor(q N), in integers
+    return (nearness(block).at_most[..., 1, None] <= allowed).astype(np.float64)
+
+
+def _reference(block: Block) -> FloatArray:
+    """The truth's fractional place among the N distances, against the place q (N - 1) of the quantile.
+
+    With ε_(i) ≤ ε* < ε_(i+1) (counted from 0), the interpolated quantile exceeds ε* exactly where
+    q (N - 1) > i + (ε* - ε_(i)) / (ε_(i+1) - ε_(i)). The fraction matters to few of the poses, so only those few
+    look for their two neighbours.
+    """
+    found = nearness(block)
+    at_most = found.at_most[..., 2]
+    targets, fractional = _places(block.n_hypotheses)
+    place = at_most - 1.0  # -1 inside all, N - 1 outside all
+    between = fractional[at_most]
+    if between.any():
+        centre, nearer = found.centres[between][:, 2].astype(np.float64), found.within[between][:, 2]
+        distances = np.sqrt(squared_norms(block.offsets[between] - centre[..., None]))
+        true = np.sqrt((centre**2).sum(axis=-1))
+        below = np.where(nearer, distances, -np.inf).max(axis=-1)
+        above = np.where(nearer, np.inf, distances).min(axis=-1)
+        gap = above - below
+        place[between] += np.divide(true - below, gap, out=np.zeros_like(gap), where=gap > 0)
+    return (targets > place[..., None]).astype(np.float64)
+
+
+@cache
+def _places(n_hypotheses: int) -> tuple[FloatArray, BoolArray]:
+    """Give q (N - 1) for each level, and the numbers of nearer hypotheses at which a fraction of it matters."""
+    levels = LEVELS.size - 1
+    whole, rest = np.divmod(np.arange(levels + 1) * (n_hypotheses - 1), levels)
+    fractional = np.zeros(n_hypotheses + 1, dtype=bool)
+    fractional[whole[rest > 0] + 1] = True
+    return whole + rest / levels, fractional

@@ -1,0 +1,69 @@
+"""How does a report look in a browser? One self-contained page with the tables and the pictures.
+
+Everything that comes from files is escaped; pictures are inline vector graphics.
+"""
+
+from __future__ import annotations
+
+import os
+from importlib.resources import files
+
+from posecal.errors import PoseDataError
+from posecal.io import written_whole
+from posecal.plot import KINDS, draw, figure_bytes
+from posecal.report import Report
+from posecal.tables import definitions, tables, title
+
+__all__ = ["as_html", "write_html"]
+
+
+def as_html(report: Report, name: str) -> str:
+    """Write a report as one page.
+
+    Parameters
+    ----------
+    report : Report
+        The numbers.
+    name : str
+        What the page calls the hypotheses.
+
+    Returns
+    -------
+    str
+        HTML that needs no other file.
+    """
+    from jinja2 import Environment
+
+    pictures = []
+    for kind in KINDS:
+        try:
+            svg = figure_bytes(draw(report, kind), ".svg").decode()
+        except PoseDataError:
+            continue  # the report lacks what the picture shows
+        pictures.append((KINDS[kind][1], svg[svg.index("<svg") :]))
+    template = files("posecal").joinpath("page.html").read_text(encoding="utf-8")
+    return (
+        Environment(autoescape=True, trim_blocks=True)
+        .from_string(template)
+        .render(
+            name=name,
+            about=title(report),
+            remarks=report.remarks,
+            pictures=pictures,
+            tables=tables(report, joints=True),
+            definitions=definitions(report),
+            signature=report.signature,
+        )
+    )
+
+
+def write_html(report: Report, path: str | os.PathLike[str], name: str) -> None:
+    """Write :func:`as_html` into a file, whole or not at all.
+
+    Raises
+    ------
+    PoseFileError
+        Where the file can't be written.
+    """
+    page = as_html(report, name).encode()
+    written_whole(path, lambda file: file.write(page))

@@ -1,0 +1,341 @@
+"""Which hypotheses belong to which truth? Frames joined by id, joints by name, lengths in millimetres.
+
+Everything that is wrong with the two is said at once.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from posecal.block import BoolArray, FloatArray
+from posecal.errors import PoseDataError, did_you_mean, first_few, raise_all
+from posecal.layout import HYPOTHESES, TRUTH, Layout, plausible_layouts
+from posecal.pairs import Labels, PosePairs, Poses, Rows, Stored, in_millimetres
+from posecal.sanity import doubts
+from posecal.skeleton import JOINT_SETS, Skeleton, canonical_name
+from posecal.units import millimetres_per
+
+__all__ = ["Join", "join"]
+
+
+@dataclass(frozen=True)
+class Join:
+    """What the user says beside the data.
+
+    Attributes
+    ----------
+    axes, truth_axes : str or None
+        Layouts of arrays that don't declare theirs. The truth's is (M, K, D) by default, or follows from the
+        hypotheses' where only that fits.
+    unit, truth_unit : str or None
+        Units of arrays that don't declare theirs; ``unit`` is for both unless ``truth_unit`` is given.
+    joint_names : str or None
+        A joint set that names unnamed joints.
+    root_joint : str or None
+        The joint to subtract: a name, an index, or ``none``. By default the hip, or the one unnamed joint whose
+        truth is 0 throughout.
+    missing : str
+        ``error``, or ``skip`` to score the frames that both have.
+    joints : str
+        ``same``, or ``common`` to score the joints that both have.
+    """
+
+    axes: str | None = None
+    truth_axes: str | None = None
+    unit: str | None = None
+    truth_unit: str | None = None
+    joint_names: str | None = None
+    root_joint: str | None = None
+    missing: Literal["error", "skip"] = "error"
+    joints: Literal["same", "common"] = "same"
+
+
+def join(hypotheses: Poses, truth: Poses, how: Join | None = None) -> PosePairs:
+    """Join hypotheses with the truth.
+
+    Parameters
+    ----------
+    hypotheses, truth : Poses
+        As stored or passed.
+    how : Join, optional
+        What the user says beside the data.
+
+    Returns
+    -------
+    PosePairs
+        In the order of the truth's frames and joints.
+
+    Raises
+    ------
+    PoseDataError
+        For everything that does not fit, all at once.
+    """
+    how = how or Join()
+    layout, true_layout = _layouts(hypotheses, truth, how)
+    shape, true_shape = layout.shape(hypotheses.array.shape), true_layout.shape(truth.array.shape)
+    problems = [
+        f"{poses.name}: nothing in it; its shape is {poses.array.shape}."
+        for poses in (hypotheses, truth)
+        if 0 in poses.array.shape
+    ]
+    raise_all(problems)
+    remarks: list[str] = []
+
+    factor = _factor(hypotheses, "unit", how.unit, problems)
+    true_factor = _factor(truth, "truth-unit", how.truth_unit or how.unit, problems)
+    rows, true_rows = _join_frames(hypotheses, truth, (shape[1], true_shape[0]), how, problems, remarks)
+    names, true_names = _names(hypotheses, truth, (shape[2], true_shape[1]), how, problems)
+    columns, true_columns = _join_joints(hypotheses, truth, names, true_names, shape[2], how, problems, remarks)
+    if shape[3] != true_shape[2]:
+        problems.append(f"{hypotheses.name} has D = {shape[3]} coordinates and {truth.name} {true_shape[2]}.")
+    raise_all(problems)
+
+    y = in_millimetres(true_layout.read(truth.array.open(), np.arange(true_shape[0])), true_factor)
+    root = _root(how.root_joint, true_names, y)
+    if root is not None and root not in true_columns:
+        y = y - y[:, root, None]
+        remarks.append(f"{hypotheses.name} lacks the root {true_names[root]}; taken as relative to it.")
+    occluded = _occluded(truth, true_rows, true_columns, true_shape[:2], problems)
+    if occluded is None:
+        occluded = _occluded(hypotheses, rows, columns, shape[1:3], problems)
+    labels = _labels(hypotheses, truth, rows, true_rows, problems)
+    clip = true_layout.clip_length(truth.array.shape) or layout.clip_length(hypotheses.array.shape)
+    if clip and "sequence" not in labels:
+        labels = {"sequence": (true_rows // clip).astype(str), **labels}
+    scores = hypotheses.scores
+    if scores is not None and scores.shape != shape[:2]:
+        problems.append(f"{hypotheses.name}: scores {scores.shape}; expected (N, M) = {shape[:2]}.")
+    raise_all(problems)
+
+    pairs = PosePairs(
+        stored=Stored(hypotheses.array, layout, rows, columns, factor),
+        truth=np.ascontiguousarray(y[true_rows][:, true_columns]),
+        joints=tuple(true_names[k] for k in true_columns),
+        root=None if root is None else next((k for k, at in enumerate(true_columns) if at == root), None),
+        frame_id=true_rows.astype(str) if truth.frame_id is None else truth.frame_id[true_rows],
+        labels=labels,
+        occluded=occluded,
+        scores=None if scores is None else scores[:, rows],
+        fps=truth.fps if truth.fps is not None else hypotheses.fps,
+        names=(hypotheses.name, truth.name),
+    )
+    declared = (hypotheses.unit or how.unit) is not None, (truth.unit or how.truth_unit or how.unit) is not None
+    remarks += doubts(pairs, *declared)
+    if root is None and how.root_joint != "none":
+        remarks.append("no root joint is known, so positions are taken as they stand; --root-joint names one.")
+    return replace(pairs, remarks=tuple(remarks))
+
+
+# --- axes and units -------------------------------------------------------------------------------------------
+
+
+def _layouts(hypotheses: Poses, truth: Poses, how: Join) -> tuple[Layout, Layout]:
+    x, y = hypotheses.array.shape, truth.array.shape
+    declared = _declared(hypotheses, "axes", hypotheses.axes, how.axes)
+    true_declared = _declared(truth, "truth-axes", truth.axes, how.truth_axes)
+    both = f"{hypotheses.name} {x} and {truth.name} {y}: expected (N, M, K, D) and (M, K, D)"
+    if declared is None and true_declared is None and len(x) == 3 and len(y) == 4:
+        raise PoseDataError(f"{both}. The two look swapped.")
+    layout = None if declared is None else Layout(declared, HYPOTHESES)
+    if true_declared is None:
+        true_declared = TRUTH
+        if layout is not None and (len(y) != 3 or layout.shape(x)[1:] != y):
+            true_declared = layout.without("N", "I")
+    true_layout = Layout(true_declared, TRUTH)
+    if len(y) != len(true_layout.groups):
+        raise PoseDataError(f"{both}. Declare another layout of {truth.name} with --truth-axes.")
+    if layout is not None:
+        return layout, true_layout
+    true_shape = true_layout.shape(y)
+    if len(x) != 4:
+        raise PoseDataError(f"{both}. Declare another layout of {hypotheses.name} with --axes.")
+    if true_shape[1] == 3 != true_shape[2]:
+        raise PoseDataError(f"{both}, coordinates last. Pass --truth-axes MDK.")
+    fitting = plausible_layouts(x, true_shape)
+    if len(fitting) > 1:
+        raise PoseDataError(
+            f"{both}, but the shapes don't tell which axis is the hypotheses (N = M = {x[0]}). "
+            f"Pass --axes {' or --axes '.join(fitting)}."
+        )
+    if fitting and fitting != [HYPOTHESES]:
+        raise PoseDataError(f"{both}. The shapes fit --axes {fitting[0]}.")
+    return Layout(HYPOTHESES, HYPOTHESES), true_layout
+
+
+def _declared(poses: Poses, flag: str, stored: str | None, said: str | None) -> str | None:
+    if stored is not None and said is not None and stored != said:
+        raise PoseDataError(f"{poses.name} declares {stored!r} itself, and --{flag} says {said!r}. Drop the flag.")
+    return said if stored is None else stored
+
+
+def _factor(poses: Poses, flag: str, said: str | None, problems: list[str]) -> float:
+    try:
+        return millimetres_per(_declared(poses, flag, poses.unit, said) or "mm")
+    except PoseDataError as error:
+        message = str(error)
+        problems.append(message if message.startswith(poses.name) else f"{poses.name}: {message}")
+        return 1.0
+
+
+# --- frames ---------------------------------------------------------------------------------------------------
+
+
+def _join_frames(
+    hypotheses: Poses,
+    truth: Poses,
+    sizes: tuple[int, int],
+    how: Join,
+    problems: list[str],
+    remarks: list[str],
+) -> tuple[Rows, Rows]:
+    """Give the rows of the two that belong together, in the order of the truth."""
+    if hypotheses.frame_id is None or truth.frame_id is None:
+        if sizes[0] != sizes[1]:
+            without = [poses.name for poses in (hypotheses, truth) if poses.frame_id is None]
+            problems.append(
+                f"{hypotheses.name} has M = {sizes[0]:,} poses and {truth.name} {sizes[1]:,}; expected as many. "
+                f"Store a frame_id in both to join them ({' and '.join(without)} without)."
+            )
+        return np.arange(sizes[0]), np.arange(sizes[1])
+    ids, wanted = hypotheses.frame_id.tolist(), truth.frame_id.tolist()
+    before = len(problems)
+    for poses, found, number in ((hypotheses, ids, sizes[0]), (truth, wanted, sizes[1])):
+        if len(found) != number:
+            problems.append(f"{poses.name}: {len(found):,} frame_id for {number:,} poses; expected one each.")
+        twice = [name for name, count in Counter(found).items() if count > 1]
+        if twice:
+            problems.append(
+                f"{poses.name} has {len(twice):,} of {len(found):,} frame_id more than once "
+                f"(first: {first_few(twice)}). Store each frame once."
+            )
+    row = {name: place for place, name in enumerate(ids)}
+    asked = set(wanted)
+    for poses, other, names, number in (
+        (hypotheses, truth, [name for name in wanted if name not in row], len(wanted)),
+        (truth, hypotheses, [name for name in ids if name not in asked], len(ids)),
+    ):
+        if names and how.missing == "skip":
+            remarks.append(f"{poses.name} lacks {len(names):,} of the {number:,} frames of {other.name}: skipped.")
+        elif names:
+            problems.append(
+                f"{poses.name} lacks {len(names):,} of the {number:,} frames of {other.name} "
+                f"(first: {first_few(names)}). Pass --missing skip to score the rest."
+            )
+    kept = [place for place, name in enumerate(wanted) if name in row]
+    if not kept and len(problems) == before:
+        problems.append(f"{hypotheses.name} and {truth.name} have no frame_id in common; expected the same names.")
+    return np.array([row[wanted[place]] for place in kept], dtype=np.intp), np.array(kept, dtype=np.intp)
+
+
+# --- joints ---------------------------------------------------------------------------------------------------
+
+
+def _names(
+    hypotheses: Poses, truth: Poses, sizes: tuple[int, int], how: Join, problems: list[str]
+) -> tuple[tuple[str, ...] | None, tuple[str, ...]]:
+    """Give posecal's names of the joints of the two; numbers where the truth's have none."""
+    known = how.joint_names
+    if known is not None and known not in JOINT_SETS:
+        problems.append(f"joint names: {known!r} is not known. {did_you_mean(known, JOINT_SETS)}")
+    found: list[tuple[str, ...] | None] = []
+    for poses, size in zip((hypotheses, truth), sizes, strict=True):
+        names = None if poses.joints is None else tuple(canonical_name(name) for name in poses.joints)
+        if names is None and known in JOINT_SETS and len(JOINT_SETS[known]) == size:
+            names = JOINT_SETS[known]
+        if names is not None and len(names) != size:
+            problems.append(f"{poses.name}: {len(names)} joints named for K = {size}; expected one name each.")
+        twice = [name for name, count in Counter(names or ()).items() if count > 1]
+        if twice:
+            problems.append(f"{poses.name} names joints more than once: {first_few(twice)}.")
+        found.append(names)
+    ours, theirs = found
+    if theirs is None and sizes[0] == sizes[1]:
+        theirs = ours
+    return ours, theirs or tuple(f"joint {k}" for k in range(sizes[1]))
+
+
+def _join_joints(
+    hypotheses: Poses,
+    truth: Poses,
+    names: tuple[str, ...] | None,
+    true_names: tuple[str, ...],
+    size: int,
+    how: Join,
+    problems: list[str],
+    remarks: list[str],
+) -> tuple[Rows, Rows]:
+    """Give the columns of the two that belong together, in the order of the truth."""
+    if names is None:
+        if size != len(true_names):
+            problems.append(
+                f"{hypotheses.name} has K = {size} joints and {truth.name} {len(true_names)}; expected as many, or "
+                "joints named in both and --joints common."
+            )
+        return np.arange(size), np.arange(size)
+    lacking = [name for name in true_names if name not in names]
+    beyond = [name for name in names if name not in true_names]
+    for poses, missing in ((hypotheses, lacking), (truth, beyond)):
+        if missing and how.joints == "same":
+            problems.append(
+                f"{poses.name} lacks {len(missing)} of the other's joints ({first_few(missing)}). "
+                "Pass --joints common to score the shared ones."
+            )
+    kept = [k for k, name in enumerate(true_names) if name in names]
+    if not kept:
+        problems.append(f"{hypotheses.name} and {truth.name} have no joint in common.")
+    elif (lacking or beyond) and how.joints == "common":
+        remarks.append(f"{len(kept)} joints are in both; left out: {first_few([*lacking, *beyond], 5)}.")
+    return np.array([names.index(true_names[k]) for k in kept], dtype=np.intp), np.array(kept, dtype=np.intp)
+
+
+def _root(said: str | None, names: tuple[str, ...], truth: FloatArray) -> int | None:
+    if said == "none":
+        return None
+    if said is not None:
+        index = (
+            int(said) if said.isdecimal() else next((k for k, n in enumerate(names) if n == canonical_name(said)), -1)
+        )
+        if not 0 <= index < len(names):
+            raise PoseDataError(f"root joint: {said!r} is not among the joints. {did_you_mean(said, names)}")
+        return index
+    known = Skeleton(names).root
+    if known is not None:
+        return known
+    still = np.flatnonzero(~truth.any(axis=(0, 2)))
+    return int(still[0]) if len(still) == 1 and len(names) > 1 else None
+
+
+# --- labels and marks -----------------------------------------------------------------------------------------
+
+
+def _labels(hypotheses: Poses, truth: Poses, rows: Rows, true_rows: Rows, problems: list[str]) -> Labels:
+    found = {name: values[true_rows] for name, values in truth.labels.items()}
+    for name, values in hypotheses.labels.items():
+        ours = values[rows]
+        if name in found and not np.array_equal(found[name], ours):
+            different = int((found[name] != ours).sum())
+            problems.append(
+                f"{hypotheses.name} and {truth.name} differ in {name} of {different:,} of {len(ours):,} frames. "
+                "Are they in the same order? A frame_id in both joins them."
+            )
+        found.setdefault(name, ours)
+    return found
+
+
+def _occluded(
+    poses: Poses, rows: Rows, columns: Rows, shape: tuple[int, ...], problems: list[str]
+) -> npt.NDArray[np.bool_] | None:
+    if len(poses.marks) > 1:
+        problems.append(f"{poses.name} has both occluded and visible; expected one of them.")
+    for name, marks in poses.marks.items():
+        if marks.shape != shape:
+            problems.append(f"{poses.name}: {name} {marks.shape}; expected (M, K) = {shape}.")
+            return None
+        chosen: BoolArray = marks[rows][:, columns]
+        return ~chosen if name == "visible" else chosen
+    return None

@@ -1,0 +1,221 @@
+"""Which axis is which? Other projects' layouts, turned into (N, M, K, D) once and lazily.
+
+A layout is a word of letters, one per axis, outermost first:
+
+=======  ==========================================================================================
+letter   axis
+=======  ==========================================================================================
+``N``    hypotheses
+``M``    poses (frames, or clips where there is a ``T``)
+``T``    frames of a clip; clips and their frames together are the poses
+``K``    joints
+``D``    coordinates
+``I``    iterations of a sampler, of which the last counts
+``(…)``  several axes flattened into one, such as ``(KD)`` or ``(DK)``
+=======  ==========================================================================================
+
+Axes are declared and never guessed: where the numbers of hypotheses and of poses agree, a guess is a wrong number.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from posecal.errors import PoseDataError
+
+__all__ = ["HYPOTHESES", "TRUTH", "Layout", "LazyArray", "MemoryArray", "plausible_layouts"]
+
+HYPOTHESES, TRUTH = "NMKD", "MKD"
+"""The paper's layouts."""
+
+_IN_THE_WILD = ("NMKD", "MNKD", "MKND", "NMDK", "MNDK", "MKDN", "MDKN")
+
+
+class LazyArray(Protocol):
+    """Something with a shape and a dtype that gives its numbers only when it is opened."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The length of every axis."""
+
+    @property
+    def dtype(self) -> np.dtype[np.generic]:
+        """The type of its numbers."""
+
+    def open(self) -> npt.NDArray[np.generic]:
+        """Give the array, or a view of it, to be read and let go."""
+
+
+@dataclass(frozen=True)
+class MemoryArray:
+    """An array in memory, as a :class:`LazyArray`.
+
+    Attributes
+    ----------
+    array : array
+        The array itself.
+    """
+
+    array: npt.NDArray[np.generic]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The length of every axis."""
+        return self.array.shape
+
+    @property
+    def dtype(self) -> np.dtype[np.generic]:
+        """The type of its numbers."""
+        return self.array.dtype
+
+    def open(self) -> npt.NDArray[np.generic]:
+        """Give the array."""
+        return self.array
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A declared order of axes.
+
+    Attributes
+    ----------
+    text : str
+        Such as ``NMKD``, ``MKND`` or ``MN(DK)``.
+    core : str
+        The letters that it must have, ``NMKD`` for hypotheses and ``MKD`` for the truth.
+    coordinates : int
+        D, for splitting ``(KD)``.
+
+    Raises
+    ------
+    PoseDataError
+        For letters that are missing, repeated or not known.
+
+    Examples
+    --------
+    >>> Layout("MN(DK)", "NMKD").sizes((7, 5, 51))
+    {'M': 7, 'N': 5, 'D': 3, 'K': 17}
+    >>> Layout("NMK", "NMKD")
+    Traceback (most recent call last):
+    posecal.errors.PoseDataError: axes: 'NMK' lacks D; expected each letter of NMKD once, such as MNKD or MN(DK).
+    """
+
+    text: str
+    core: str
+    coordinates: int = 3
+
+    def __post_init__(self) -> None:
+        letters = re.sub(r"[()]", "", self.text)
+        missing = [letter for letter in self.core if letter not in letters]
+        unknown = [letter for letter in letters if letter not in self.core + "TI"]
+        repeated = len(set(letters)) < len(letters)
+        grouped = re.fullmatch(r"(?:[A-Z]|\([A-Z]+\))+", self.text) and re.search(r"\([^)]*[NMTI]", self.text) is None
+        if missing or unknown or repeated or not grouped:
+            what = f"lacks {', '.join(missing)}" if missing else "is no layout"
+            other = "MNKD or MN(DK)" if "N" in self.core else "MDK or M(DK)"
+            raise PoseDataError(
+                f"axes: {self.text!r} {what}; expected each letter of {self.core} once, such as {other}."
+            )
+
+    @property
+    def groups(self) -> list[str]:
+        """The letters of each stored axis."""
+        return [group.strip("()") for group in re.findall(r"[A-Z]|\([A-Z]+\)", self.text)]
+
+    def sizes(self, shape: tuple[int, ...]) -> dict[str, int]:
+        """Give the length of each lettered axis of a stored array.
+
+        Raises
+        ------
+        PoseDataError
+            Where the shape does not fit the layout.
+        """
+        found: dict[str, int] = {}
+        if len(shape) != len(self.groups):
+            raise PoseDataError(
+                f"axes: {self.text} names {len(self.groups)} axes; the array has {len(shape)}: {shape}."
+            )
+        for group, length in zip(self.groups, shape, strict=True):
+            if len(group) == 1:
+                found[group] = length
+            elif length % self.coordinates:
+                raise PoseDataError(
+                    f"axes: ({group}) has length {length}; expected a multiple of {self.coordinates} coordinates."
+                )
+            else:
+                known = {"D": self.coordinates, "K": length // self.coordinates}
+                found.update({letter: known[letter] for letter in group})
+        return found
+
+    def shape(self, shape: tuple[int, ...]) -> tuple[int, ...]:
+        """Give the shape in the paper's layout, clips and frames joined."""
+        sizes = self.sizes(shape)
+        sizes["M"] *= sizes.get("T", 1)
+        return tuple(sizes[letter] for letter in self.core)
+
+    def without(self, *letters: str) -> str:
+        """Give the layout's text without some axes: what the truth's is when it is stored as the hypotheses are."""
+        return "".join(letter for letter in self.text if letter not in letters)
+
+    def clip_length(self, shape: tuple[int, ...]) -> int | None:
+        """Give T, None where the layout has no clips."""
+        return self.sizes(shape).get("T")
+
+    def read(self, array: npt.NDArray[np.generic], poses: npt.NDArray[np.intp]) -> npt.NDArray[np.generic]:
+        """Read some poses of a stored array, in the paper's layout.
+
+        Parameters
+        ----------
+        array : array
+            As stored, possibly mapped from a file.
+        poses : array of int (m,)
+            Their numbers, counted through the clips.
+
+        Returns
+        -------
+        array (N, m, K, D) or (m, K, D)
+            A view where the poses are consecutive and no axis had to be split or joined across memory, else a copy.
+        """
+        sizes = self.sizes(array.shape)
+        letters = "".join(self.groups)
+        split = array.reshape([sizes[letter] for letter in letters])
+        split = split[tuple(-1 if letter == "I" else slice(None) for letter in letters)]
+        letters = letters.replace("I", "")
+        clips = sizes.get("T", 1)
+        if "T" not in letters:
+            split, letters = split[..., None], letters + "T"
+        order = self.core.replace("M", "MT")
+        view = split.transpose([letters.index(letter) for letter in order])
+        axis = self.core.index("M")
+        before = (slice(None),) * axis
+        first, last = int(poses[0]), int(poses[-1])
+        if np.array_equal(poses, np.arange(first, last + 1)):
+            some = view[(*before, slice(first // clips, last // clips + 1))]
+            joined = some.reshape(*some.shape[:axis], -1, *some.shape[axis + 2 :])
+            start = first - first // clips * clips
+            return joined[(*before, slice(start, start + len(poses)))]
+        index: tuple[slice | npt.NDArray[np.intp], ...] = (*before, poses // clips, poses % clips)
+        return view[index]
+
+
+def plausible_layouts(shape: tuple[int, ...], truth: tuple[int, ...]) -> list[str]:
+    """Name the layouts met in the wild that would fit hypotheses to a truth of shape (M, K, D).
+
+    Examples
+    --------
+    >>> plausible_layouts((200, 7, 17, 3), (7, 17, 3))
+    ['NMKD']
+    >>> plausible_layouts((7, 7, 17, 3), (7, 17, 3))
+    ['NMKD', 'MNKD']
+    """
+    found = []
+    for text in _IN_THE_WILD:
+        sizes = dict(zip(text, shape, strict=False))
+        if len(shape) == 4 and tuple(sizes[letter] for letter in TRUTH) == truth:
+            found.append(text)
+    return found

@@ -1,0 +1,235 @@
+"""What is a reported number? A statistic of every pose, and the way in which its mean becomes the number.
+
+``finish(sum over poses of a per-pose statistic)``: nothing else is needed for files larger than memory, groups of
+poses, shards on several machines, or resampling by sequence, because sums add. Each number carries its
+definition, written out for the :class:`Protocol` and the :class:`Subject` that it was made with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from posecal.block import Block, BoolArray, FloatArray
+from posecal.errors import PoseDataError
+from posecal.protocol import Protocol, named_joints
+from posecal.skeleton import JOINT_SETS
+
+__all__ = ["Curve", "Direction", "Family", "Metric", "Scope", "Statistic", "Subject", "item"]
+
+Direction = Literal["lower", "higher", "zero", "none"]
+Family = Literal["accuracy", "calibration", "spread"]
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What is measured: everything about a pair of arrays that a definition depends on.
+
+    Attributes
+    ----------
+    n_hypotheses : int
+        N.
+    joints : tuple of str
+        K names.
+    root : int or None
+        The joint that is subtracted from every pose.
+    labels : tuple of str
+        Names of the labels that every pose has.
+    fps : float or None
+        Frames per second.
+    scored : bool
+        Whether the model scored its hypotheses.
+    """
+
+    n_hypotheses: int
+    joints: tuple[str, ...]
+    root: int | None = None
+    labels: tuple[str, ...] = ()
+    fps: float | None = None
+    scored: bool = False
+
+
+@dataclass(frozen=True)
+class Statistic:
+    """A number or a table of every pose, to be summed.
+
+    Attributes
+    ----------
+    name : str
+        Unique within a protocol.
+    compute : callable
+        From a block to (B, *shape); NaN where a pose (or a joint of it) does not count.
+    per_joint : bool
+        Whether the first axis of the shape is joints, each of which counts or not.
+    """
+
+    name: str
+    compute: Callable[[Block], FloatArray]
+    per_joint: bool = False
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A reported number, with everything one must know to read it.
+
+    Attributes
+    ----------
+    name : str
+        In snake case, as in JSON.
+    label : str
+        For people.
+    unit : str
+        ``mm``, ``mm/s``, ``mm/frame`` or empty.
+    direction : str
+        ``lower`` or ``higher`` is better, ``zero`` is best, or ``none``.
+    family : str
+        ``accuracy``, ``calibration`` or ``spread``.
+    brief : str
+        The same in a few words, for a table.
+    definition : str
+        One line, with the numbers it was made with.
+    statistic : Statistic
+        What is summed over poses.
+    finish : callable
+        From the mean of the statistic over poses to the number.
+    by_joint : tuple of Statistic and callable, or None
+        What is summed, and from its mean to one number per joint, NaN for joints that don't count.
+    clips : int
+        0: the mean is over poses. k: ``finish`` is applied to the mean over each k sequences, and the mean of
+        that, weighted with their poses, is the number.
+    headline : bool
+        Whether the default report shows it.
+    """
+
+    name: str
+    label: str
+    unit: str
+    direction: Direction
+    family: Family
+    brief: str
+    definition: str
+    statistic: Statistic
+    finish: Callable[[FloatArray], float]
+    by_joint: tuple[Statistic, Callable[[FloatArray], FloatArray]] | None = None
+    clips: int = 0
+    headline: bool = False
+
+    @property
+    def statistics(self) -> tuple[Statistic, ...]:
+        """Every statistic that the number and its joints' numbers need."""
+        return (self.statistic,) if self.by_joint is None else (self.statistic, self.by_joint[0])
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A number as a function of another, for pictures.
+
+    Attributes
+    ----------
+    name : str
+        In snake case.
+    at : array (T,)
+        Where the function is known.
+    axes : tuple of two str
+        What the two axes show, with units.
+    definition : str
+        One line.
+    statistic : Statistic
+        Its mean over poses, (T,), is the curve.
+    """
+
+    name: str
+    at: FloatArray
+    axes: tuple[str, str]
+    definition: str
+    statistic: Statistic
+
+
+def item(*place: int) -> Callable[[FloatArray], float]:
+    """Finish by reading one entry of the mean."""
+    return lambda mean: float(mean[place])
+
+
+@dataclass(frozen=True)
+class Scope:
+    """Which joints each kind of metric is about, from what is asked and what is there.
+
+    Attributes
+    ----------
+    protocol : Protocol
+        The options.
+    subject : Subject
+        What is measured.
+    body : bool array (K,)
+        The joints that make up a pose, in means over joints and in alignments.
+
+    Raises
+    ------
+    PoseDataError
+        Where no joint is left.
+    """
+
+    protocol: Protocol
+    subject: Subject
+    body: BoolArray = field(init=False)
+
+    def __post_init__(self) -> None:
+        body = self._mask("joints", self.protocol.joints)
+        root = self.subject.root
+        if root is not None and self.protocol.root == "drop":
+            body[root] = False
+        object.__setattr__(self, "body", body)
+        for option, mask in (
+            ("joints", self.body),
+            ("joints without the root", self.moving),
+            ("pck_joints", self.pck),
+            ("cps_joints", self.cps),
+        ):
+            if not mask.any():
+                raise PoseDataError(f"{option}: none is left; the poses have {', '.join(self.subject.joints)}.")
+
+    def _mask(self, option: str, text: str) -> BoolArray:
+        names = named_joints(option, text, self.subject.joints)
+        return np.array([name in names for name in self.subject.joints])
+
+    @cached_property
+    def moving(self) -> BoolArray:
+        """The joints of the body without the root."""
+        mask = self.body.copy()
+        if self.subject.root is not None:
+            mask[self.subject.root] = False
+        return mask
+
+    @cached_property
+    def pck(self) -> BoolArray:
+        """The joints of PCK and AUC."""
+        text = self.protocol.pck_joints
+        if text == Protocol().pck_joints and not set(JOINT_SETS[text]) & set(self.subject.joints):
+            text = "all"  # joints that are not a person's, or have no names
+        return self._mask("pck_joints", text) & self.body
+
+    @cached_property
+    def cps(self) -> BoolArray:
+        """The joints of CPS."""
+        return self._mask("cps_joints", self.protocol.cps_joints) & self.body
+
+    @property
+    def where(self) -> str:
+        """Words for a mask of joints that differs by pose."""
+        return "" if self.protocol.where == "all" else f"{self.protocol.where} ones of "
+
+    def counted(self, mask: BoolArray) -> str:
+        """Words for a mask of joints: how many, and whether the root is one."""
+        return f"the {self.where}{self.number(mask)}"
+
+    def number(self, mask: BoolArray) -> str:
+        """Words for a mask of joints, without an article."""
+        words = f"{mask.sum()} joint{'s' if mask.sum() > 1 else ''}"
+        root = self.subject.root
+        if root is None:
+            return words
+        return f"{words} (root counted)" if mask[root] else f"{words} (no root)"

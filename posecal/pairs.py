@@ -1,0 +1,161 @@
+"""What is evaluated: poses as somebody stored or passed them, and the pairs that they become.
+
+:class:`Poses` says what was declared about an array; :class:`PosePairs` has no files, units, axes or joint orders
+any more. :mod:`posecal.joining` makes the second of two of the first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from posecal.block import BoolArray, FloatArray
+from posecal.layout import Layout, LazyArray
+
+__all__ = ["Labels", "PosePairs", "Poses", "Rows", "Stored"]
+
+Labels = Mapping[str, npt.NDArray[np.str_]]
+Rows = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Poses as they were stored or passed, with what was declared about them.
+
+    Attributes
+    ----------
+    name : str
+        What messages call them: a file or an argument.
+    array : LazyArray
+        The coordinates, in any layout.
+    axes, unit : str or None
+        What was declared.
+    joints : tuple of str or None
+        Names of the joints.
+    frame_id : array of str (M,) or None
+        What each frame is called.
+    labels : mapping of arrays of str (M,)
+        Other things said of each frame.
+    marks : mapping of bool arrays (M, K)
+        ``occluded`` or ``visible``.
+    scores : array (N, M) or None
+        The model's score of each hypothesis.
+    fps : float or None
+        Frames per second.
+    """
+
+    name: str
+    array: LazyArray
+    axes: str | None = None
+    unit: str | None = None
+    joints: tuple[str, ...] | None = None
+    frame_id: npt.NDArray[np.str_] | None = None
+    labels: Labels = field(default_factory=dict)
+    marks: Mapping[str, BoolArray] = field(default_factory=dict)
+    scores: FloatArray | None = None
+    fps: float | None = None
+
+
+@dataclass(frozen=True)
+class Stored:
+    """Hypotheses where they lie, and how to read some poses of them.
+
+    Attributes
+    ----------
+    array : LazyArray
+        As stored.
+    layout : Layout
+        Its axes.
+    rows, columns : arrays of int
+        The stored poses and joints that count, in the order in which they count.
+    factor : float
+        Millimetres in its unit.
+    """
+
+    array: LazyArray
+    layout: Layout
+    rows: Rows
+    columns: Rows
+    factor: float
+
+    def read(self, start: int, stop: int) -> FloatArray:
+        """Read some poses, (N, stop - start, K, D) in mm."""
+        found = self.layout.read(self.array.open(), self.rows[start:stop])
+        if not np.array_equal(self.columns, np.arange(found.shape[2])):
+            found = found[:, :, self.columns]
+        return in_millimetres(found, self.factor)
+
+
+def in_millimetres(stored: npt.NDArray[np.generic], factor: float) -> FloatArray:
+    """Give stored coordinates as real numbers in mm; single precision stays single."""
+    single = stored.dtype.kind == "f" and stored.dtype.itemsize <= 4
+    found: FloatArray = stored.astype(np.float32 if single else np.float64, copy=False)
+    return found if factor == 1 else found * found.dtype.type(factor)
+
+
+@dataclass(frozen=True)
+class PosePairs:
+    """M poses with N hypotheses each: in mm, in one order of frames and joints.
+
+    Attributes
+    ----------
+    stored : Stored
+        The hypotheses, read some poses at a time.
+    truth : array (M, K, D)
+        True poses, mm.
+    joints : tuple of str
+        K names, as :mod:`posecal.skeleton` spells them; numbered where there are none.
+    root : int or None
+        The joint to subtract from every pose.
+    frame_id : array of str (M,)
+        What each pose is called.
+    labels : mapping of arrays of str (M,)
+        What else is said of each pose.
+    occluded : bool array (M, K) or None
+        The joints whose keypoints were not seen.
+    scores : array (N, M) or None
+        The model's score of each hypothesis.
+    fps : float or None
+        Frames per second.
+    where : bool array (M, K) or None
+        The joints that count.
+    names : tuple of two str
+        What messages call the hypotheses and the truth.
+    remarks : tuple of str
+        What a careful reader should know about the join.
+    """
+
+    stored: Stored
+    truth: FloatArray
+    joints: tuple[str, ...]
+    root: int | None
+    frame_id: npt.NDArray[np.str_]
+    labels: Labels
+    occluded: BoolArray | None
+    scores: FloatArray | None
+    fps: float | None
+    names: tuple[str, str]
+    where: BoolArray | None = None
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def shape(self) -> tuple[int, int, int, int]:
+        """(N, M, K, D)."""
+        m, k, d = self.truth.shape
+        return self.stored.layout.shape(self.stored.array.shape)[0], m, k, d
+
+    def taken(self, poses: Rows) -> PosePairs:
+        """Keep some poses, by their numbers."""
+        return replace(
+            self,
+            stored=replace(self.stored, rows=self.stored.rows[poses]),
+            truth=self.truth[poses],
+            frame_id=self.frame_id[poses],
+            labels={name: values[poses] for name, values in self.labels.items()},
+            occluded=None if self.occluded is None else self.occluded[poses],
+            scores=None if self.scores is None else self.scores[:, poses],
+            where=None if self.where is None else self.where[poses],
+        )

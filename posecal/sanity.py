@@ -1,0 +1,89 @@
+"""Do these numbers look like people in millimetres?"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from posecal.block import FloatArray
+from posecal.errors import PoseDataError
+from posecal.pairs import PosePairs
+from posecal.skeleton import Skeleton
+
+__all__ = ["doubts"]
+
+BONES = (50.0, 700.0)
+"""A median bone length outside this range, in mm, is remarked on."""
+
+TINY = 10.0
+"""Poses of this size, in what should be mm, must be metres: a person's joints lie some 400 mm from their centre."""
+
+
+def doubts(pairs: PosePairs, declared: bool, true_declared: bool) -> list[str]:
+    """Look for wrong units.
+
+    Parameters
+    ----------
+    pairs : PosePairs
+        What was joined.
+    declared, true_declared : bool
+        Whether the hypotheses' and the truth's units were said, by a file or by the user.
+
+    Returns
+    -------
+    list of str
+        Remarks, where numbers may still be right.
+
+    Raises
+    ------
+    PoseDataError
+        Where an undeclared unit can't be millimetres, or the two are in different units.
+    """
+    n, m, _, _ = pairs.shape
+    few = min(m, 8)
+    size = _size(pairs.truth)
+    ours = _size(pairs.stored.read(0, few)[: min(n, 50)].reshape(-1, *pairs.truth.shape[1:]))
+    name, true_name = pairs.names
+    problems = []
+    if 0 < size < TINY and not true_declared:
+        problems.append(_metres(true_name, size))
+    if 0 < ours < TINY and not declared:
+        problems.append(_metres(name, ours))
+    if problems:
+        raise PoseDataError(
+            " ".join(problems) + " Pass --unit m, or store unit in the files; --unit mm if it is right."
+        )
+    if not (declared and true_declared) and size > 0 and ours > 0 and not 0.05 < ours / size < 20:
+        raise PoseDataError(
+            f"{name} and {true_name} differ in size by a factor of {max(ours / size, size / ours):,.0f}; expected one "
+            "unit. Store unit in both, or pass --unit and --truth-unit."
+        )
+    return _bones(pairs)
+
+
+def _metres(name: str, size: float) -> str:
+    return f"{name} looks like metres: joints lie {size:.2g} from the middle of the pose; expected some 400 (mm)."
+
+
+def _size(poses: FloatArray) -> float:
+    """Median over poses of the root mean square distance of the joints from their mean."""
+    some = poses[:: max(1, len(poses) // 500)].astype(np.float64)
+    whole = some[np.isfinite(some).all(axis=(1, 2))]
+    if not len(whole):
+        return 0.0
+    return float(np.median(np.sqrt(((whole - whole.mean(axis=1, keepdims=True)) ** 2).sum(axis=2).mean(axis=1))))
+
+
+def _bones(pairs: PosePairs) -> list[str]:
+    bones = Skeleton(pairs.joints).bones
+    if not bones:
+        return []
+    parents, children = np.array(bones).T
+    some = pairs.truth[:: max(1, len(pairs.truth) // 500)].astype(np.float64)
+    lengths = np.linalg.norm(some[:, children] - some[:, parents], axis=-1)
+    lengths = lengths[np.isfinite(lengths)]
+    if not lengths.size or BONES[0] <= np.median(lengths) <= BONES[1]:
+        return []
+    return [
+        f"the median bone of {pairs.names[1]} is {np.median(lengths):.3g} mm long; expected {BONES[0]:g} to "
+        f"{BONES[1]:g}. Is its unit right?"
+    ]

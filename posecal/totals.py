@@ -1,0 +1,329 @@
+"""What is kept of an evaluation? The sums of every statistic, per cell; never the hypotheses.
+
+A *cell* is one combination of sequence and labels. Sums over cells add, so a report of any group of poses, of
+shards that were evaluated apart, or of resampled sequences needs nothing but these sums: some hundred kilobytes,
+in a file that can be read next year.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from posecal.block import FloatArray
+from posecal.errors import PoseDataError, PoseFileError, did_you_mean, raise_all
+from posecal.io import written_whole
+from posecal.metric import Metric, Statistic, Subject
+from posecal.protocol import Protocol
+
+__all__ = ["FORMAT", "Totals"]
+
+FORMAT = 1
+"""The version of the file format."""
+
+Cells = Mapping[str, npt.NDArray[np.str_]]
+
+
+@dataclass
+class Totals:
+    """Sums of statistics over the poses of each of C cells.
+
+    Attributes
+    ----------
+    subject : Subject
+        What was measured.
+    protocol : Protocol
+        How.
+    version : str
+        Of posecal.
+    cells : mapping of arrays of str (C,)
+        The labels of each cell; ``sequence`` is always among them.
+    poses : array of int (C,)
+        Poses in each cell.
+    remarks : tuple of str
+        What a careful reader should know.
+    sequences : bool
+        Whether the sequences were labelled; else they are runs of consecutive frames, taken as independent.
+    sums, counts : dicts of arrays (C, *shape) and (C,) or (C, J)
+        By statistic: the sum over the poses that count, and their number.
+    """
+
+    subject: Subject
+    protocol: Protocol
+    version: str
+    cells: Cells
+    poses: npt.NDArray[np.int64]
+    remarks: tuple[str, ...] = ()
+    sequences: bool = True
+    sums: dict[str, FloatArray] = field(default_factory=dict)
+    counts: dict[str, npt.NDArray[np.int64]] = field(default_factory=dict)
+
+    # --- adding -----------------------------------------------------------------------------------------------
+
+    def add(self, name: str, cells: npt.NDArray[np.intp], sums: FloatArray, counts: npt.NDArray[np.int64]) -> None:
+        """Add the sums of some poses of a statistic to their cells.
+
+        Parameters
+        ----------
+        name : str
+            The statistic.
+        cells : array of int (R,)
+            The cell of each row.
+        sums, counts : arrays (R, *shape) and (R,) or (R, J)
+            What is added.
+        """
+        if name not in self.sums:
+            self.sums[name] = np.zeros((len(self.poses), *sums.shape[1:]))
+            self.counts[name] = np.zeros((len(self.poses), *counts.shape[1:]), dtype=np.int64)
+        np.add.at(self.sums[name], cells, sums)
+        np.add.at(self.counts[name], cells, counts)
+
+    # --- reading ----------------------------------------------------------------------------------------------
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the labels that poses can be grouped by."""
+        return tuple(name for name in self.cells if self.sequences or name != "sequence")
+
+    def groups(self, label: str) -> Iterator[tuple[str, npt.NDArray[np.bool_]]]:
+        """Give each value of a label, in their natural order, with its cells.
+
+        Raises
+        ------
+        PoseDataError
+            For a label that the poses don't have.
+        """
+        if label not in self.labels:
+            raise PoseDataError(f"by: {label!r} is not a label of these poses. {did_you_mean(label, self.labels)}")
+        values = self.cells[label]
+        for value in sorted(set(values.tolist()), key=_natural):
+            yield value, values == value
+
+    def mean(self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None = None) -> FloatArray:
+        """Mean of a statistic over the poses of some cells; NaN where none counts."""
+        chosen = slice(None) if cells is None else cells
+        return _mean(self.sums[statistic.name][chosen].sum(axis=0), self.counts[statistic.name][chosen].sum(axis=0))
+
+    def count(self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None = None) -> int:
+        """Poses that count in a statistic: at the joint where most do."""
+        chosen = slice(None) if cells is None else cells
+        return int(np.max(self.counts[statistic.name][chosen].sum(axis=0), initial=0))
+
+    def value(self, metric: Metric, cells: npt.NDArray[np.bool_] | None = None) -> float:
+        """Give a metric over the poses of some cells; by the option ``average``, the mean of its groups' values."""
+        cells = np.ones(len(self.poses), dtype=bool) if cells is None else cells
+        if self.protocol.average == "poses":
+            return self._pooled(metric, cells)
+        values = [self._pooled(metric, cells & group) for _, group in self.groups(self.protocol.average)]
+        found = [value for value in values if not np.isnan(value)]
+        return float(np.mean(found)) if found else float("nan")
+
+    def _pooled(self, metric: Metric, cells: npt.NDArray[np.bool_]) -> float:
+        if not metric.clips:
+            return metric.finish(self.mean(metric.statistic, cells))
+        sums, counts = self.sums[metric.statistic.name], self.counts[metric.statistic.name]
+        names = dict.fromkeys(self.cells["sequence"][cells].tolist())
+        batch = {name: place // metric.clips for place, name in enumerate(names)}
+        total, number = 0.0, 0
+        for wanted in range(len(set(batch.values()))):
+            chosen = cells & np.array([batch.get(name, -1) == wanted for name in self.cells["sequence"]])
+            poses = int(counts[chosen].sum())
+            if poses:
+                total += poses * metric.finish(_mean(sums[chosen].sum(axis=0), counts[chosen].sum(axis=0)))
+                number += poses
+        return total / number if number else float("nan")
+
+    def by_joint(self, metric: Metric, cells: npt.NDArray[np.bool_] | None = None) -> FloatArray:
+        """Give a metric per joint, (K,); NaN for joints that don't count."""
+        if metric.by_joint is None:
+            return np.full(len(self.subject.joints), np.nan)
+        statistic, finish = metric.by_joint
+        return finish(self.mean(statistic, cells))
+
+    @property
+    def signature(self) -> str:
+        """One line that is equal for two results exactly where their numbers can be compared."""
+        s = self.subject
+        parts = {
+            "posecal": self.version,
+            "N": str(s.n_hypotheses),
+            "K": f"{len(s.joints)}({zlib.crc32(','.join(s.joints).encode()):08x})",
+            "origin": "as given" if s.root is None else s.joints[s.root],
+            **self.protocol.options,
+        }
+        parts.pop("metrics")
+        default = Protocol().options
+        kept = ("posecal", "N", "K", "origin", "joints", "root", "where", "best", "align", "average")
+        shown = {key: value for key, value in parts.items() if key in kept or value != default.get(key)}
+        shown["ece"] = f"exchangeable,{self.protocol.summary_over_joints}"
+        return " ".join(f"{key}={value.replace(' ', '_')}" for key, value in shown.items())
+
+    # --- joining shards ---------------------------------------------------------------------------------------
+
+    @staticmethod
+    def merged(parts: Sequence[Totals], names: Sequence[str] | None = None) -> Totals:
+        """Add the results of shards of one test set.
+
+        Parameters
+        ----------
+        parts : sequence of Totals
+            At least one; evaluated alike.
+        names : sequence of str, optional
+            What messages call them.
+
+        Returns
+        -------
+        Totals
+            What one run over all poses gives. A sequence may be split over shards.
+
+        Raises
+        ------
+        PoseDataError
+            Where two differ in more than their poses, or hold the same poses.
+        """
+        names = names or [f"part {number}" for number in range(1, len(parts) + 1)]
+        first = parts[0]
+        problems = []
+        for name, part in zip(names[1:], parts[1:], strict=True):
+            if part.signature != first.signature:
+                problems.append(f"{names[0]} and {name} were not made alike: {_difference(first, part)}.")
+            if set(part.cells) != set(first.cells) or set(part.sums) != set(first.sums):
+                ours = sorted(set(first.cells) ^ set(part.cells)) + sorted(set(first.sums) ^ set(part.sums))
+                problems.append(f"{names[0]} and {name} differ in what they hold: {', '.join(ours)}.")
+        raise_all(problems)
+        keys = list(first.cells)
+        rows: dict[tuple[str, ...], int] = {}
+        seen: dict[tuple[object, ...], str] = {}
+        where = []
+        for name, part in zip(names, parts, strict=True):
+            cells = list(zip(*(part.cells[key].tolist() for key in keys), strict=True))
+            where.append(np.array([rows.setdefault(cell, len(rows)) for cell in cells], dtype=np.intp))
+            for place, cell in enumerate(cells):
+                print_ = (cell, int(part.poses[place]), *(float(s[place].sum()) for s in part.sums.values()))
+                if print_ in seen:
+                    raise PoseDataError(
+                        f"{seen[print_]} and {name} hold the same poses (cell {', '.join(cell)}); expected shards "
+                        "without poses in common."
+                    )
+                seen[print_] = name
+        poses = np.zeros(len(rows), dtype=np.int64)
+        values = np.array(list(rows), dtype=np.str_).reshape(len(rows), len(keys))
+        whole = Totals(
+            subject=first.subject,
+            protocol=first.protocol,
+            version=first.version,
+            cells={key: values[:, place] for place, key in enumerate(keys)},
+            poses=poses,
+            remarks=tuple(dict.fromkeys(remark for part in parts for remark in part.remarks)),
+            sequences=all(part.sequences for part in parts),
+        )
+        for part, cells_of in zip(parts, where, strict=True):
+            np.add.at(poses, cells_of, part.poses)
+            for statistic in first.sums:
+                whole.add(statistic, cells_of, part.sums[statistic], part.counts[statistic])
+        return whole
+
+    # --- files ------------------------------------------------------------------------------------------------
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the sums into a compressed ``.npz`` file, whole or not at all.
+
+        Raises
+        ------
+        PoseFileError
+            Where the file can't be written.
+        """
+        about = {
+            "posecal": self.version,
+            "format": FORMAT,
+            "subject": asdict(self.subject),
+            "protocol": self.protocol.options,
+            "remarks": self.remarks,
+            "sequences": self.sequences,
+        }
+        members: dict[str, npt.NDArray[np.generic]] = {"about": np.array(json.dumps(about)), "poses": self.poses}
+        members |= {f"cell/{name}": values for name, values in self.cells.items()}
+        for name in self.sums:
+            members[f"sum/{name}"], members[f"count/{name}"] = self.sums[name], self.counts[name]
+        written_whole(path, lambda file: np.savez_compressed(file, allow_pickle=False, **members))
+
+    @staticmethod
+    def load(path: str | os.PathLike[str]) -> Totals:
+        """Read what :meth:`save` wrote.
+
+        Raises
+        ------
+        PoseFileError
+            For files that can't be read or are no results.
+        """
+        name = Path(path).name
+        try:
+            with np.load(path, allow_pickle=False) as stored:
+                members: dict[str, Any] = {key: stored[key] for key in stored.files}
+            about = json.loads(str(members.pop("about")))
+            if about["format"] != FORMAT:
+                raise PoseFileError(
+                    f"{name}: format {about['format']} of posecal {about['posecal']}; expected {FORMAT}. "
+                    "Evaluate again."
+                )
+            return Totals(
+                subject=Subject(**_tuples(about["subject"])),
+                protocol=Protocol().changed(about["protocol"]),
+                version=about["posecal"],
+                cells=_part(members, "cell/"),
+                poses=members["poses"],
+                remarks=tuple(about["remarks"]),
+                sequences=about["sequences"],
+                sums=_part(members, "sum/"),
+                counts=_part(members, "count/"),
+            )
+        except FileNotFoundError:
+            raise PoseFileError(f"{path}: no such file.") from None
+        except IsADirectoryError:
+            raise PoseFileError(f"{path}: is a folder; expected a result of posecal evaluate --save.") from None
+        except (
+            KeyError,
+            TypeError,
+            AttributeError,
+            ValueError,
+            EOFError,
+            zipfile.BadZipFile,
+            zlib.error,
+        ) as error:
+            if isinstance(error, PoseFileError):
+                raise
+            raise PoseFileError(f"{name}: no result of posecal evaluate --save, or not a whole one.") from None
+
+
+def _natural(text: str) -> list[tuple[int, str]]:
+    """A key that sorts numbers within text by their size."""
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", text)]
+
+
+def _mean(sums: FloatArray, counts: npt.NDArray[np.int64]) -> FloatArray:
+    number = np.expand_dims(counts, tuple(range(np.ndim(counts), np.ndim(sums))))
+    return np.where(number > 0, sums / np.maximum(number, 1), np.nan)
+
+
+def _part(members: dict[str, Any], prefix: str) -> dict[str, Any]:
+    return {key.removeprefix(prefix): value for key, value in members.items() if key.startswith(prefix)}
+
+
+def _tuples(subject: dict[str, Any]) -> dict[str, Any]:
+    return {key: tuple(value) if isinstance(value, list) else value for key, value in subject.items()}
+
+
+def _difference(one: Totals, other: Totals) -> str:
+    ours, theirs = (dict(part.split("=", 1) for part in t.signature.split()) for t in (one, other))
+    keys = [key for key in {**ours, **theirs} if ours.get(key) != theirs.get(key)]
+    return ", ".join(f"{key} {ours.get(key, 'default')} against {theirs.get(key, 'default')}" for key in keys)
