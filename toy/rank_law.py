@@ -102,9 +102,7 @@ def write_table(path: Path, draws: int = 400_000, seed: int = 0) -> None:
     for n in SIZES:
         for name, row in bias(n, draws, seed).items():
             table[name][str(n)] = [round(float(value), 6) for value in row]
-    note = (
-        f"bias of a perfect sampler, isotropic Gaussian in 3D; python -m toy rank-law, {draws} draws, seed {seed}"
-    )
+    note = f"bias of a perfect sampler, isotropic Gaussian in 3D; python -m toy rank-law, {draws} draws, seed {seed}"
     lines = [f'"about": {json.dumps(note)}']
     for name, rows in table.items():
         body = ",\n".join(f'  "{n}": {json.dumps(row)}' for n, row in rows.items())

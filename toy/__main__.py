@@ -1,0 +1,185 @@
+"""Arguments of ``python -m toy``: a command for each toy result, its figure and its numbers."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal, ParamSpec
+
+import numpy as np
+import typer
+
+from posecal.errors import PosecalError
+
+if TYPE_CHECKING:
+    from toy.experiments.result import Result
+
+P = ParamSpec("P")
+
+app = typer.Typer(
+    help="Worlds whose answers are known: the paper's toy problems and an oracle pose world.",
+    no_args_is_help=True,
+    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def command(body: Callable[P, None]) -> Callable[P, None]:
+    """Register a command; bad data end in one message and exit 3, Ctrl-C in 130."""
+
+    @functools.wraps(body)
+    def guarded(*args: P.args, **kwargs: P.kwargs) -> None:
+        try:
+            body(*args, **kwargs)
+        except PosecalError as error:
+            typer.echo(f"toy: {error}", err=True)
+            raise typer.Exit(3) from None
+        except KeyboardInterrupt:
+            typer.echo("toy: interrupted.", err=True)
+            raise typer.Exit(130) from None
+
+    return app.command(body.__name__.replace("_", "-"))(guarded)
+
+
+def _figure(path: Path) -> Path:
+    from posecal.plot import check_suffix
+
+    try:
+        check_suffix(path)
+    except PosecalError as error:
+        raise typer.BadParameter(str(error)) from None
+    return path
+
+
+Output = Annotated[Path, typer.Option("-o", "--output", help="The figure: .svg, .png or .pdf.", callback=_figure)]
+Seed = Annotated[int, typer.Option(help="Where random draws start.", min=0)]
+Poses = Annotated[int, typer.Option(help="Truths in the simulated check.", min=2)]
+
+
+def _deliver(result: Result, output: Path) -> None:
+    from posecal.plot import save
+
+    typer.echo(result.text)
+    save(result.figure, output)
+    typer.echo(f"wrote {output}")
+
+
+@command
+def sigma_map(
+    output: Output = Path("sigma-map.svg"),
+    seed: Seed = 0,
+    poses: Poses = 100_000,
+    grid: Annotated[int, typer.Option(help="Points per axis, log-spaced and rounded.", min=2)] = 20,
+) -> None:
+    """Figure 1b: the spread that minimises minMPJPE, over dimensions and hypotheses."""
+    from toy.experiments.sigma_map import run
+
+    _deliver(run(np.random.default_rng(seed), poses=poses, grid=grid), output)
+
+
+@command
+def landscape(output: Output = Path("landscape.svg"), seed: Seed = 0, poses: Poses = 200_000) -> None:
+    """Figure 1d: minMPJPE and ECE over the mean and the spread of a 1D Gaussian."""
+    from toy.experiments.landscape import run
+
+    _deliver(run(np.random.default_rng(seed), poses=poses), output)
+
+
+@command
+def collapse(output: Output = Path("collapse.svg"), seed: Seed = 0, poses: Poses = 200_000) -> None:
+    """Supplement A.1: the mean MPJPE is lowest for a model without spread."""
+    from toy.experiments.collapse import run
+
+    _deliver(run(np.random.default_rng(seed), poses=poses), output)
+
+
+@command
+def mean(output: Output = Path("mean.svg"), seed: Seed = 0, poses: Poses = 100_000) -> None:
+    """Supplement A.2: minMPJPE keeps the mean of a symmetric truth."""
+    from toy.experiments.mean import run
+
+    _deliver(run(np.random.default_rng(seed), poses=poses), output)
+
+
+@command
+def curves(output: Output = Path("curves.svg"), seed: Seed = 0, poses: Poses = 100_000) -> None:
+    """Closed calibration curves of a wrong spread, mean or dimension."""
+    from toy.experiments.curves import run
+
+    _deliver(run(np.random.default_rng(seed), poses=poses), output)
+
+
+@command
+def pose_world(
+    output: Output = Path("pose-world.svg"),
+    seed: Seed = 0,
+    data: Annotated[Path, typer.Option(help="The folder for hyps.npz and gt.npz.")] = Path("pose-world"),
+    fault: Annotated[
+        str, typer.Option(help="What is wrong: a name (--list), spread-FACTOR, or all, a folder each.")
+    ] = "perfect",
+    world: Annotated[Literal["person", "independent-joints"], typer.Option(help="Which world.")] = "person",
+    joints: Annotated[str, typer.Option(help="One of posecal's joint sets.")] = "h36m-16",
+    hypotheses: Annotated[int, typer.Option(help="How many of each pose.", min=1)] = 200,
+    sequences: Annotated[int, typer.Option(help="How many sequences.", min=1)] = 40,
+    frames: Annotated[int, typer.Option(help="Frames in each.", min=1)] = 25,
+    correlation: Annotated[float, typer.Option(help="Between consecutive frames.", min=0, max=0.9999)] = 0.0,
+    hidden: Annotated[
+        float, typer.Option(help="Share of keypoints missing in every other sequence.", min=0, max=1)
+    ] = 0.3,
+    list_: Annotated[bool, typer.Option("--list", help="Name the faults and stop.")] = False,
+) -> None:
+    """Poses with a known posterior: files for posecal evaluate, perfect or with a named fault."""
+    from toy.faults import FAULTS, named_fault
+
+    if list_:
+        for known in FAULTS.values():
+            typer.echo(f"{known.name:20} {known.says}")
+        return
+    from toy.experiments.pose_world import run
+    from toy.pose_world import PoseWorld
+
+    made = PoseWorld.person(joints) if world == "person" else PoseWorld.independent_joints(joints)
+    result = run(
+        made,
+        list(FAULTS.values()) if fault == "all" else [named_fault(fault)],
+        data,
+        seed=seed,
+        N=hypotheses,
+        sequences=sequences,
+        frames=frames,
+        correlation=correlation,
+        hidden=hidden,
+    )
+    _deliver(result, output)
+
+
+@command
+def pendulum(
+    output: Output = Path("pendulum.svg"),
+    seed: Seed = 0,
+    data: Annotated[Path, typer.Option(help="The .npz for positions and observations.")] = Path("pendulum.npz"),
+    pendulums: Annotated[int, typer.Option(help="How many.", min=1)] = 50,
+    timesteps: Annotated[int, typer.Option(help="Times of each, 0.02 s apart.", min=2)] = 25,
+) -> None:
+    """Supplement B.2: triple pendulums, the data of the zero-shot experiment."""
+    from toy.experiments.pendulum import run
+
+    _deliver(run(np.random.default_rng(seed), data, pendulums=pendulums, timesteps=timesteps), output)
+
+
+@command
+def rank_law(
+    output: Annotated[Path, typer.Option("-o", "--output", help="The .json.")] = Path("finite_n.json"),
+    seed: Seed = 0,
+    draws: Annotated[int, typer.Option(help="Sets of hypotheses for each N.", min=1)] = 400_000,
+) -> None:
+    """The bias of the paper's and the reference's curves at finite N, the table of posecal.calibration.floor."""
+    from toy.rank_law import write_table
+
+    write_table(output, draws, seed)
+    typer.echo(f"wrote {output}")
+
+
+if __name__ == "__main__":
+    app(prog_name="python -m toy")

@@ -1,0 +1,64 @@
+"""Does minMPJPE keep the mean? Supplement A.2."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from toy import mean as nearest
+from toy import pictures
+from toy.experiments.result import Result
+from toy.table import check, table
+
+__all__ = ["run"]
+
+CASES = ((2, 1.0), (10, 0.5), (10, 1.0), (200, 1.0))
+"""Hypotheses N and spreads σ/σ*."""
+
+
+def run(rng: np.random.Generator, *, poses: int = 100_000) -> Result:
+    """Compute E[z*], fit the sigmoid, and find where the derivative of minMPJPE vanishes.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        For the simulated check.
+    poses : int
+        Truths in it.
+
+    Returns
+    -------
+    Result
+        The fits with their errors, and how far from the mean minMPJPE goes for a skewed truth.
+    """
+    offset, span = np.linspace(-6, 6, 121), np.linspace(-2, 2, 81)
+    z = {(N, s): nearest.expected_z(offset, sigma=s, truth_sigma=1.0, N=N) for N, s in CASES}
+    fits = {case: nearest.fit_sigmoid(offset, values) for case, values in z.items()}
+    skewed = {(N, s): nearest.best_offset_skewed(sigma=s, N=N) for N, s in CASES}
+    text = [
+        table(
+            "E[z*] at offsets to ∓6 σ*, and the sigmoid C (2 S(k a) − 1) fitted to it",
+            ["", "C", "limit of E[z*]", "k σ*", "largest error", "rms error"],
+            [
+                [
+                    f"N = {N}, σ = {s:g} σ*",
+                    *(fits[N, s].scale, nearest.largest_of(N), fits[N, s].slope),
+                    *(fits[N, s].largest_error, fits[N, s].rms_error),
+                ]
+                for N, s in CASES
+            ],
+        ),
+        table(
+            "(E[x] − μ)/σ* at the lowest squared minMPJPE",
+            ["", "Gaussian truth", "exponential truth"],
+            [[f"N = {N}, σ = {s:g} σ*", "0 (symmetry)", skewed[N, s]] for N, s in CASES],
+        ),
+    ]
+    exact = float(nearest.expected_z(1.0, sigma=1.0, truth_sigma=1.0, N=10))
+    drawn = nearest.simulated_z(1.0, sigma=1.0, truth_sigma=1.0, N=10, poses=poses, rng=rng)
+    text.append(check("E[z*] at offset σ*, N = 10, σ = σ*", exact, drawn))
+    derivative = {
+        "Gaussian truth": span - nearest.expected_z(span, sigma=1.0, truth_sigma=1.0, N=10),
+        "exponential truth": span - nearest.expected_z_skewed(span, sigma=1.0, N=10),
+    }
+    roots = {"Gaussian truth": 0.0, "exponential truth": skewed[10, 1.0]}
+    return Result("\n".join(text), pictures.mean(offset, z, fits, span, derivative, roots))
