@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -20,6 +19,7 @@ from torch import Tensor
 
 import posecal
 from posecal.errors import PoseDataError, PoseFileError, did_you_mean, first_few
+from posecal.io import written_whole
 from posecal_models.cgnf.flow import FlowSize
 from posecal_models.cgnf.model import CGNF
 from posecal_models.cgnf.released import from_released
@@ -31,6 +31,7 @@ __all__ = [
     "load_estimator",
     "load_released",
     "named_weights",
+    "notes_of",
     "read_tensors",
     "save_estimator",
     "write_tensors",
@@ -95,28 +96,18 @@ def write_tensors(path: str | Path, tensors: Mapping[str, Tensor], about: dict[s
     PoseFileError
         Where it can't be written: no such folder, no right to, no space left.
     """
-    path = Path(path)
     plain = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     content = save(plain, metadata={_HEADER: json.dumps(about)})
-    temporary: str | None = None
-    try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-        temporary = None
-    except OSError as problem:
-        raise PoseFileError(f"{path}: can't be written ({problem.strerror}).") from problem
-    finally:
-        if temporary is not None:
-            Path(temporary).unlink(missing_ok=True)
+
+    def write(file: BinaryIO) -> None:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+
+    written_whole(path, write)
 
 
-def read_tensors(
-    path: str | Path, *, device: torch.device | str = "cpu"
-) -> tuple[dict[str, Tensor], dict[str, Any]]:
+def read_tensors(path: str | Path, *, device: torch.device | str = "cpu") -> tuple[dict[str, Tensor], dict[str, Any]]:
     """Read a file of :func:`write_tensors`.
 
     Parameters
@@ -153,9 +144,7 @@ def read_tensors(
     return tensors, about
 
 
-def save_estimator(
-    path: str | Path, estimator: ReferenceEstimator, *, notes: dict[str, Any] | None = None
-) -> None:
+def save_estimator(path: str | Path, estimator: ReferenceEstimator, *, notes: dict[str, Any] | None = None) -> None:
     """Write the weights of an estimator.
 
     Parameters
@@ -196,17 +185,37 @@ def load_estimator(name: str | Path, *, device: torch.device | str = "cpu") -> R
     PoseFileError, PoseDataError
         Where the file is not there, damaged, or its tensors don't fit its description.
     """
-    path = _FOLDER / f"{name}.safetensors" if str(name) in named_weights() else Path(name)
-    if not path.is_file():
-        raise PoseFileError(f"{name}: no such weights. {did_you_mean(str(name), named_weights())}".strip())
-    tensors, about = read_tensors(path, device=device)
+    tensors, about = read_tensors(_path_of(name), device=device)
     if "estimator" not in about:
-        raise PoseFileError(
-            f"{name}: holds the state of a training, not weights. Give weights.safetensors beside it."
-        )
+        raise PoseFileError(f"{name}: holds the state of a training, not weights. Give weights.safetensors beside it.")
     estimator = build(about["estimator"])
     _fill(estimator, tensors, str(name))
     return estimator.to(device).eval()
+
+
+def notes_of(name: str | Path) -> dict[str, Any]:
+    """Read what a weights file says of its training.
+
+    Parameters
+    ----------
+    name : str or Path
+        As for :func:`load_estimator`.
+
+    Returns
+    -------
+    dict
+        Plain values.
+    """
+    _, about = read_tensors(_path_of(name))
+    notes: dict[str, Any] = about.get("notes", {})
+    return notes
+
+
+def _path_of(name: str | Path) -> Path:
+    path = _FOLDER / f"{name}.safetensors" if str(name) in named_weights() else Path(name)
+    if not path.is_file():
+        raise PoseFileError(f"{name}: no such weights. {did_you_mean(str(name), named_weights())}".strip())
+    return path
 
 
 def load_released(path: str | Path, *, blocks: int | None = None) -> tuple[CGNF, dict[str, Tensor]]:

@@ -28,10 +28,13 @@ class Crew:
         Which one this is.
     size : int
         How many there are.
+    device : torch.device
+        Where this one computes.
     """
 
     rank: int = 0
     size: int = 1
+    device: torch.device = torch.device("cpu")
 
     @property
     def leads(self) -> bool:
@@ -99,10 +102,13 @@ def crew_of_torchrun(device: torch.device) -> Iterator[Crew]:
         One process where there was no ``torchrun``.
     """
     if int(os.environ.get("WORLD_SIZE", "1")) == 1:
-        yield Crew()
+        yield Crew(device=device)
         return
+    if device.type == "cuda":
+        device = torch.device("cuda", int(os.environ["LOCAL_RANK"]))
+        torch.cuda.set_device(device)
     torch_distributed.init_process_group("nccl" if device.type == "cuda" else "gloo")
     try:
-        yield Crew(torch_distributed.get_rank(), torch_distributed.get_world_size())
+        yield Crew(torch_distributed.get_rank(), torch_distributed.get_world_size(), device)
     finally:
         torch_distributed.destroy_process_group()

@@ -129,9 +129,7 @@ def build(description: dict[str, Any]) -> ReferenceEstimator:
                 return GaussianNoise(mean, spread=description["spread"])
     except (KeyError, TypeError) as problem:
         raise PoseDataError(f"weights: their description lacks or misnames something ({problem}).") from problem
-    raise PoseDataError(
-        f"weights: of {description.get('kind')!r}; expected cgnf, simple-baseline or gaussian-noise."
-    )
+    raise PoseDataError(f"weights: of {description.get('kind')!r}; expected cgnf, simple-baseline or gaussian-noise.")
 
 
 def parameter_count(estimator: nn.Module) -> int:

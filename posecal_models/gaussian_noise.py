@@ -52,9 +52,7 @@ class GaussianDistribution:
         Tensor
             (N, M, K, 3), mm.
         """
-        noise = torch.randn(
-            (n, *self.mean.shape), generator=generator, device=self.mean.device, dtype=self.mean.dtype
-        )
+        noise = torch.randn((n, *self.mean.shape), generator=generator, device=self.mean.device, dtype=self.mean.dtype)
         return self.mean + temperature * self.sigma * noise
 
     def log_prob(self, truth: Tensor) -> Tensor:

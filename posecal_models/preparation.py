@@ -56,9 +56,7 @@ def split(path: str | Path, config: DataConfig) -> tuple[LiftingSet, LiftingSet 
         camera = {"views": config.views, "every": config.every, "seed": config.camera_seed}
         training = mocap.seen_by_cameras(but_not=held_out, **camera)
         rest = (
-            mocap.seen_by_cameras(subjects=config.validation_subjects, **camera)
-            if config.validation_subjects
-            else None
+            mocap.seen_by_cameras(subjects=config.validation_subjects, **camera) if config.validation_subjects else None
         )
     else:
         pairs = LiftingSet.load(path)
@@ -68,9 +66,7 @@ def split(path: str | Path, config: DataConfig) -> tuple[LiftingSet, LiftingSet 
                 f"{path}: subjects {', '.join(missing)} not there; there are {', '.join(sorted(known))}."
             )
         training = pairs.take(~np.isin(pairs.subject, held_out))
-        rest = (
-            pairs.take(np.isin(pairs.subject, config.validation_subjects)) if config.validation_subjects else None
-        )
+        rest = pairs.take(np.isin(pairs.subject, config.validation_subjects)) if config.validation_subjects else None
     if not len(training):
         raise PoseDataError(f"{path}: no pose is left for training. Hold out fewer subjects.")
     if rest is not None and len(rest) > config.validation_poses:

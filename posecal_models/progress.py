@@ -57,3 +57,28 @@ def shown(run: Training) -> Iterator[Callable[[Standing], None]]:
             print(f"step {standing.step:,} of {standing.steps:,}, {_words(standing)}", file=sys.stderr, flush=True)  # noqa: T201
 
     yield tell
+
+
+@contextmanager
+def counted(what: str, total: int) -> Iterator[Callable[[int], None]]:
+    """Show how much of something is done, on a terminal; nothing elsewhere.
+
+    Parameters
+    ----------
+    what : str
+        The words beside the bar.
+    total : int
+        How much there is.
+
+    Yields
+    ------
+    callable
+        Takes how much is done.
+    """
+    if not sys.stderr.isatty():
+        yield lambda _: None
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task(what, total=total)
+        yield lambda done: bar.update(task, completed=done)

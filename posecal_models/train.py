@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from posecal.errors import PoseDataError, PoseFileError
+from posecal.io import written_whole
 from posecal_models.checkpoint import read_tensors, save_estimator, write_tensors
 from posecal_models.config import Config
 from posecal_models.contract import Context
@@ -230,9 +231,7 @@ class Training:
         device = self.data.device
         with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
             torch.manual_seed(generator.initial_seed())
-            losses = self.objective.backward(
-                context[mine], truth[mine], generator=generator, graphs_per_pose=graphs
-            )
+            losses = self.objective.backward(context[mine], truth[mine], generator=generator, graphs_per_pose=graphs)
         gradients = [p.grad for p in self.parameters.values() if p.grad is not None]
         self.crew.add_up([*gradients, *losses.values()], share)
         norm = torch.nn.utils.clip_grad_norm_(self.parameters.values(), config.clip)
@@ -246,9 +245,7 @@ class Training:
     def _check_finite(self, losses: dict[str, float], norm: float) -> None:
         if all(map(math.isfinite, losses.values())) and math.isfinite(norm):
             return
-        broken = [
-            name for name, p in self.parameters.items() if p.grad is not None and not p.grad.isfinite().all()
-        ]
+        broken = [name for name, p in self.parameters.items() if p.grad is not None and not p.grad.isfinite().all()]
         raise PoseDataError(
             f"training: at step {self.step:,} (epoch {self.epoch + 1}) "
             + ", ".join(f"{name} is {value:.6g}" for name, value in losses.items())
@@ -326,14 +323,8 @@ class Training:
     def _write_losses(self) -> None:
         lines = ["epoch,step,learning_rate,training_loss,validation_loss"]
         lines += [f"{e:.0f},{s:.0f},{rate:.6g},{train:.8g},{val:.8g}" for e, s, rate, train, val in self._epochs]
-        temporary = self.folder / ".losses.csv.part"
-        try:
-            temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
-            temporary.replace(self.folder / "losses.csv")
-        except OSError as problem:
-            raise PoseFileError(
-                f"{self.folder / 'losses.csv'}: can't be written ({problem.strerror})."
-            ) from problem
+        text = "\n".join(lines) + "\n"
+        written_whole(self.folder / "losses.csv", lambda file: file.write(text.encode()))
 
     def resume(self) -> None:
         """Go back to the last checkpoint in the folder.

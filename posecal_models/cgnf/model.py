@@ -50,9 +50,7 @@ class FlowDistribution:
             (N, M, K, 3), mm.
         """
         mean = self._standardizer.pose_mean
-        latents = torch.randn(
-            (self._poses, n, *mean.shape), generator=generator, device=mean.device, dtype=mean.dtype
-        )
+        latents = torch.randn((self._poses, n, *mean.shape), generator=generator, device=mean.device, dtype=mean.dtype)
         return self._standardizer.millimetres(self._flow.inverse(latents * temperature)).transpose(0, 1)
 
     def log_prob(self, truth: Tensor) -> Tensor:
@@ -81,9 +79,7 @@ class FlowDistribution:
     def mode(self) -> Tensor:
         """Give the pose of the latent 0, (M, K, 3), mm: the paper's single best pose."""
         mean = self._standardizer.pose_mean
-        return self._standardizer.millimetres(self._flow.inverse(mean.new_zeros(self._poses, 1, *mean.shape)))[
-            :, 0
-        ]
+        return self._standardizer.millimetres(self._flow.inverse(mean.new_zeros(self._poses, 1, *mean.shape)))[:, 0]
 
 
 class CGNF(nn.Module):

@@ -214,9 +214,7 @@ class _Latents(torch.autograd.Function):
 
 class _Poses(torch.autograd.Function):
     @staticmethod
-    def forward(
-        ctx: Any, scale: Scale, keep: bool, coordinates: Tensor, relations: Tensor, *tensors: Tensor
-    ) -> Tensor:
+    def forward(ctx: Any, scale: Scale, keep: bool, coordinates: Tensor, relations: Tensor, *tensors: Tensor) -> Tensor:
         dimensions, width, parts = len(coordinates) - 1, len(BlockTensors._fields), _parts(coordinates)
         saved: list[Tensor] = []
         for index in reversed(range(len(tensors) // width)):

@@ -6,13 +6,15 @@ Rooms have z up, in mm. A camera's frame has x to the right, y down and z away f
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from posecal.errors import PoseDataError
+from posecal_models.data.lifting_set import read_npz
 
-__all__ = ["Camera", "cameras_around"]
+__all__ = ["Camera", "cameras_around", "read_cameras"]
 
 Array = npt.NDArray[np.float64]
 
@@ -160,3 +162,46 @@ def cameras_around(
         )
         cameras.append(Camera.looking_at(position, (float(middle[0]), float(middle[1]), float(middle[2]))))
     return cameras
+
+
+def read_cameras(path: str | Path) -> dict[str, list[Camera]]:
+    """Read the cameras of a data set from an ``.npz``.
+
+    Parameters
+    ----------
+    path : str or Path
+        With ``subject`` (C,), ``rotation`` (C, 3, 3) whose rows are the camera's axes in the room, ``position``
+        (C, 3) in mm, and, if there are, ``focal`` (C,) and ``centre`` (C, 2) in pixels.
+
+    Returns
+    -------
+    dict of str to list of Camera
+        Those of each subject, in the file's order.
+
+    Raises
+    ------
+    PoseFileError, PoseDataError
+        Where the file can't be read, or a rotation is none.
+    """
+    members = read_npz(path, required=("subject", "rotation", "position"))
+    subject = members["subject"].astype(str)
+    rotation, position = (np.asarray(members[name], float) for name in ("rotation", "position"))
+    count = len(subject)
+    focal = np.asarray(members.get("focal", np.full(count, H36M_FOCAL)), float)
+    centre = np.asarray(members.get("centre", np.tile(H36M_CENTRE, (count, 1))), float)
+    for name, array, shape in (
+        ("rotation", rotation, (count, 3, 3)),
+        ("position", position, (count, 3)),
+        ("focal", focal, (count,)),
+        ("centre", centre, (count, 2)),
+    ):
+        if array.shape != shape:
+            raise PoseDataError(f"{path}: {name} {array.shape}; expected {shape}.")
+    off = np.abs(rotation @ rotation.mT - np.eye(3)).max(axis=(1, 2))
+    if (off > 1e-3).any() or (np.linalg.det(rotation) < 0).any():
+        raise PoseDataError(f"{path}: rotation of camera {int(off.argmax())} is none (R R^T is {off.max():.3g} off I).")
+    found: dict[str, list[Camera]] = {}
+    for index, name in enumerate(subject.tolist()):
+        middle = (float(centre[index, 0]), float(centre[index, 1]))
+        found.setdefault(name, []).append(Camera(rotation[index], position[index], float(focal[index]), middle))
+    return found

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from posecal.errors import PoseDataError, raise_all
 from posecal_models.contract import Context
+from posecal_models.data.lifting_set import LiftingSet
 
 __all__ = ["Detector"]
 
@@ -18,7 +19,7 @@ class Detector:
     r"""A noise model of a keypoint detector.
 
     .. math:: c = \pi(x) + \sigma \varepsilon, \qquad \varepsilon \sim \mathcal N(0, I) \text{ if seen, }
-              t_\nu \text{ scaled to variance 1 if hidden}
+              t_\nu \text{ in 2D, scaled to variance 1, if hidden}
 
     Attributes
     ----------
@@ -84,12 +85,36 @@ class Detector:
         """
         if keypoints.ndim != 3:
             raise PoseDataError(f"keypoints {tuple(keypoints.shape)}: expected (M, K, 2).")
-        where = {"generator": generator, "device": keypoints.device}
-        hidden = torch.rand(keypoints.shape[:2], **where) < self.hidden_share
-        noise = torch.randn(keypoints.shape, **where)
+        shape, device = keypoints.shape, keypoints.device
+        hidden = torch.rand(shape[:2], generator=generator, device=device) < self.hidden_share
+        noise = torch.randn(shape, generator=generator, device=device)
         degrees = self.degrees_of_freedom
-        chi_squared = torch.randn((*keypoints.shape, degrees), **where).square().sum(-1)
+        chi_squared = torch.randn((*shape[:2], 1, degrees), generator=generator, device=device).square().sum(-1)
         heavy = noise * torch.sqrt((degrees - 2) / chi_squared)
         sigma = torch.where(hidden, self.hidden_sigma, self.sigma)
         reported = keypoints + sigma[..., None] * torch.where(hidden[..., None], heavy, noise).to(keypoints.dtype)
         return Context(reported, sigma <= self.threshold, sigma.to(keypoints.dtype))
+
+    def seen(self, data: LiftingSet, *, seed: int = 0) -> LiftingSet:
+        """Detect the keypoints of a whole data set once.
+
+        Parameters
+        ----------
+        data : LiftingSet
+            With exact keypoints.
+        seed : int
+            Of the noise.
+
+        Returns
+        -------
+        LiftingSet
+            With noisy keypoints, their σ and which count as observed.
+        """
+        context = self.detect(torch.from_numpy(data.keypoints), torch.Generator().manual_seed(seed))
+        sigma = torch.zeros_like(context.keypoints[..., 0]) if context.sigma is None else context.sigma
+        return replace(
+            data,
+            keypoints=context.keypoints.numpy(),
+            observed=context.observed.numpy(),
+            sigma=sigma.numpy(),
+        )

@@ -6,21 +6,21 @@ Keypoints are in pixels, x to the right, y down. One row is one person in one im
 
 from __future__ import annotations
 
-import os
-import tempfile
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from posecal.errors import PoseDataError, PoseFileError, raise_all
+from posecal.errors import PoseDataError, PoseFileError, first_few, raise_all
+from posecal.io import written_whole
 from posecal.skeleton import canonical_name
 from posecal.units import millimetres_per
 
-__all__ = ["LiftingSet", "Text"]
+__all__ = ["KeypointSet", "LiftingSet", "read_npz"]
 
 Floats = npt.NDArray[np.float32]
 Flags = npt.NDArray[np.bool_]
@@ -130,24 +130,22 @@ class LiftingSet:
             columns = _columns(self.joints, joints, "joints")
             result = replace(result, joints=tuple(joints), poses=self.poses[:, columns])
         if keypoint_joints is not None:
-            index = {canonical_name(name): i for i, name in enumerate(self.keypoint_joints)}
-            found = [index.get(canonical_name(name), -1) for name in keypoint_joints]
-            if all(i < 0 for i in found):
-                raise PoseDataError(
-                    f"keypoints: none of {', '.join(keypoint_joints)} is among {', '.join(self.keypoint_joints)}."
-                )
-            there = np.array([i >= 0 for i in found])
+            seen = KeypointSet(
+                self.keypoint_joints, self.keypoints, self.observed, self.sigma, self.frame_id
+            ).in_order_of(keypoint_joints)
             result = replace(
                 result,
-                keypoint_joints=tuple(keypoint_joints),
-                keypoints=np.where(there[:, None], self.keypoints[:, found], 0),
-                observed=self.observed[:, found] & there,
-                sigma=self.sigma[:, found],
+                keypoint_joints=seen.joints,
+                keypoints=seen.keypoints,
+                observed=seen.observed,
+                sigma=seen.sigma,
             )
         return result
 
     def save(self, path: str | Path) -> None:
         """Write an ``.npz`` that is ground truth for ``posecal evaluate`` and input of ``posecal-models sample``.
+
+        The root comes first, at 0 and without a keypoint; keypoints are in the joints' order.
 
         Parameters
         ----------
@@ -159,23 +157,20 @@ class LiftingSet:
         PoseFileError
             Where it can't be written.
         """
-        index = {canonical_name(name): i for i, name in enumerate(self.keypoint_joints)}
-        seen = [index.get(canonical_name(name), -1) for name in self.joints]
-        hidden = ~self.observed[:, seen] | (np.array(seen) < 0)
-        root_first = np.concatenate([np.zeros_like(self.poses[:, :1]), self.poses], axis=1)
+        seen = self.in_order_of(keypoint_joints=self.joints)
+        first = ((0, 0), (1, 0))
         members = {
-            "truth": root_first.astype(np.float32),
+            "truth": np.pad(seen.poses, (*first, (0, 0))),
             "axes": np.array("MKD"),
             "unit": np.array("mm"),
             "joints": np.array([self.root, *self.joints]),
-            "occluded": np.concatenate([np.zeros_like(hidden[:, :1]), hidden], axis=1),
-            "keypoints_2d": self.keypoints,
-            "keypoints_sigma": self.sigma,
-            "keypoints_observed": self.observed,
-            "keypoint_joints": np.array(self.keypoint_joints),
+            "occluded": np.pad(~seen.observed, first),
+            "keypoints_2d": np.pad(seen.keypoints, (*first, (0, 0)), constant_values=np.nan),
+            "keypoints_sigma": np.pad(seen.sigma, first, constant_values=np.nan),
+            "keypoints_observed": np.pad(seen.observed, first),
             **{name: getattr(self, name) for name in ("frame_id", "sequence", "subject", "action", "camera")},
         }
-        write_npz(path, members)
+        written_whole(path, lambda file: np.savez(file, **members))
 
     @classmethod
     def load(cls, path: str | Path) -> LiftingSet:
@@ -184,8 +179,8 @@ class LiftingSet:
         Parameters
         ----------
         path : str or Path
-            An ``.npz`` with ``truth`` and ``keypoints_2d``; ``keypoints_sigma``, ``keypoints_observed`` (else:
-            not ``occluded``), ``keypoint_joints`` (else: ``joints``) and the labels are used where they are there.
+            An ``.npz`` with ``truth``, ``joints`` and ``unit`` beside the members of :meth:`KeypointSet.load`. Labels
+            are used where they are there.
 
         Returns
         -------
@@ -198,28 +193,140 @@ class LiftingSet:
             Where the file can't be read or lacks something.
         """
         members = read_npz(path, required=("truth", "keypoints_2d", "joints", "unit"))
+        seen = KeypointSet.of_members(members, path)
         joints = tuple(str(name) for name in members["joints"])
         truth = np.asarray(members["truth"], np.float64) * millimetres_per(str(members["unit"]))
         root = next((k for k, name in enumerate(joints) if canonical_name(name) == "Hip"), None)
         if root is not None:
             truth = np.delete(truth - truth[:, root : root + 1], root, axis=1)
-        names = tuple(str(name) for name in members.get("keypoint_joints", members["joints"]))
-        keypoints = np.asarray(members["keypoints_2d"], np.float32)
-        many = len(truth)
-        observed = members.get("keypoints_observed")
-        if observed is None:
-            occluded = members.get("occluded", np.zeros(keypoints.shape[:2], bool))
-            observed = ~occluded if occluded.shape == keypoints.shape[:2] else np.ones(keypoints.shape[:2], bool)
-        empty = np.full(many, "")
+        labels = {
+            name: members[name].astype(str) if name in members else np.full(len(truth), "")
+            for name in ("sequence", "subject", "action", "camera")
+        }
         return cls(
             joints=tuple(name for k, name in enumerate(joints) if k != root),
             poses=truth.astype(np.float32),
-            keypoint_joints=names,
-            keypoints=keypoints,
-            observed=np.asarray(observed, bool),
-            sigma=np.asarray(members.get("keypoints_sigma", np.zeros(keypoints.shape[:2])), np.float32),
-            frame_id=members.get("frame_id", np.arange(many).astype(str)).astype(str),
-            **{name: members.get(name, empty).astype(str) for name in ("sequence", "subject", "action", "camera")},
+            keypoint_joints=seen.joints,
+            keypoints=seen.keypoints,
+            observed=seen.observed,
+            sigma=seen.sigma,
+            frame_id=seen.frame_id,
+            sequence=labels["sequence"],
+            subject=labels["subject"],
+            action=labels["action"],
+            camera=labels["camera"],
+        )
+
+
+@dataclass(frozen=True)
+class KeypointSet:
+    """Keypoints of M images, without their poses.
+
+    Attributes
+    ----------
+    joints : tuple of str
+        J names.
+    keypoints : ndarray
+        (M, J, 2), pixels.
+    observed : ndarray
+        (M, J), bool.
+    sigma : ndarray
+        (M, J), pixels.
+    frame_id : ndarray of str
+        (M,).
+    """
+
+    joints: tuple[str, ...]
+    keypoints: Floats
+    observed: Flags
+    sigma: Floats
+    frame_id: Text
+
+    @classmethod
+    def load(cls, path: str | Path) -> KeypointSet:
+        """Read keypoints from an ``.npz``.
+
+        Parameters
+        ----------
+        path : str or Path
+            With ``keypoints_2d`` (M, J, 2) in pixels and ``keypoint_joints`` or ``joints``. Which are observed comes
+            from ``keypoints_observed``; else from ``occluded``; else every finite one is.
+
+        Returns
+        -------
+        KeypointSet
+            What it holds.
+
+        Raises
+        ------
+        PoseFileError, PoseDataError
+            Where the file can't be read or lacks something.
+        """
+        return cls.of_members(read_npz(path, required=("keypoints_2d",)), path)
+
+    @classmethod
+    def of_members(cls, members: dict[str, npt.NDArray[np.generic]], path: str | Path) -> KeypointSet:
+        """Take keypoints out of the members of a file that was read."""
+        keypoints = np.asarray(members["keypoints_2d"], np.float32)
+        named = members.get("keypoint_joints", members.get("joints"))
+        if named is None:
+            raise PoseFileError(
+                f"{path}: lacks keypoint_joints; expected the names of the {keypoints.shape[1:2]} keypoints."
+            )
+        names = tuple(str(name) for name in named)
+        if keypoints.ndim != 3 or keypoints.shape[1:] != (len(names), 2):
+            raise PoseDataError(
+                f"{path}: keypoints_2d {keypoints.shape}; expected (M, {len(names)}, 2), one row for each of "
+                f"{first_few(names)}."
+            )
+        observed = np.isfinite(keypoints).all(-1)
+        if "keypoints_observed" in members:
+            observed = np.asarray(members["keypoints_observed"], bool)
+        elif "occluded" in members and members["occluded"].shape == keypoints.shape[:2]:
+            observed = observed & ~np.asarray(members["occluded"], bool)
+        sigma = members.get("keypoints_sigma", np.zeros(keypoints.shape[:2]))
+        frame_id = members.get("frame_id", np.arange(len(keypoints)))
+        problems = [
+            f"{path}: {name} {array.shape}; expected {shape}."
+            for name, array, shape in (
+                ("keypoints_observed", observed, keypoints.shape[:2]),
+                ("keypoints_sigma", sigma, keypoints.shape[:2]),
+                ("frame_id", frame_id, keypoints.shape[:1]),
+            )
+            if array.shape != shape
+        ]
+        raise_all(problems)
+        return cls(names, keypoints, observed, np.asarray(sigma, np.float32), frame_id.astype(str))
+
+    def __len__(self) -> int:
+        return len(self.keypoints)
+
+    def in_order_of(self, joints: Sequence[str]) -> KeypointSet:
+        """Bring the keypoints into an estimator's order, by name.
+
+        Parameters
+        ----------
+        joints : sequence of str
+            The names wanted, in order.
+
+        Returns
+        -------
+        KeypointSet
+            With these keypoints; one that is not there counts as missing.
+
+        Raises
+        ------
+        PoseDataError
+            Where none is there.
+        """
+        index = {canonical_name(name): i for i, name in enumerate(self.joints)}
+        found = [index.get(canonical_name(name), -1) for name in joints]
+        there = np.array(found) >= 0
+        if not there.any():
+            raise PoseDataError(f"keypoints: none of {', '.join(joints)} is among {', '.join(self.joints)}.")
+        keypoints = np.where(there[:, None], self.keypoints[:, found], np.float32(0))
+        return KeypointSet(
+            tuple(joints), keypoints, self.observed[:, found] & there, self.sigma[:, found], self.frame_id
         )
 
 
@@ -262,36 +369,5 @@ def read_npz(path: str | Path, *, required: Sequence[str] = ()) -> dict[str, npt
         raise PoseFileError(f"{path}: {what}; expected an .npz of plain arrays.") from problem
     missing = [name for name in required if name not in members]
     if missing:
-        raise PoseFileError(
-            f"{path}: lacks {', '.join(missing)}; it holds {', '.join(sorted(members)) or 'nothing'}."
-        )
+        raise PoseFileError(f"{path}: lacks {', '.join(missing)}; it holds {', '.join(sorted(members)) or 'nothing'}.")
     return members
-
-
-def write_npz(path: str | Path, members: dict[str, npt.NDArray[np.generic]]) -> None:
-    """Write an ``.npz`` file whole or not at all.
-
-    Parameters
-    ----------
-    path : str or Path
-        Where to.
-    members : dict of str to ndarray
-        What.
-
-    Raises
-    ------
-    PoseFileError
-        Where it can't be written.
-    """
-    path = Path(path)
-    try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
-        try:
-            with os.fdopen(handle, "wb") as file:
-                np.savez(file, **members)  # type: ignore[arg-type]
-            os.replace(temporary, path)
-        except BaseException:
-            os.unlink(temporary)
-            raise
-    except OSError as problem:
-        raise PoseFileError(f"{path}: can't be written ({problem.strerror}).") from problem

@@ -51,9 +51,7 @@ class MocapPoses:
         if poses.ndim != 3 or poses.shape[1:] != (len(self.joints), 3):
             raise PoseDataError(f"{path}: poses {poses.shape}; expected (M, {len(self.joints)}, 3).")
         if not any(canonical_name(name) == "Hip" for name in self.joints):
-            raise PoseDataError(
-                f"{path}: no Hip among {', '.join(self.joints)}; expected the root among the joints."
-            )
+            raise PoseDataError(f"{path}: no Hip among {', '.join(self.joints)}; expected the root among the joints.")
         if str(members.get("up", "z")) != "z":
             raise PoseDataError(f"{path}: up is {members['up']}; expected z. Turn the poses.")
         self.poses = poses
