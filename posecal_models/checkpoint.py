@@ -144,7 +144,13 @@ def read_tensors(path: str | Path, *, device: torch.device | str = "cpu") -> tup
     return tensors, about
 
 
-def save_estimator(path: str | Path, estimator: ReferenceEstimator, *, notes: dict[str, Any] | None = None) -> None:
+def save_estimator(
+    path: str | Path,
+    estimator: ReferenceEstimator,
+    *,
+    tensors: Mapping[str, Tensor] | None = None,
+    notes: dict[str, Any] | None = None,
+) -> None:
     """Write the weights of an estimator.
 
     Parameters
@@ -153,6 +159,8 @@ def save_estimator(path: str | Path, estimator: ReferenceEstimator, *, notes: di
         Where to, ``*.safetensors``.
     estimator : CGNF, SimpleBaseline or GaussianNoise
         What.
+    tensors : mapping of str to Tensor, optional
+        Other weights of the same estimator; its own where not given.
     notes : dict, optional
         Plain values that say how it was trained.
 
@@ -162,7 +170,7 @@ def save_estimator(path: str | Path, estimator: ReferenceEstimator, *, notes: di
         Where it can't be written.
     """
     about = {"version": posecal.__version__, "estimator": describe(estimator), "notes": notes or {}}
-    write_tensors(path, estimator.state_dict(), about)
+    write_tensors(path, estimator.state_dict() if tensors is None else tensors, about)
 
 
 def load_estimator(name: str | Path, *, device: torch.device | str = "cpu") -> ReferenceEstimator:

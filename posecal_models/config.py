@@ -45,8 +45,8 @@ class ModelConfig:
 
     kind: Literal["cgnf", "simple-baseline", "gaussian-noise"] = "cgnf"
     size: Literal["tiny", "small", "large", "xlarge"] = "small"
-    backward_weights: bool = False
-    scale: Literal["sigmoid", "exp"] = "sigmoid"
+    backward_weights: bool = True
+    scale: Literal["sigmoid", "exp"] = "exp"
     origin: Literal["observed", "none"] = "observed"
     width: int = 1024
     residuals: int = 2

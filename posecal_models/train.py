@@ -305,13 +305,8 @@ class Training:
         tensors["losses.epochs"] = torch.tensor(self._epochs, dtype=torch.float64).view(-1, 5)
         write_tensors(self.folder / "checkpoint.safetensors", tensors, self._state())
         self._write_losses()
-        current = self.estimator.state_dict()
-        if self.best:
-            self.estimator.load_state_dict(self.best)
         notes = {"config": self.config.table(), "epochs": self.epoch, "steps": self.step, "poses": len(self.data)}
-        save_estimator(self.folder / "weights.safetensors", self.estimator, notes=notes)
-        if self.best:
-            self.estimator.load_state_dict(current)
+        save_estimator(self.folder / "weights.safetensors", self.estimator, tensors=self.best or None, notes=notes)
 
     def _state(self) -> dict[str, Any]:
         schedule = {name: value for name, value in asdict(self.schedule).items() if name != "config"}

@@ -154,7 +154,7 @@ class GraphFlow(nn.Module):
     Notes
     -----
     Differs from the published code: none with ``scale="sigmoid"`` and ``backward_weights=False``, less the parameters
-    that it never uses.
+    that it never uses. The defaults are the paper's text, which reached higher likelihoods in every comparison.
 
     References
     ----------
@@ -168,8 +168,8 @@ class GraphFlow(nn.Module):
         *,
         dimensions: int = 3,
         keypoint_features: int = 2,
-        backward_weights: bool = False,
-        scale: Scale = "sigmoid",
+        backward_weights: bool = True,
+        scale: Scale = "exp",
     ) -> None:
         super().__init__()
         self.dimensions = dimensions

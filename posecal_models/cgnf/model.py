@@ -123,8 +123,8 @@ class CGNF(nn.Module):
         size: FlowSize,
         graph: PoseGraph | None = None,
         *,
-        backward_weights: bool = False,
-        scale: Scale = "sigmoid",
+        backward_weights: bool = True,
+        scale: Scale = "exp",
         origin: Origin = "observed",
     ) -> None:
         super().__init__()

@@ -362,7 +362,7 @@ def read_npz(path: str | Path, *, required: Sequence[str] = ()) -> dict[str, npt
     """
     path = Path(path)
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with open(path, "rb") as stored, np.load(stored, allow_pickle=False) as file:
             members = {name: file[name] for name in file.files}
     except (OSError, ValueError, zipfile.BadZipFile, EOFError, AttributeError) as problem:
         what = "is not there" if not path.exists() else f"can't be read as .npz ({problem})"

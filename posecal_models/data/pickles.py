@@ -30,6 +30,7 @@ def _encode(text: str, encoding: str = "latin1") -> bytes:
 
 _reconstruct: Callable[..., Any] = np.zeros(0).__reduce__()[0]  # type: ignore[assignment]
 _scalar: Callable[..., Any] = np.float64(0).__reduce__()[0]  # type: ignore[assignment]
+_frombuffer: Callable[..., Any] = np.zeros(0).__reduce_ex__(5)[0]  # type: ignore[assignment]
 
 _ADMITTED: dict[tuple[str, str], Any] = {
     ("_codecs", "encode"): _encode,
@@ -40,6 +41,7 @@ _ADMITTED: dict[tuple[str, str], Any] = {
         for package in ("core", "_core")
         for name, known in (("_reconstruct", _reconstruct), ("scalar", _scalar))
     },
+    **{(f"numpy.{package}.numeric", "_frombuffer"): _frombuffer for package in ("core", "_core")},
 }
 
 

@@ -22,7 +22,7 @@ def estimator() -> CGNF:
         torch.manual_seed(0)
         model = CGNF(FlowSize(blocks=4, hidden=6, context=3, embedding=5)).double()
         for parameter in model.parameters():
-            parameter.data = torch.randn_like(parameter) * 0.3
+            parameter.data = torch.randn_like(parameter) * 0.12
     model.standardizer.pose_scale.fill_(250.0)
     model.standardizer.keypoint_scale.fill_(70.0)
     return model

@@ -37,7 +37,7 @@ def state() -> dict[str, Tensor]:
 
 
 def flow_of(state: dict[str, Tensor], dtype: torch.dtype) -> GraphFlow:
-    flow = GraphFlow(human36m_graph(), TINY)
+    flow = GraphFlow(human36m_graph(), TINY, backward_weights=False, scale="sigmoid")
     flow.load_state_dict(from_released(state)[0])
     return flow.to(dtype)
 
@@ -122,7 +122,7 @@ def test_the_actnorms_start_equals_the_reference(numbers, state):
 
 def training_losses(numbers, state, dtype, **options):
     """Losses and gradients of our objective on the reference's batch, by the names of our parameters."""
-    estimator = CGNF(TINY, origin="none")
+    estimator = CGNF(TINY, origin="none", backward_weights=False, scale="sigmoid")
     estimator.flow.load_state_dict(from_released(state)[0])
     estimator.standardizer = Standardizer.released(16)
     estimator = estimator.to(dtype)
