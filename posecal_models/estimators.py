@@ -79,6 +79,7 @@ def describe(estimator: ReferenceEstimator) -> dict[str, Any]:
             "backward_weights": estimator.flow.couplings.first.from_child is not None,
             "scale": estimator.flow.scale,
             "origin": estimator.standardizer.origin,
+            "dimensions": estimator.flow.dimensions,
         }
     if isinstance(estimator, SimpleBaseline):
         return {
@@ -118,7 +119,7 @@ def build(description: dict[str, Any]) -> ReferenceEstimator:
         kind = description["kind"]
         if kind == "cgnf":
             graph = PoseGraph(tuple(description["joints"]), tuple(description["parents"]), description["root"])
-            options = {name: description[name] for name in ("backward_weights", "scale", "origin")}
+            options = {name: description[name] for name in ("backward_weights", "scale", "origin", "dimensions")}
             return CGNF(FlowSize(**description["size"]), graph, **options)
         if kind == "simple-baseline":
             options = {name: description[name] for name in ("width", "residuals", "origin")}

@@ -96,6 +96,8 @@ class CGNF(nn.Module):
         :class:`posecal_models.cgnf.coupling.Block`.
     origin : str
         What keypoints are relative to, see :class:`posecal_models.data.standardizer.Standardizer`.
+    dimensions : int
+        D, coordinates of a joint.
 
     Notes
     -----
@@ -126,12 +128,15 @@ class CGNF(nn.Module):
         backward_weights: bool = True,
         scale: Scale = "exp",
         origin: Origin = "observed",
+        dimensions: int = 3,
     ) -> None:
         super().__init__()
         self.graph = human36m_graph() if graph is None else graph
         self.size = size
-        self.flow = GraphFlow(self.graph, size, backward_weights=backward_weights, scale=scale)
-        self.standardizer = Standardizer(len(self.graph.joints), origin=origin)
+        self.flow = GraphFlow(
+            self.graph, size, dimensions=dimensions, backward_weights=backward_weights, scale=scale
+        )
+        self.standardizer = Standardizer(len(self.graph.joints), dimensions=dimensions, origin=origin)
 
     @property
     def joints(self) -> tuple[str, ...]:
