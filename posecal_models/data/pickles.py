@@ -66,7 +66,7 @@ def _load(file: io.BufferedIOBase, which: str) -> Any:
         AttributeError,
     ) as problem:
         raise PoseFileError(
-            f"{which}: {problem}; expected a pickle of plain arrays, dictionaries, lists and text. "
+            f"{which}: {' '.join(str(problem).split())}; expected a pickle of plain arrays, dictionaries, lists and text. "
             "It was not loaded: a pickle that asks for more can run programs."
         ) from problem
 
