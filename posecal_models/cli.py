@@ -39,6 +39,13 @@ class Format(StrEnum):
     VIDEOPOSE3D = "videopose3d"
 
 
+class Experiment(StrEnum):
+    """What a cGNF is asked that it was not taught."""
+
+    PENDULUM = "pendulum"
+    POSE_WORLD = "pose-world"
+
+
 @app.callback()
 def _of_all_commands() -> None:
     pass
@@ -225,6 +232,67 @@ def describe(
         "notes": notes_of(weights),
     }
     typer.echo(json.dumps(about, indent=2))
+
+
+@app.command()
+def benchmark(
+    data: Annotated[Path, typer.Option(help="Motion capture, .npz.")],
+    model: Annotated[list[str], typer.Option(help="NAME=WEIGHTS, a row of the table; repeatable.")],
+    subject: Annotated[list[str], typer.Option(help="Somebody whom no model was trained on; repeatable.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The folder for table and pictures.")],
+    n: Annotated[int, typer.Option(help="Hypotheses of each image.", min=2)] = 200,
+    every: Annotated[int, typer.Option(help="Only every so manieth frame.", min=1)] = 16,
+    seeds: Annotated[int, typer.Option(help="How often each model is sampled.", min=1)] = 3,
+    threads: _Threads = 0,
+) -> None:
+    """Compare estimators on real motion: the paper's Table 1 and its pictures."""
+    from posecal_models.benchmark_report import run_benchmark
+
+    _set_threads(threads)
+    typer.echo(run_benchmark(data, _named(model), subject, output, n=n, every=every, seeds=seeds))
+
+
+@app.command("zero-shot")
+def zero_shot(
+    experiment: Annotated[Experiment, typer.Argument(help="Which.")],
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="A picture, .png, .svg or .pdf.")] = None,
+    steps: Annotated[int, typer.Option(help="Training steps of each model.", min=1)] = 3000,
+    seed: _Seed = 0,
+    threads: _Threads = 0,
+) -> None:
+    """Judge cGNFs on sets of observed nodes that they never saw; run it in a checkout."""
+    from posecal.plot import check_suffix, save
+    from posecal_models import pictures
+    from posecal_models import zero_shot as experiments
+    from posecal_models.progress import counted
+
+    _set_threads(threads)
+    if output is not None:
+        check_suffix(output)
+    if experiment is Experiment.PENDULUM:
+        with counted("training", steps * len(experiments.PENDULUM_MODELS)) as progress:
+            found = experiments.pendulum(steps=steps, seed=seed, progress=progress)
+        for name, (mean, error) in found.log_density.items():
+            typer.echo(f"{name}: log p(x | c1, c2, c3) = {mean:.2f} ± {error:.2f} nats")
+        if output is not None:
+            save(pictures.pendulum(found.samples, found.truth, found.log_density), output)
+        return
+    with counted("training", steps) as progress:
+        rows = experiments.pose_world(steps=steps, seed=seed, progress=progress)
+    typer.echo("observed  in training  true log p   cGNF log p   nats above the true posterior")
+    for row in rows:
+        seen = "yes" if row.trained else "no"
+        typer.echo(
+            f"{row.observed:8d}  {seen:>11}  {row.true_log_density:10.2f}  {row.log_density:11.2f}   "
+            f"{row.gap:.2f} ± {row.standard_error:.2f}"
+        )
+
+
+def _named(models: list[str]) -> dict[str, str]:
+    pairs = [model.rpartition("=") for model in models]
+    if bad := [model for model, (name, _, weights) in zip(models, pairs, strict=True) if not name or not weights]:
+        raise typer.BadParameter(f"{bad[0]!r}: expected NAME=WEIGHTS.")
+    return {name: weights for name, _, weights in pairs}
 
 
 if __name__ == "__main__":

@@ -69,6 +69,8 @@ class DataConfig:
         Virtual cameras around each clip of motion capture.
     every : int
         Only every so manieth frame of motion capture.
+    body_variation : float
+        How much bodies are varied in training, see :meth:`posecal_models.data.mocap.MocapPoses.seen_by_cameras`.
     validation_poses : int
         How many poses of the validation subjects are looked at, evenly spread.
     camera_seed : int
@@ -81,6 +83,7 @@ class DataConfig:
     validation_subjects: tuple[str, ...] = ()
     views: int = 4
     every: int = 1
+    body_variation: float = 0.0
     validation_poses: int = 1000
     camera_seed: int = 0
     detector: Detector = field(default_factory=Detector)

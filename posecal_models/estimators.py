@@ -119,7 +119,8 @@ def build(description: dict[str, Any]) -> ReferenceEstimator:
         kind = description["kind"]
         if kind == "cgnf":
             graph = PoseGraph(tuple(description["joints"]), tuple(description["parents"]), description["root"])
-            options = {name: description[name] for name in ("backward_weights", "scale", "origin", "dimensions")}
+            options = {name: description[name] for name in ("backward_weights", "scale", "origin")}
+            options["dimensions"] = description.get("dimensions", 3)
             return CGNF(FlowSize(**description["size"]), graph, **options)
         if kind == "simple-baseline":
             options = {name: description[name] for name in ("width", "residuals", "origin")}

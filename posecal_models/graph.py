@@ -40,6 +40,8 @@ class PoseGraph:
     array([[0., 0., 0.],
            [1., 0., 0.],
            [0., 1., 0.]])
+    >>> chain.spans  # all but the third speak to a child, all but the first to a parent
+    ((0, 2), (1, 3))
     """
 
     joints: tuple[str, ...]
@@ -100,6 +102,23 @@ class PoseGraph:
     def next_to_root(self) -> tuple[int, ...]:
         """The nodes that are joined to the root."""
         return tuple(child for child, parent in enumerate(self.parents) if parent < 0)
+
+    @cached_property
+    def order(self) -> tuple[int, ...]:
+        """The nodes, those without a parent first and those that have a parent and no children last.
+
+        In this order the nodes that speak to their children lie together, and so do those that speak to a parent.
+        """
+        return tuple(sorted(range(len(self.joints)), key=lambda node: (self.parents[node] >= 0, self._is_leaf(node))))
+
+    @property
+    def spans(self) -> tuple[tuple[int, int], tuple[int, int]]:
+        """Which places of :attr:`order` speak to their children, and which to their parents: (start, stop) each."""
+        leaves = sum(map(self._is_leaf, range(len(self.joints))))
+        return (0, len(self.joints) - leaves), (len(self.next_to_root), len(self.joints))
+
+    def _is_leaf(self, node: int) -> bool:
+        return self.parents[node] >= 0 and node not in self.parents
 
     @cached_property
     def from_parent(self) -> npt.NDArray[np.float64]:

@@ -53,8 +53,13 @@ def split(path: str | Path, config: DataConfig) -> tuple[LiftingSet, LiftingSet 
     clean = "poses" in read_npz(path)
     if clean:
         mocap = MocapPoses(path)
-        camera = {"views": config.views, "every": config.every, "seed": config.camera_seed}
-        training = mocap.seen_by_cameras(but_not=held_out, **camera)
+        training = mocap.seen_by_cameras(
+            views=config.views,
+            every=config.every,
+            but_not=held_out,
+            body_variation=config.body_variation,
+            seed=config.camera_seed,
+        )
         rest = (
             mocap.seen_by_cameras(subjects=config.validation_subjects, **camera) if config.validation_subjects else None
         )

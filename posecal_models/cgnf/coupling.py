@@ -28,7 +28,7 @@ class FoldedCouplings(NamedTuple):
     Attributes
     ----------
     first, second, second_bias, pool : Tensor
-        (L, maps, D + 1, H), (L, H, maps * H), (L, maps * H) and (L, 2 * maps, maps * H).
+        (L, maps, D + 1, H), (L, maps, H, H), (L, maps, H) and (L, 2, H).
     behind_scale, behind_shift : Tensor
         (L + 1, D) each: the ActNorms that a coordinate has yet to pass in each block, and after all blocks.
     log_determinant : Tensor
@@ -138,15 +138,13 @@ class Couplings(nn.Module):
         biases = biases + (weights @ behind_shift[:-1].gather(1, kept)[:, None, :, None]).squeeze(-1)
         first = weights.new_zeros(*biases.shape, dimensions).scatter(3, kept[:, None, None].expand_as(read), read)
 
-        update_weight, update_bias = self.first.pool.weight[:blocks], self.first.pool.bias[:blocks]
+        update = self.first.pool
         weights, second_biases = (stacked[:blocks] for stacked in self.second.weights_and_biases())
-        own_map = torch.eye(weights.shape[1], dtype=weights.dtype, device=weights.device)
-        pool = self.second.pool.weight[:blocks, :, None, None] * own_map[:, :, None]
         return FoldedCouplings(
             first=torch.cat([first, biases[..., None]], dim=-1).mT.contiguous(),
-            second=(weights.flatten(1, 2) @ update_weight).mT.contiguous(),
-            second_bias=(weights.flatten(1, 2) @ update_bias[..., None]).squeeze(-1) + second_biases.flatten(1),
-            pool=pool.flatten(3).flatten(1, 2),
+            second=(weights @ update.weight[:blocks, None]).mT.contiguous(),
+            second_bias=(weights @ update.bias[:blocks, None, :, None]).squeeze(-1) + second_biases,
+            pool=self.second.pool.weight[:blocks],
             behind_scale=behind_scale,
             behind_shift=behind_shift,
             log_determinant=log_scale.sum(),
@@ -166,12 +164,12 @@ class Couplings(nn.Module):
             (L, K, P, 1, H) after the first layer and, pooled, (L, 2, K, P, 1) after the second.
         """
         from_context, from_root, carried = self.first.hear(evidence)
-        after_first = self.first.place(from_context, from_root, evidence.observed)
+        after_first = self.first.place(from_context, from_root, evidence)
         from_context, from_root, _ = self.second.hear(carried)
         pool = self.second.pool.weight.mT
         if from_context is not None:
-            from_context = from_context @ pool[:, None]
-        after_second = self.second.place(from_context, from_root @ pool, evidence.observed)
+            from_context = from_context @ pool
+        after_second = self.second.place(from_context, from_root @ pool, evidence)
         after_second = after_second + self.second.pool.bias[:, None, None]
         return after_first.unsqueeze(3), after_second.movedim(-1, 1).unsqueeze(4)
 

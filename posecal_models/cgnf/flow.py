@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from posecal_models.cgnf.coupling import Couplings, FoldedCouplings
 from posecal_models.cgnf.embedding import ContextEmbedding
 from posecal_models.cgnf.message_passing import Evidence
-from posecal_models.cgnf.passes import BlockTensors, Scale, latents_of, poses_of
+from posecal_models.cgnf.passes import BlockTensors, Bones, Scale, latents_of, poses_of
 from posecal_models.graph import PoseGraph
 
 __all__ = ["SIZES", "FlowSize", "GraphFlow", "ReadyFlow"]
@@ -51,8 +51,10 @@ class ReadyFlow(NamedTuple):
     evidence, offset : Tensor
         What context and root add after the first layer, (L, K, P or 1, 1, H), and after the second,
         (L, 2, K, P or 1, 1).
-    relations : Tensor
-        What each kind of message adds up to along the bones, (K, maps * K).
+    bones : Bones
+        Who speaks to whom, in the flow's own order of the nodes.
+    order : Tensor
+        Which node of a pose is which of the flow's, (K,), and back, (K,): (2, K), integer.
     scale : str
         How an unconstrained scale becomes a positive one.
     """
@@ -60,7 +62,8 @@ class ReadyFlow(NamedTuple):
     folded: FoldedCouplings
     evidence: Tensor
     offset: Tensor
-    relations: Tensor
+    bones: Bones
+    order: Tensor
     scale: Scale
 
     def forward(self, poses: Tensor) -> tuple[Tensor, Tensor]:
@@ -78,9 +81,10 @@ class ReadyFlow(NamedTuple):
         log_determinant : Tensor
             (P, n, K): log of the volume change at each node, nats.
         """
-        coordinates, log_stretch = latents_of(_coordinates(poses), self._blocks(), self.relations, self.scale)
-        latents = _poses(coordinates) * self.folded.behind_scale[-1] + self.folded.behind_shift[-1]
-        return latents, (log_stretch + self.folded.log_determinant).permute(1, 2, 0)
+        coordinates, log_stretch = latents_of(self._coordinates(poses), self._blocks(), self.bones, self.scale)
+        latents = self._poses(coordinates) * self.folded.behind_scale[-1] + self.folded.behind_shift[-1]
+        log_determinant = log_stretch[self.order[1]] + self.folded.log_determinant
+        return latents, log_determinant.permute(1, 2, 0)
 
     def inverse(self, latents: Tensor) -> Tensor:
         """Give the poses of latents.
@@ -96,7 +100,7 @@ class ReadyFlow(NamedTuple):
             (P, n, K, D), standardised poses, unitless.
         """
         latents = (latents - self.folded.behind_shift[-1]) / self.folded.behind_scale[-1]
-        return _poses(poses_of(_coordinates(latents), self._blocks(), self.relations, self.scale))
+        return self._poses(poses_of(self._coordinates(latents), self._blocks(), self.bones, self.scale))
 
     def log_prob_per_node(self, poses: Tensor) -> Tensor:
         """Give each node's share of the log density; they sum to the log density of the pose.
@@ -122,15 +126,14 @@ class ReadyFlow(NamedTuple):
         tensors = (*self.folded[:4], self.evidence, self.offset, *behind)
         return [BlockTensors(*block) for block in zip(*(tensor.unbind() for tensor in tensors), strict=True)]
 
+    def _coordinates(self, poses: Tensor) -> Tensor:
+        """Turn (P, n, K, D) into (D + 1, K, P, n), the last row ones."""
+        coordinates = poses.permute(3, 2, 0, 1)[:, self.order[0]]
+        return torch.cat([coordinates, torch.ones_like(coordinates[:1])])
 
-def _coordinates(poses: Tensor) -> Tensor:
-    """Turn (P, n, K, D) into (D + 1, K, P, n), the last row ones."""
-    return torch.cat([poses.permute(3, 2, 0, 1), torch.ones_like(poses[None, ..., 0]).movedim(-1, 1)])
-
-
-def _poses(coordinates: Tensor) -> Tensor:
-    """Turn (D + 1, K, P, n) into (P, n, K, D)."""
-    return coordinates[:-1].permute(2, 3, 1, 0)
+    def _poses(self, coordinates: Tensor) -> Tensor:
+        """Turn (D + 1, K, P, n) into (P, n, K, D)."""
+        return coordinates[:-1, self.order[1]].permute(2, 3, 1, 0)
 
 
 class GraphFlow(nn.Module):
@@ -161,6 +164,8 @@ class GraphFlow(nn.Module):
     Pierzchlewicz et al. 2022, arXiv:2210.11179, section 4.
     """
 
+    order: Tensor
+
     def __init__(
         self,
         graph: PoseGraph,
@@ -173,6 +178,8 @@ class GraphFlow(nn.Module):
     ) -> None:
         super().__init__()
         self.dimensions = dimensions
+        order = torch.tensor(graph.order)
+        self.register_buffer("order", torch.stack([order, order.argsort()]), persistent=False)
         self.scale: Scale = scale
         self.embedding = ContextEmbedding(
             nodes=len(graph.joints),
@@ -206,13 +213,18 @@ class GraphFlow(nn.Module):
         Evidence
             The keypoints' features and the root's.
         """
-        context = self.embedding(keypoints, observed).transpose(0, 1)
+        context = self.embedding(keypoints, observed).transpose(0, 1)[self.order[0]].flatten(0, 1)
+        seen = observed.T[self.order[0]].flatten()
         root = keypoints.new_zeros(1, self.dimensions) if root is None else root
-        return Evidence(context[None], observed.T[..., None].to(keypoints.dtype), root[None])
+        if context.device.type == "cpu":
+            rows = seen.nonzero().squeeze(1)
+            return Evidence(context[rows][None], rows, None, root[None], len(keypoints))
+        rows = torch.arange(len(seen), device=seen.device)
+        return Evidence(context[None], rows, seen[:, None].to(context.dtype), root[None], len(keypoints))
 
     def no_evidence(self) -> Evidence:
         """Give what is known of a pose of which nothing was observed: that its root is the origin."""
-        return Evidence(None, None, self.embedding.adjacency.new_zeros(1, 1, self.dimensions))
+        return Evidence(None, None, None, self.embedding.adjacency.new_zeros(1, 1, self.dimensions), 1)
 
     def ready(
         self, evidence: Evidence, *, folded: FoldedCouplings | None = None, blocks: int | None = None
@@ -235,8 +247,8 @@ class GraphFlow(nn.Module):
         """
         folded = self.couplings.folded(blocks) if folded is None else folded
         after_first, after_second = self.couplings.messages(evidence)
-        relations = self.couplings.first.relations
-        return ReadyFlow(folded, after_first[:blocks], after_second[:blocks], relations, self.scale)
+        bones = Bones(self.couplings.first.spans, self.couplings.first.relations)
+        return ReadyFlow(folded, after_first[:blocks], after_second[:blocks], bones, self.order, self.scale)
 
     @torch.no_grad()
     def initialise_actnorm(self, poses: Tensor, evidence: Evidence) -> None:

@@ -26,16 +26,22 @@ class Evidence(NamedTuple):
     Attributes
     ----------
     context : Tensor or None
-        Features of the keypoints, (1 or L, K, P, C); None where nothing is observed.
-    observed : Tensor or None
-        1 for an observed keypoint and 0 for a missing one, (K, P, 1); None where nothing is observed.
+        Features of keypoints, (1 or L, R, C); None where nothing is observed.
+    rows : Tensor or None
+        Where each of them stands in the (K, P) grid, flattened; (R,), integer.
+    counts : Tensor or None
+        How much each of them says, (R, 1): 1 if observed, 0 if not. None where all of them are observed.
     root : Tensor
         Features of the root, (1 or L, P, D), P = 1 where all poses share them. The root of a root-relative pose is 0.
+    poses : int
+        P; 1 where nothing is observed and all poses share the same messages.
     """
 
     context: Tensor | None
-    observed: Tensor | None
+    rows: Tensor | None
+    counts: Tensor | None
     root: Tensor
+    poses: int
 
 
 class Linears(nn.Module):
@@ -104,12 +110,12 @@ class MessagePassing(nn.Module):
     >>> layer = MessagePassing(
     ...     human36m_graph(), 10, 2, 8, 8, context=4, root=3, last=False, backward_weights=False
     ... )
-    >>> layer.relations.shape  # a node's own message and those of its neighbours, 2 * 16 columns
+    >>> layer.relations.shape  # 16 nodes speak to themselves and 16 to their neighbours
     torch.Size([16, 32])
     """
 
     relations: Tensor
-    """What each kind of message adds up to: (K, maps * K), a node's own message and those along the bones."""
+    """What every message adds up to: (K, S), for the S messages that nodes say, :attr:`spans` after one another."""
     next_to_root: Tensor
 
     def __init__(
@@ -134,11 +140,16 @@ class MessagePassing(nn.Module):
         self.next_context = None if last else Linears(blocks, context, hidden)
         self.next_root = None if last else Linears(blocks, root, hidden)
         self.pool = Linears(blocks, hidden, features_out)
-        down = torch.from_numpy(graph.from_parent).to(torch.get_default_dtype())
-        along = [down, down.T] if backward_weights else [down + down.T]
-        self.register_buffer("relations", torch.cat([torch.eye(len(down)), *along], dim=1), persistent=False)
-        next_to_root = torch.zeros(len(down))
-        next_to_root[list(graph.next_to_root)] = 1
+        order = list(graph.order)
+        down = torch.from_numpy(graph.from_parent[order][:, order]).to(torch.get_default_dtype())
+        whole = (0, len(order))
+        to_child, to_parent = graph.spans
+        along = [(down, to_child), (down.T, to_parent)] if backward_weights else [(down + down.T, whole)]
+        self.spans: tuple[tuple[int, int], ...] = (whole, *(span for _, span in along))
+        matrices = [torch.eye(len(order)), *(matrix[:, slice(*span)] for matrix, span in along)]
+        self.register_buffer("relations", torch.cat(matrices, dim=1), persistent=False)
+        next_to_root = torch.zeros(len(order))
+        next_to_root[: len(graph.next_to_root)] = 1
         self.register_buffer("next_to_root", next_to_root, persistent=False)
 
     def weights_and_biases(self) -> tuple[Tensor, Tensor]:
@@ -163,25 +174,25 @@ class MessagePassing(nn.Module):
         Returns
         -------
         from_context, from_root : Tensor
-            The messages of the keypoints (L, K, P, H), None where nothing is observed, and of the root (L, P or 1, H).
+            The messages of the keypoints (L, R, H), None where nothing is observed, and of the root (L, P or 1, H).
         evidence : Evidence
             For the next layer, H features each; unchanged where this is the last.
         """
-        from_context, context = _said(self.from_context, self.next_context, evidence.context)
         from_root, root = _said(self.from_root, self.next_root, evidence.root)
-        if from_root is None or root is None:
-            raise ValueError("evidence.root: None; expected the root's features.")
-        return from_context, from_root, Evidence(context, evidence.observed, root)
+        if evidence.context is None:
+            return None, from_root, evidence._replace(root=root)
+        from_context, context = _said(self.from_context, self.next_context, evidence.context)
+        return from_context, from_root, evidence._replace(context=context, root=root)
 
-    def place(self, from_context: Tensor | None, from_root: Tensor, observed: Tensor | None) -> Tensor:
+    def place(self, from_context: Tensor | None, from_root: Tensor, evidence: Evidence) -> Tensor:
         """Bring the messages to the nodes that they are for, and add them up.
 
         Parameters
         ----------
         from_context, from_root : Tensor
-            (L, K, P, features) and (L, P or 1, features), as of :meth:`hear` or linear in it.
-        observed : Tensor or None
-            Which keypoints are there to say something, (K, P, 1).
+            (L, R, features) and (L, P or 1, features), as of :meth:`hear` or linear in it.
+        evidence : Evidence
+            Which node each keypoint speaks to.
 
         Returns
         -------
@@ -189,21 +200,21 @@ class MessagePassing(nn.Module):
             (L, K, P or 1, features), the same for every sample of a pose.
         """
         messages = self.next_to_root[:, None, None] * from_root[:, None]
-        if from_context is None or observed is None:
+        if from_context is None or evidence.rows is None:
             return messages
-        return torch.addcmul(messages, from_context, observed)
+        if evidence.counts is not None:
+            from_context = from_context * evidence.counts
+        blocks, nodes, _, features = messages.shape
+        everywhere = messages.expand(-1, -1, evidence.poses, -1).reshape(blocks, -1, features)
+        return everywhere.index_add_(1, evidence.rows, from_context).view(blocks, nodes, -1, features)
 
 
-def _said(said: Linears, carried: Linears | None, features: Tensor | None) -> tuple[Tensor | None, Tensor | None]:
-    """Apply L maps with ReLU, and L more where a layer follows, to features (1 or L, ..., F), in one product."""
-    if features is None:
-        return None, None
+def _said(said: Linears, carried: Linears | None, features: Tensor) -> tuple[Tensor, Tensor]:
+    """Apply L maps with ReLU, and L more where a layer follows, to features (1 or L, R, F), in one product."""
     maps = [said] if carried is None else [said, carried]
     weights = torch.cat([m.weight for m in maps], dim=1)
     biases = torch.cat([m.bias for m in maps], dim=1)
-    rows = features.flatten(1, -2).expand(len(weights), -1, -1)
-    spoken = torch.relu_(torch.baddbmm(biases[:, None], rows, weights.mT))
-    spoken = spoken.view(len(weights), *features.shape[1:-1], -1)
+    spoken = torch.relu_(torch.baddbmm(biases[:, None], features.expand(len(weights), -1, -1), weights.mT))
     if carried is None:
         return spoken, features
     first, second = spoken.split([said.bias.shape[1], carried.bias.shape[1]], dim=-1)

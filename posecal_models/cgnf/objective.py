@@ -9,14 +9,12 @@ mm. A pose may stand in a batch with several sets of observed keypoints; its pri
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
 from posecal.errors import PoseDataError
-from posecal_models.cgnf.message_passing import Evidence
 from posecal_models.cgnf.model import CGNF
 from posecal_models.contract import Context
 
@@ -148,11 +146,10 @@ class FlowObjective:
             losses["mode"] = poses.new_zeros(())
         cut = _Cut()
         folded = cut.off(flow.couplings.folded())
-        known = flow.evidence(standardizer.keypoints(context), context.observed)
-
-        for part, evidence in self._pieces(len(poses), cut, known):
+        keypoints = standardizer.keypoints(context)
+        for part in self._pieces(len(poses)):
             share = len(poses[part]) / len(poses)
-            ready = flow.ready(evidence, folded=folded)
+            ready = flow.ready(flow.evidence(keypoints[part], context.observed[part]), folded=folded)
             nats = -ready.log_prob_per_node(poses[part]).sum((1, 2)).mean()
             loss = half * nats
             if self.sample_weight:
@@ -164,9 +161,9 @@ class FlowObjective:
             losses["posterior"] += share * nats.detach()
             losses["loss"] += share * loss.detach()
         distinct = poses[::graphs_per_pose]
-        for part, evidence in self._pieces(len(distinct), cut, flow.no_evidence()):
+        for part in self._pieces(len(distinct)):
             share = len(distinct[part]) / len(distinct)
-            ready = flow.ready(evidence, folded=folded)
+            ready = flow.ready(flow.no_evidence(), folded=folded)
             nats = -ready.log_prob_per_node(distinct[part]).sum((1, 2)).mean()
             (share * half * nats).backward()
             losses["prior"] += share * nats.detach()
@@ -208,17 +205,12 @@ class FlowObjective:
             losses["loss"] = losses["loss"] + self.sample_weight * losses["mode"]
         return losses
 
-    def _pieces(self, poses: int, cut: _Cut, evidence: Evidence) -> Iterator[tuple[slice, Evidence]]:
-        """Give some poses at a time and their evidence, cut off from the embedding until the end."""
-        on_cpu = evidence.root.device.type == "cpu"
+    def _pieces(self, poses: int) -> list[slice]:
+        """Cut a batch into pieces whose activations stay in a processor's cache; a GPU takes all poses at once."""
+        on_cpu = next(self.estimator.parameters()).device.type == "cpu"
         count = math.ceil(poses / (self.graphs_at_once or (48 if on_cpu else poses)))
         ends = [poses * i // count for i in range(count + 1)]
-        sizes = [end - start for start, end in zip(ends[:-1], ends[1:], strict=True)]
-        contexts = [None] * count if evidence.context is None else cut.off(evidence.context.split(sizes, dim=2))
-        for start, size, context in zip(ends[:-1], sizes, contexts, strict=True):
-            part = slice(start, start + size)
-            observed = None if evidence.observed is None else evidence.observed[:, part]
-            yield part, Evidence(context, observed, evidence.root)
+        return [slice(start, end) for start, end in zip(ends[:-1], ends[1:], strict=True)]
 
 
 class _Cut:

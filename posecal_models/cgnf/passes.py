@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-__all__ = ["BlockTensors", "Scale", "latents_of", "poses_of"]
+__all__ = ["BlockTensors", "Bones", "Scale", "latents_of", "poses_of"]
 
 Scale = Literal["sigmoid", "exp"]
 
@@ -35,9 +35,9 @@ class BlockTensors(NamedTuple):
     first : Tensor
         Maps of the first layer: (maps, D + 1, H), the row of the moved coordinate 0, the last row the biases.
     second, second_bias : Tensor
-        The first layer's update and the second layer's maps in one: (H, maps * H) and (maps * H,).
+        The first layer's update and the second layer's maps in one: (maps, H, H) and (maps, H).
     pool : Tensor
-        The second layer's update for every kind of message: (2 * maps, maps * H).
+        The second layer's update: (2, H).
     evidence : Tensor
         What context and root add after the first layer: (K, P or 1, 1, H).
     offset : Tensor
@@ -54,6 +54,21 @@ class BlockTensors(NamedTuple):
     offset: Tensor
     behind_scale: Tensor
     behind_shift: Tensor
+
+
+class Bones(NamedTuple):
+    """Who speaks, and to whom.
+
+    Attributes
+    ----------
+    spans : tuple of (int, int)
+        For each map the nodes that speak by it, (start, stop): all of them to themselves, some along the bones.
+    relations : Tensor
+        (K, S): what all S messages, the spans after one another, add up to.
+    """
+
+    spans: tuple[tuple[int, int], ...]
+    relations: Tensor
 
 
 Part = tuple[slice, slice]
@@ -90,26 +105,47 @@ def _of_poses(shared: Tensor, poses: slice, dim: int) -> Tensor:
     return shared.narrow(dim, poses.start, poses.stop - poses.start)
 
 
+def _places(bones: Bones, columns: int) -> list[tuple[slice, slice]]:
+    """For each map, where its messages lie among all S * columns, and where those who speak among K * columns."""
+    places, start = [], 0
+    for first, last in bones.spans:
+        stop = start + (last - first) * columns
+        places.append((slice(start, stop), slice(first * columns, last * columns)))
+        start = stop
+    return places
+
+
+def _speak(heard: Tensor, maps: Tensor, biases: Tensor | None, bones: Bones, columns: int) -> Tensor:
+    """Apply each map with ReLU to the rows (K * columns, F) of the nodes that speak by it: (S * columns, H)."""
+    spoken = heard.new_empty(bones.relations.shape[1] * columns, maps.shape[-1])
+    for index, (said, rows) in enumerate(_places(bones, columns)):
+        if biases is None:
+            torch.mm(heard[rows], maps[index], out=spoken[said])
+        else:
+            torch.addmm(biases[index], heard[rows], maps[index], out=spoken[said])
+    return spoken.relu_()
+
+
 def _net(
-    coordinates: Tensor, block: BlockTensors, relations: Tensor, parts: list[Part], *, keep: bool
+    coordinates: Tensor, block: BlockTensors, bones: Bones, parts: list[Part], *, keep: bool
 ) -> tuple[Tensor, list[Tensor]]:
     """Give shift and unconstrained scale, (2, K, P, n), and the activations of each part if they are kept."""
     _, nodes, poses, samples = coordinates.shape
-    maps, _, hidden = block.first.shape
-    pooled = coordinates.new_empty(2 * maps, nodes, poses, samples)
+    messages, hidden = bones.relations.shape[1], block.pool.shape[1]
+    pooled = coordinates.new_empty(2, messages, poses, samples)
     kept: list[Tensor] = []
     for part in parts:
         read = coordinates[:, :, *part]
-        grid = read.shape[1:]
-        first = torch.bmm(read.flatten(1).T.expand(maps, -1, -1), block.first).relu_()
-        message = torch.mm(relations, first.view(maps * nodes, -1))
-        message.view(*grid, hidden).add_(_of_poses(block.evidence, part[0], 1))
+        grid = read.shape[2:]
+        first = _speak(read.flatten(1).T, block.first, None, bones, grid.numel())
+        message = torch.mm(bones.relations, first.view(messages, -1))
+        message.view(nodes, *grid, hidden).add_(_of_poses(block.evidence, part[0], 1))
         message = message.view(-1, hidden)
-        second = torch.addmm(block.second_bias, message, block.second).relu_()
-        pooled[:, :, *part] = torch.mm(block.pool, second.T).view(2 * maps, *grid)
+        second = _speak(message, block.second, block.second_bias, bones, grid.numel())
+        pooled[:, :, *part] = torch.mm(block.pool, second.T).view(2, messages, *grid)
         if keep:
             kept += _Heard(first, message, second)
-    told = torch.bmm(relations.expand(2, -1, -1), pooled.view(2, maps * nodes, -1))
+    told = torch.bmm(bones.relations.expand(2, -1, -1), pooled.view(2, messages, -1))
     return told.view(2, nodes, poses, samples).add_(block.offset), kept
 
 
@@ -117,36 +153,44 @@ def _net_backward(
     gradient: Tensor,
     coordinates: Tensor,
     block: BlockTensors,
-    relations: Tensor,
+    bones: Bones,
     parts: list[Part],
     kept: list[Tensor],
 ) -> tuple[Tensor, list[Tensor]]:
     """Give the gradients of the coordinates and of the block's first six tensors."""
     _, nodes, poses, samples = coordinates.shape
-    maps, _, hidden = block.first.shape
+    messages, hidden = bones.relations.shape[1], block.pool.shape[1]
     silence = torch.ops.aten.threshold_backward.grad_input
-    pooled = torch.bmm(relations.T.expand(2, -1, -1), gradient.view(2, nodes, -1))
-    pooled = pooled.view(2 * maps, nodes, poses, samples)
+    pooled = torch.bmm(bones.relations.T.expand(2, -1, -1), gradient.view(2, nodes, -1))
+    pooled = pooled.view(2, messages, poses, samples)
     d_coordinates = torch.empty_like(coordinates)
     d_first, d_second, d_bias, d_pool, d_evidence = (torch.zeros_like(tensor) for tensor in block[:5])
     for index, part in enumerate(parts):
         heard = _Heard(*kept[3 * index : 3 * index + 3])
+        read = coordinates[:, :, *part]
+        grid, rows_read = read.shape[2:], read.flatten(1)
+        places = _places(bones, grid.numel())
         d_pooled = pooled[:, :, *part].flatten(1)
         d_pool.addmm_(d_pooled, heard.second)
         second = torch.mm(d_pooled.T, block.pool)
         silence(second, heard.second, 0, grad_input=second)
-        d_second.addmm_(heard.message.T, second)
-        d_bias += second.sum(0)
-        message = torch.mm(second, block.second.T)
-        said = message.view(nodes, -1, part[1].stop - part[1].start, hidden)
+        message = torch.mm(second[places[0][0]], block.second[0].T)
+        for which, (said, rows) in enumerate(places):
+            d_second[which].addmm_(heard.message[rows].T, second[said])
+            d_bias[which] += second[said].sum(0)
+            if which:
+                message[rows].addmm_(second[said], block.second[which].T)
         into = _of_poses(d_evidence, part[0], 1)
-        into += said.sum((1, 2) if len(into[0]) == 1 else 2, keepdim=True) if said.shape != into.shape else said
-        first = torch.mm(relations.T, message.view(nodes, -1)).view_as(heard.first)
+        spread = message.view(nodes, *grid, hidden)
+        into += spread if spread.shape == into.shape else spread.sum((1, 2) if into.shape[1] == 1 else 2, keepdim=True)
+        first = torch.mm(bones.relations.T, message.view(nodes, -1)).view_as(heard.first)
         silence(first, heard.first, 0, grad_input=first)
-        read = coordinates[:, :, *part]
-        rows = read.flatten(1)
-        d_first.baddbmm_(rows.expand(maps, -1, -1), first)
-        d_coordinates[:, :, *part] = torch.bmm(block.first, first.transpose(1, 2)).sum(0).view_as(read)
+        d_rows = torch.mm(block.first[0], first[places[0][0]].T)
+        for which, (said, rows) in enumerate(places):
+            d_first[which].addmm_(rows_read[:, rows], first[said])
+            if which:
+                d_rows[:, rows].addmm_(block.first[which], first[said].T)
+        d_coordinates[:, :, *part] = d_rows.view_as(read)
     d_offset = gradient.sum((2, 3) if block.offset.shape[2] == 1 else 3, keepdim=True)
     return d_coordinates, [d_first, d_second, d_bias, d_pool, d_evidence, d_offset]
 
@@ -167,7 +211,7 @@ def _stretch_backward(gradient: Tensor, stretch: Tensor, scale: Scale) -> Tensor
 class _Latents(torch.autograd.Function):
     @staticmethod
     def forward(
-        ctx: Any, scale: Scale, keep: bool, coordinates: Tensor, relations: Tensor, *tensors: Tensor
+        ctx: Any, scale: Scale, keep: bool, bones: Bones, coordinates: Tensor, *tensors: Tensor
     ) -> tuple[Tensor, Tensor]:
         dimensions, width = len(coordinates) - 1, len(BlockTensors._fields)
         parts = _parts(coordinates)
@@ -175,7 +219,7 @@ class _Latents(torch.autograd.Function):
         saved: list[Tensor] = []
         for index in range(len(tensors) // width):
             block, moved = BlockTensors(*tensors[index * width :][:width]), index % dimensions
-            told, heard = _net(coordinates, block, relations, parts, keep=keep)
+            told, heard = _net(coordinates, block, bones, parts, keep=keep)
             stretch = _stretch(told[1], scale)
             caught_up = torch.addcmul(block.behind_shift, coordinates[moved], block.behind_scale)
             if keep:
@@ -183,14 +227,14 @@ class _Latents(torch.autograd.Function):
             coordinates = coordinates.clone()
             torch.addcmul(told[0], caught_up, stretch, out=coordinates[moved])
             log_stretch += stretch.log()
-        ctx.scale, ctx.blocks, ctx.parts = scale, len(tensors) // width, parts
-        ctx.save_for_backward(relations, *tensors, *saved)
+        ctx.scale, ctx.bones, ctx.blocks, ctx.parts = scale, bones, len(tensors) // width, parts
+        ctx.save_for_backward(*tensors, *saved)
         return coordinates, log_stretch
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Any, ...]:
-        relations, *stored = ctx.saved_tensors
+        stored = ctx.saved_tensors
         width, per_block = len(BlockTensors._fields), 2 + len(_Heard._fields) * len(ctx.parts)
         saved = stored[ctx.blocks * width :]
         d_coordinates, d_log_stretch = gradients[0].clone(), gradients[1]
@@ -206,20 +250,20 @@ class _Latents(torch.autograd.Function):
             d_caught_up = d_moved * stretch
             d_behind = [(d_caught_up * coordinates[moved]).sum(), d_caught_up.sum()]
             torch.mul(d_caught_up, block.behind_scale, out=d_moved)
-            d_kept, d_block = _net_backward(told, coordinates, block, relations, ctx.parts, activations)
+            d_kept, d_block = _net_backward(told, coordinates, block, ctx.bones, ctx.parts, activations)
             d_coordinates += d_kept
             found[:0] = [*d_block, *d_behind]
-        return None, None, d_coordinates, None, *found
+        return None, None, None, d_coordinates, *found
 
 
 class _Poses(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, scale: Scale, keep: bool, coordinates: Tensor, relations: Tensor, *tensors: Tensor) -> Tensor:
+    def forward(ctx: Any, scale: Scale, keep: bool, bones: Bones, coordinates: Tensor, *tensors: Tensor) -> Tensor:
         dimensions, width, parts = len(coordinates) - 1, len(BlockTensors._fields), _parts(coordinates)
         saved: list[Tensor] = []
         for index in reversed(range(len(tensors) // width)):
             block, moved = BlockTensors(*tensors[index * width :][:width]), index % dimensions
-            told, heard = _net(coordinates, block, relations, parts, keep=keep)
+            told, heard = _net(coordinates, block, bones, parts, keep=keep)
             stretch = _stretch(told[1], scale)
             caught_up = torch.sub(coordinates[moved], told[0]).div_(stretch)
             coordinates = coordinates.clone()
@@ -227,14 +271,14 @@ class _Poses(torch.autograd.Function):
             coordinates[moved] /= block.behind_scale
             if keep:
                 saved += [coordinates, stretch, caught_up, *heard]
-        ctx.scale, ctx.blocks, ctx.parts = scale, len(tensors) // width, parts
-        ctx.save_for_backward(relations, *tensors, *saved)
+        ctx.scale, ctx.bones, ctx.blocks, ctx.parts = scale, bones, len(tensors) // width, parts
+        ctx.save_for_backward(*tensors, *saved)
         return coordinates
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Any, ...]:
-        relations, *stored = ctx.saved_tensors
+        stored = ctx.saved_tensors
         width, per_block = len(BlockTensors._fields), 3 + len(_Heard._fields) * len(ctx.parts)
         saved = stored[ctx.blocks * width :]
         d_coordinates = gradients[0].clone()
@@ -250,14 +294,14 @@ class _Poses(torch.autograd.Function):
             torch.div(d_caught_up, stretch, out=d_moved)
             d_stretch = -d_moved * caught_up
             told = torch.stack([-d_moved, _stretch_backward(d_stretch, stretch, ctx.scale)])
-            d_kept, d_block = _net_backward(told, coordinates, block, relations, ctx.parts, activations)
+            d_kept, d_block = _net_backward(told, coordinates, block, ctx.bones, ctx.parts, activations)
             d_coordinates += d_kept
             found += [*d_block, *d_behind]
-        return None, None, d_coordinates, None, *found
+        return None, None, None, d_coordinates, *found
 
 
 def latents_of(
-    coordinates: Tensor, blocks: list[BlockTensors], relations: Tensor, scale: Scale
+    coordinates: Tensor, blocks: list[BlockTensors], bones: Bones, scale: Scale
 ) -> tuple[Tensor, Tensor]:
     """Pass poses through all blocks.
 
@@ -267,8 +311,8 @@ def latents_of(
         (D + 1, K, P, n), unitless, the last row ones.
     blocks : list of BlockTensors
         The L blocks; block l moves coordinate l modulo D.
-    relations : Tensor
-        (K, maps * K): what each kind of message adds up to along the bones.
+    bones : Bones
+        Who speaks to whom.
     scale : str
         How the unconstrained scale becomes a positive one.
 
@@ -280,11 +324,11 @@ def latents_of(
         (K, P, n), nats: the sum of log s over the blocks.
     """
     tensors = [tensor for block in blocks for tensor in block]
-    latents, log_stretch = _Latents.apply(scale, torch.is_grad_enabled(), coordinates, relations, *tensors)
+    latents, log_stretch = _Latents.apply(scale, torch.is_grad_enabled(), bones, coordinates, *tensors)
     return latents, log_stretch
 
 
-def poses_of(coordinates: Tensor, blocks: list[BlockTensors], relations: Tensor, scale: Scale) -> Tensor:
+def poses_of(coordinates: Tensor, blocks: list[BlockTensors], bones: Bones, scale: Scale) -> Tensor:
     """Pass latents back through all blocks.
 
     Parameters
@@ -293,8 +337,8 @@ def poses_of(coordinates: Tensor, blocks: list[BlockTensors], relations: Tensor,
         (D + 1, K, P, n), unitless, the last row ones.
     blocks : list of BlockTensors
         The L blocks, first to last.
-    relations : Tensor
-        (K, maps * K).
+    bones : Bones
+        Who speaks to whom.
     scale : str
         How the unconstrained scale becomes a positive one.
 
@@ -304,5 +348,5 @@ def poses_of(coordinates: Tensor, blocks: list[BlockTensors], relations: Tensor,
         The same shape.
     """
     tensors = [tensor for block in blocks for tensor in block]
-    poses: Tensor = _Poses.apply(scale, torch.is_grad_enabled(), coordinates, relations, *tensors)
+    poses: Tensor = _Poses.apply(scale, torch.is_grad_enabled(), bones, coordinates, *tensors)
     return poses

@@ -6,19 +6,19 @@ A file of poses is an ``.npz`` with ``poses`` (M, K, 3) in a room with z up, ``j
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from posecal.errors import PoseDataError
-from posecal.skeleton import canonical_name
+from posecal.skeleton import Skeleton, canonical_name
 from posecal.units import millimetres_per
 from posecal_models.data.cameras import cameras_around
 from posecal_models.data.lifting_set import LiftingSet, read_npz
 
-__all__ = ["MocapPoses"]
+__all__ = ["MocapPoses", "with_other_bodies"]
 
 
 class MocapPoses:
@@ -67,6 +67,7 @@ class MocapPoses:
         every: int = 1,
         subjects: Iterable[str] | None = None,
         but_not: Iterable[str] = (),
+        body_variation: float = 0.0,
         seed: int = 0,
     ) -> LiftingSet:
         """Project the poses into cameras that stand around each clip.
@@ -79,6 +80,9 @@ class MocapPoses:
             Only every so manieth frame of a clip.
         subjects, but_not : iterable of str, optional
             Only these subjects, and none of those.
+        body_variation : float
+            Standard deviation of the log of each bone's length. Above 0 every pose is given a body of its own: with few
+            people to learn from, an estimator learns their bones instead of bodies. 0: bodies as they were captured.
         seed : int
             Where the cameras stand; a clip's cameras depend on the seed and the clip's name alone.
 
@@ -110,9 +114,12 @@ class MocapPoses:
             rows = rows[::every]
             for index, camera in enumerate(around):
                 chosen.append(rows)
-                relative = self.poses[rows] - self.poses[rows, root][:, None]
+                people = self.poses[rows]
+                if body_variation > 0:
+                    people = with_other_bodies(people, self.joints, body_variation, generator)
+                relative = people - people[:, root, None]
                 poses.append(camera.turn(relative)[:, rest].astype(np.float32))
-                keypoints.append(camera.project(self.poses[rows])[:, rest].astype(np.float32))
+                keypoints.append(camera.project(people)[:, rest].astype(np.float32))
                 cameras += [str(index)] * len(rows)
         if not chosen:
             raise PoseDataError(f"subjects: none of {', '.join(sorted(known))} is left.")
@@ -135,3 +142,51 @@ class MocapPoses:
             camera=camera_names,
             root=self.joints[root],
         )
+
+
+def with_other_bodies(
+    poses: npt.NDArray[np.float64], joints: Sequence[str], spread: float, generator: np.random.Generator
+) -> npt.NDArray[np.float64]:
+    r"""Give every pose other lengths of its bones, the directions as they are.
+
+    .. math:: l'_b = l_b \exp\left( s \, (z + z_b) / \sqrt 2 \right)
+
+    with one z for the person and one for each bone, left and right alike.
+
+    Parameters
+    ----------
+    poses : ndarray
+        (M, K, 3), mm.
+    joints : sequence of str
+        K names, the root among them.
+    spread : float
+        s, the standard deviation of the log of a bone's length.
+    generator : numpy.random.Generator
+        The source of randomness.
+
+    Returns
+    -------
+    ndarray
+        (M, K, 3), mm, the root where it was.
+
+    Examples
+    --------
+    >>> leg = np.array([[[0.0, 0, 900], [0, 0, 450], [0, 0, 0]]])
+    >>> other = with_other_bodies(leg, ("Hip", "RKnee", "RFoot"), 0.1, np.random.default_rng(0))
+    >>> bool(other[0, :, :2].any()), float(other[0, 0, 2])  # straight as it was, hanging from the hip
+    (False, 900.0)
+    """
+    skeleton = Skeleton(tuple(joints))
+    kinds = [canonical_name(name).removeprefix("L").removeprefix("R") for name in joints]
+    names = sorted(set(kinds))
+    own = generator.standard_normal((len(poses), len(names))) + generator.standard_normal((len(poses), 1))
+    factor = np.exp(spread * own / np.sqrt(2))[:, [names.index(kind) for kind in kinds]]
+    changed = poses.copy()
+    done = {k for k, parent in enumerate(skeleton.parents) if parent < 0}
+    while len(done) < len(joints):
+        for child, parent in enumerate(skeleton.parents):
+            if child not in done and parent in done:
+                bone = poses[:, child] - poses[:, parent]
+                changed[:, child] = changed[:, parent] + factor[:, child, None] * bone
+                done.add(child)
+    return changed

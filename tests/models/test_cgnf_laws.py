@@ -123,11 +123,12 @@ def test_gradients_of_the_pose_equal_finite_differences():
 
 
 @pytest.mark.parametrize("size", ["small", "xlarge"])
-def test_inverse_of_forward_is_the_pose_within_1e_4_in_single_precision(size):
+@pytest.mark.parametrize(("scale", "reach"), [("sigmoid", 0.1), ("exp", 0.02)])
+def test_inverse_of_forward_is_the_pose_within_1e_4_in_single_precision(size, scale, reach):
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
-        flow = GraphFlow(human36m_graph(), SIZES[size])
-        flow.couplings.second.pool.weight.data.uniform_(-0.1, 0.1)
+        flow = GraphFlow(human36m_graph(), SIZES[size], scale=scale)
+        flow.couplings.second.pool.weight.data.uniform_(-reach, reach)
     keypoints, observed, poses = (tensor if tensor.dtype == torch.bool else tensor.float() for tensor in inputs())
     with torch.no_grad():
         evidence = flow.evidence(keypoints, observed)
