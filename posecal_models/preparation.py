@@ -60,9 +60,14 @@ def split(path: str | Path, config: DataConfig) -> tuple[LiftingSet, LiftingSet 
             body_variation=config.body_variation,
             seed=config.camera_seed,
         )
-        rest = (
-            mocap.seen_by_cameras(subjects=config.validation_subjects, **camera) if config.validation_subjects else None
-        )
+        rest = None
+        if config.validation_subjects:
+            rest = mocap.seen_by_cameras(
+                views=config.views,
+                every=config.every,
+                subjects=config.validation_subjects,
+                seed=config.camera_seed,
+            )
     else:
         pairs = LiftingSet.load(path)
         known = set(pairs.subject.tolist())

@@ -205,7 +205,7 @@ class MessagePassing(nn.Module):
         if evidence.counts is not None:
             from_context = from_context * evidence.counts
         blocks, nodes, _, features = messages.shape
-        everywhere = messages.expand(-1, -1, evidence.poses, -1).reshape(blocks, -1, features)
+        everywhere = messages.expand(-1, -1, evidence.poses, -1).reshape(blocks, -1, features).contiguous()
         return everywhere.index_add_(1, evidence.rows, from_context).view(blocks, nodes, -1, features)
 
 

@@ -231,7 +231,7 @@ def test_the_small_model_s_parts_are_those_counted_by_hand():
 
 
 def test_every_live_parameter_gets_a_gradient_and_the_root_s_weights_get_zero():
-    flow, (keypoints, observed, poses) = random_flow(spread=0.5), inputs()
+    flow, (keypoints, observed, poses) = random_flow(spread=0.5, scale="sigmoid"), inputs()
     flow.ready(flow.evidence(keypoints, observed)).log_prob_per_node(poses).sum().backward()
     for name, parameter in flow.named_parameters():
         if name.endswith(("from_root.weight", "next_root.weight")) and ".first." in name:
