@@ -28,7 +28,7 @@ from posecal_models.estimators import ReferenceEstimator, parameter_count
 from posecal_models.sample import POSES_AT_ONCE, draw
 from posecal_models.simple_baseline import SimpleBaseline
 
-__all__ = ["HARD", "Judged", "columns", "energy_score", "hypotheses_of", "judge", "markdown", "held_out_poses"]
+__all__ = ["HARD", "Judged", "columns", "energy_score", "held_out_poses", "hypotheses_of", "judge", "markdown"]
 
 HARD = 4
 """So many hidden keypoints of 16 make a pose hard."""
@@ -136,9 +136,7 @@ def hypotheses_of(
     return np.concatenate(parts, axis=1)
 
 
-def energy_score(
-    hypotheses: npt.NDArray[np.float32], truth: npt.NDArray[np.float32]
-) -> npt.NDArray[np.float64]:
+def energy_score(hypotheses: npt.NDArray[np.float32], truth: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
     r"""Give the fair energy score of whole poses: a proper score of the whole distribution.
 
     .. math:: \frac1N \sum_n \lVert x_n - y \rVert - \frac{1}{2 N (N - 1)} \sum_{i \neq j} \lVert x_i - x_j \rVert

@@ -252,7 +252,7 @@ def load_released(path: str | Path, *, blocks: int | None = None) -> tuple[CGNF,
         state = torch.load(path, map_location="cpu", weights_only=True)
     except FileNotFoundError as problem:
         raise PoseFileError(f"{path}: is not there.") from problem
-    except Exception as problem:  # noqa: BLE001 - torch.load raises anything on a damaged or hostile file
+    except Exception as problem:
         raise PoseFileError(
             f"{path}: can't be read as plain tensors ({type(problem).__name__}); expected a state_dict. "
             "It was not loaded: a pickle that asks for more can run programs."

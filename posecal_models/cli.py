@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
@@ -151,7 +151,7 @@ def motion(
     from posecal.io import written_whole
     from posecal_models.data.synthetic import synthetic_motion
 
-    members = synthetic_motion(subjects=subjects, clips=clips, frames=frames, seed=seed)
+    members: dict[str, Any] = {**synthetic_motion(subjects=subjects, clips=clips, frames=frames, seed=seed)}
     written_whole(output, lambda file: np.savez_compressed(file, **members))
 
 

@@ -3,8 +3,8 @@
 One contract for the reference models and for anybody's own: ``estimator(context)`` returns a :class:`PoseDistribution`
 with ``.sample(n)`` and ``.log_prob(truth)``. Subclassing is not needed, having the methods is.
 
-Letters: N hypotheses, M poses, K joints. Poses are in millimetres, relative to the root, in the camera's frame (x to the
-right, y down, z away from the camera); keypoints are in pixels.
+Letters: N hypotheses, M poses, K joints. Poses are in millimetres, relative to the root, in the camera's frame (x to
+the right, y down, z away from the camera); keypoints are in pixels.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How far is a point estimate off, on average? The same Gaussian around every estimate, the paper's simplest distribution.
+"""How far is a point estimate off, on average? The same Gaussian around every estimate, the paper's baseline.
 
 Its spread does not depend on the input. Trained by likelihood it is as wide as the errors are; trained to have one good
 hypothesis among N it becomes narrower, and that is the paper's point.

@@ -49,7 +49,7 @@ class _Plain:
         """Add the batch's gradients to the parameters and give the loss."""
         del graphs_per_pose
         loss = self.loss(context, truth, generator)
-        loss.backward()  # type: ignore[no-untyped-call]
+        torch.autograd.backward(loss)
         return {"loss": loss.detach()}
 
     @torch.no_grad()
@@ -80,7 +80,7 @@ class SquaredError(_Plain):
         """Give the loss of a batch, a scalar."""
         del generator
         poses = self.estimator.standardizer.poses(truth)
-        return (self.estimator.standardised(context) - poses).square().mean()
+        return torch.mean((self.estimator.standardised(context) - poses).square())
 
 
 class Likelihood(_Plain):
@@ -98,7 +98,7 @@ class Likelihood(_Plain):
     def loss(self, context: Context, truth: Tensor, generator: torch.Generator) -> Tensor:
         """Give the loss of a batch, a scalar."""
         del generator
-        return -self.estimator(context).log_prob(truth).mean()
+        return -torch.mean(self.estimator(context).log_prob(truth))
 
 
 class BestOfN(_Plain):
@@ -121,7 +121,8 @@ class BestOfN(_Plain):
     def loss(self, context: Context, truth: Tensor, generator: torch.Generator) -> Tensor:
         """Give the loss of a batch, a scalar."""
         poses = self.estimator(context).sample(self.hypotheses, generator=generator)
-        return (poses - truth).norm(dim=-1).mean(-1).amin(0).mean()
+        errors = torch.mean(torch.linalg.vector_norm(poses - truth, dim=-1), dim=-1)
+        return torch.mean(torch.amin(errors, dim=0))
 
 
 def objective_of(estimator: ReferenceEstimator, config: TrainConfig) -> Objective:

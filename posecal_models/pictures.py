@@ -1,4 +1,4 @@
-"""How do estimates and trainings look? Figures in the style of :mod:`posecal.plot`; everything is drawn, nothing computed.
+"""How do estimates and trainings look? Figures in the style of :mod:`posecal.plot`; all drawn, nothing computed.
 
 Every function gives a :class:`matplotlib.figure.Figure`. Poses are shown from the camera and from the side.
 """
@@ -112,9 +112,7 @@ def hypotheses(
                 for pose in poses[:drawn]:
                     _bones(ax, pose, skeleton, axis, color=FAINT, linewidth=0.4, alpha=0.5)
                 _bones(ax, truth, skeleton, axis, color=UNDER, linewidth=1.6)
-                ax.plot(
-                    poses[:drawn, spot, axis], -poses[:drawn, spot, 1], ".", color=OVER, markersize=2.5, alpha=0.8
-                )
+                ax.plot(poses[:drawn, spot, axis], -poses[:drawn, spot, 1], ".", color=OVER, markersize=2.5, alpha=0.8)
                 _empty(ax)
             axes[0, index].set_title(title, fontsize=6.5)
         axes[0, 0].set_ylabel("from the camera")
@@ -200,9 +198,7 @@ def losses(curves: Mapping[str, npt.NDArray[np.void]], *, label: str) -> Figure:
     return figure
 
 
-def pendulum(
-    samples: Mapping[str, Floats], truth: Floats, log_density: Mapping[str, tuple[float, float]]
-) -> Figure:
+def pendulum(samples: Mapping[str, Floats], truth: Floats, log_density: Mapping[str, tuple[float, float]]) -> Figure:
     """Draw the zero-shot experiment: samples of three models around true pendulums.
 
     Parameters

@@ -1,7 +1,7 @@
 """How do hypotheses come into a file that ``posecal evaluate`` reads? Block by block, so that memory does not grow.
 
-The file is an uncompressed ``.npz`` with the poses outermost, ``axes`` MNKD: what is drawn for some poses lies together,
-and the file can be memory-mapped. The root stands in it at 0, as in a file of true poses.
+The file is an uncompressed ``.npz`` with the poses outermost, ``axes`` MNKD: what is drawn for some poses lies
+together, and the file can be memory-mapped. The root stands in it at 0, as in a file of true poses.
 """
 
 from __future__ import annotations
@@ -69,7 +69,8 @@ def draw(
     if mode:
         if not hasattr(distribution, "mode"):
             raise PoseDataError(f"mode: a {type(distribution).__name__} has none. Draw samples.")
-        return distribution.mode()[None]
+        best: Tensor = distribution.mode()
+        return best[None]
     if temperature == 1:
         return distribution.sample(n, generator=generator)
     try:
@@ -156,7 +157,8 @@ def sample_to_file(
         if not drawn.isfinite().all():
             raise PoseDataError(
                 f"hypotheses: {int((~drawn.isfinite()).any(-1).any(-1).sum()):,} of {drawn[..., 0, 0].numel():,} drawn "
-                f"for the images from {ordered.frame_id[start]} on are not finite. Look at the keypoints and the weights."
+                f"for the images from {ordered.frame_id[start]} on are not finite. "
+                "Look at the keypoints and the weights."
             )
         held = np.zeros((drawn.shape[1], count, len(joints), 3), np.float32)
         held[:, :, 1:] = drawn.transpose(0, 1).float().cpu().numpy()
@@ -168,7 +170,7 @@ def sample_to_file(
 
 
 def _write_header(file: IO[bytes], shape: tuple[int, ...]) -> None:
-    npy.write_array_header_2_0(file, {"descr": "<f4", "fortran_order": False, "shape": shape})  # type: ignore[arg-type]
+    npy.write_array_header_2_0(file, {"descr": "<f4", "fortran_order": False, "shape": shape})
 
 
 def _context(keypoints: KeypointSet, poses: slice, device: torch.device | str) -> Context:

@@ -139,7 +139,7 @@ class SimpleBaseline(nn.Module):
         for residual in self.residuals:
             features = residual(features)
         poses: Tensor = self.last(features)
-        return poses.unflatten(1, (-1, 3))
+        return poses.view(len(poses), -1, 3)
 
     def forward(self, context: Context) -> PointEstimate:
         """Estimate poses.

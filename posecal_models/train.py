@@ -195,7 +195,7 @@ class Training:
         batch, many = self.config.train.batch, len(self.data)
         wanted = torch.arange(step * batch, (step + 1) * batch)
         rows = torch.empty_like(wanted)
-        for turn in wanted.div(many, rounding_mode="floor").unique().tolist():
+        for turn in torch.unique(wanted // many).tolist():
             if self._order is None or self._order[0] != turn:
                 order = torch.randperm(many, generator=seeded("cpu", self.config.train.seed, _ORDER, turn))
                 self._order = (turn, order)

@@ -89,7 +89,7 @@ def fit(
         loss = -estimator(Context(keypoints, observed)).log_prob(poses).mean()
         if not loss.isfinite():
             raise PoseDataError(f"zero-shot: the loss is {float(loss):.4g} at step {step}. Lower the learning rate.")
-        loss.backward()  # type: ignore[no-untyped-call]
+        torch.autograd.backward(loss)
         torch.nn.utils.clip_grad_norm_(estimator.parameters(), 1.0)
         optimizer.step()
         if progress is not None:
@@ -169,6 +169,7 @@ def pendulum(
     seen = torch.from_numpy(held_out.observed.reshape(-1, 3, 2)).float()
     everything = torch.ones(len(truth), 3, dtype=torch.bool)
     pendulums, timesteps = held_out.positions.shape[:2]
+    few = slice(0, len(truth), len(truth) // shown)
     log_density, drawn = {}, {}
     for index, (name, sets) in enumerate(PENDULUM_MODELS.items()):
 
@@ -185,7 +186,6 @@ def pendulum(
         with torch.inference_mode():
             exact = estimator.double()
             each = exact(Context(seen.double(), everything)).log_prob(truth.double()).view(pendulums, timesteps).mean(1)
-            few = slice(0, len(truth), len(truth) // shown)
             generator = torch.Generator().manual_seed(seed)
             some = exact(Context(seen[few].double(), everything[few])).sample(samples, generator=generator)
             drawn[name] = some.float().numpy()
@@ -298,7 +298,7 @@ def _after(progress: Callable[[int], None], before: int) -> Callable[[int], None
     return lambda steps: progress(before + steps)
 
 
-def _toy(module: str, name: str):  # type: ignore[no-untyped-def] # noqa: ANN202
+def _toy(module: str, name: str):  # type: ignore[no-untyped-def]
     from importlib import import_module
 
     try:

@@ -67,7 +67,8 @@ class Couplings(nn.Module):
     The second layer's update starts at zero, so that an untrained flow is the identity but for its ActNorms; with an
     exponential scale and PyTorch's own start, training diverged within ten steps.
 
-    Differs from the published code: none with ``backward_weights=False``; the paper's text has a map for each direction.
+    Differs from the published code: none with ``backward_weights=False``; the paper's text has a map for each
+    direction.
 
     References
     ----------

@@ -67,4 +67,5 @@ class ContextEmbedding(nn.Module):
         adjacency = self.adjacency * present[:, :, None] * present[:, None, :]
         adjacency = adjacency / adjacency.sum(dim=-1, keepdim=True).clamp(min=1)
         hidden = torch.relu(self.first_neighbours(adjacency @ known) + self.first_own(known))
-        return self.second_neighbours(adjacency @ hidden) + self.second_own(hidden)
+        embedded: Tensor = self.second_neighbours(adjacency @ hidden) + self.second_own(hidden)
+        return embedded

@@ -217,5 +217,5 @@ def _said(said: Linears, carried: Linears | None, features: Tensor) -> tuple[Ten
     spoken = torch.relu_(torch.baddbmm(biases[:, None], features.expand(len(weights), -1, -1), weights.mT))
     if carried is None:
         return spoken, features
-    first, second = spoken.split([said.bias.shape[1], carried.bias.shape[1]], dim=-1)
+    first, second = torch.split(spoken, [said.bias.shape[1], carried.bias.shape[1]], dim=-1)
     return first, second

@@ -133,9 +133,7 @@ class CGNF(nn.Module):
         super().__init__()
         self.graph = human36m_graph() if graph is None else graph
         self.size = size
-        self.flow = GraphFlow(
-            self.graph, size, dimensions=dimensions, backward_weights=backward_weights, scale=scale
-        )
+        self.flow = GraphFlow(self.graph, size, dimensions=dimensions, backward_weights=backward_weights, scale=scale)
         self.standardizer = Standardizer(len(self.graph.joints), dimensions=dimensions, origin=origin)
 
     @property

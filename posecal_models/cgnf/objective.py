@@ -1,6 +1,6 @@
-"""What is a cGNF trained to do? Its losses, and their gradients in pieces that stay in the processor's cache.
+r"""What is a cGNF trained to do? Its losses, and their gradients in pieces that stay in the processor's cache.
 
-.. math:: L = \\tfrac12 \\left( L_{prior} + L_{post} \\right) + \\lambda L_{sample}
+.. math:: L = \tfrac12 \left( L_{prior} + L_{post} \right) + \lambda L_{sample}
 
 All terms are means over the batch: negative log densities in nats per pose (standardised), and the error of the mode in
 mm. A pose may stand in a batch with several sets of observed keypoints; its prior is then computed once.
@@ -9,6 +9,7 @@ mm. A pose may stand in a batch with several sets of observed keypoints; its pri
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import Any, Literal
 
 import torch
@@ -53,8 +54,8 @@ def mode_error(mode: Tensor, truth: Tensor, *, kind: SampleLoss = "joints") -> T
     """
     apart = mode - truth
     if kind == "pairs":
-        apart = apart.flatten(-2).unflatten(-1, (-1, 2))
-    return apart.norm(dim=-1).mean(-1)
+        apart = apart.flatten(-2).view(*apart.shape[:-2], -1, 2)
+    return torch.mean(torch.linalg.vector_norm(apart, dim=-1), dim=-1)
 
 
 class FlowObjective:
@@ -157,7 +158,7 @@ class FlowObjective:
                 error = mode_error(mode, truth[part], kind=self.sample_loss).mean()
                 loss = loss + self.sample_weight * error
                 losses["mode"] += share * error.detach()
-            (share * loss).backward()
+            torch.autograd.backward(share * loss)
             losses["posterior"] += share * nats.detach()
             losses["loss"] += share * loss.detach()
         distinct = poses[::graphs_per_pose]
@@ -165,7 +166,7 @@ class FlowObjective:
             share = len(distinct[part]) / len(distinct)
             ready = flow.ready(flow.no_evidence(), folded=folded)
             nats = -ready.log_prob_per_node(distinct[part]).sum((1, 2)).mean()
-            (share * half * nats).backward()
+            torch.autograd.backward(share * half * nats)
             losses["prior"] += share * nats.detach()
             losses["loss"] += share * half * nats.detach()
         cut.backward()
@@ -210,7 +211,7 @@ class FlowObjective:
         on_cpu = next(self.estimator.parameters()).device.type == "cpu"
         count = math.ceil(poses / (self.graphs_at_once or (48 if on_cpu else poses)))
         ends = [poses * i // count for i in range(count + 1)]
-        return [slice(start, end) for start, end in zip(ends[:-1], ends[1:], strict=True)]
+        return [slice(start, end) for start, end in pairwise(ends)]
 
 
 class _Cut:

@@ -1,9 +1,9 @@
-"""How does a pose become a latent, and a latent a pose? The two passes through all blocks, and their gradients.
+r"""How does a pose become a latent, and a latent a pose? The two passes through all blocks, and their gradients.
 
 A block moves one coordinate x of every node by the other coordinates of all nodes:
 
-.. math:: z = s \\, (a x + b) + t, \\qquad (t, u) = \\mathrm{net}(\\text{kept coordinates}), \\qquad s = \\exp(u)
-          \\text{ or } \\mathrm{sigmoid}(u + 2) + 0.001
+.. math:: z = s \, (a x + b) + t, \qquad (t, u) = \mathrm{net}(\text{kept coordinates}), \qquad s = \exp(u)
+          \text{ or } \mathrm{sigmoid}(u + 2) + 0.001
 
 Gradients are written out by hand, because activations are then overwritten in place, not copied, and small operations
 need no bookkeeping: a training step takes half of the time. Tests compare them with finite differences and with
@@ -78,7 +78,7 @@ _ROWS_IN_CACHE = 768
 
 
 class _Heard(NamedTuple):
-    """Activations of both layers, for one part: after the first maps, after the sum over the bones, after the second."""
+    """Activations of both layers for one part: after the first maps, after the sum over bones, after the second."""
 
     first: Tensor
     message: Tensor
@@ -300,9 +300,7 @@ class _Poses(torch.autograd.Function):
         return None, None, None, d_coordinates, *found
 
 
-def latents_of(
-    coordinates: Tensor, blocks: list[BlockTensors], bones: Bones, scale: Scale
-) -> tuple[Tensor, Tensor]:
+def latents_of(coordinates: Tensor, blocks: list[BlockTensors], bones: Bones, scale: Scale) -> tuple[Tensor, Tensor]:
     """Pass poses through all blocks.
 
     Parameters
@@ -324,7 +322,9 @@ def latents_of(
         (K, P, n), nats: the sum of log s over the blocks.
     """
     tensors = [tensor for block in blocks for tensor in block]
-    latents, log_stretch = _Latents.apply(scale, torch.is_grad_enabled(), bones, coordinates, *tensors)
+    latents, log_stretch = _Latents.apply(  # type: ignore[no-untyped-call]
+        scale, torch.is_grad_enabled(), bones, coordinates, *tensors
+    )
     return latents, log_stretch
 
 
@@ -348,5 +348,7 @@ def poses_of(coordinates: Tensor, blocks: list[BlockTensors], bones: Bones, scal
         The same shape.
     """
     tensors = [tensor for block in blocks for tensor in block]
-    poses: Tensor = _Poses.apply(scale, torch.is_grad_enabled(), bones, coordinates, *tensors)
+    poses: Tensor = _Poses.apply(  # type: ignore[no-untyped-call]
+        scale, torch.is_grad_enabled(), bones, coordinates, *tensors
+    )
     return poses

@@ -1,8 +1,8 @@
 """How is one's own licensed copy of Human3.6M read? The dataset's own .cdf files, poses beside their projections.
 
 Under each subject's folder, ``D3_Positions_mono`` holds a pose of 32 joints a frame, in mm in the camera's frame, and
-``D2_Positions`` its projection in pixels, in files such as ``Directions 1.54138969.cdf``. Reading them takes the package
-cdflib, which is not installed with posecal.
+``D2_Positions`` its projection in pixels, in files such as ``Directions 1.54138969.cdf``. Reading them takes the
+package cdflib, which is not installed with posecal.
 """
 
 from __future__ import annotations
@@ -77,7 +77,8 @@ def read_human36m(
             labels += [(subject, matched[1], matched[2])] * len(pose)
     if not labels:
         raise PoseFileError(
-            f"{folder}: no D3_Positions_mono/*.cdf below {', '.join(wanted) or 'any subject'}; expected Human3.6M's folders."
+            f"{folder}: no D3_Positions_mono/*.cdf below {', '.join(wanted) or 'any subject'}; "
+            "expected Human3.6M's folders."
         )
     seen = np.concatenate(keypoints).astype(np.float32)
     return LiftingSet(
@@ -98,7 +99,7 @@ def read_human36m(
 def _read(path: Path, dimensions: int) -> npt.NDArray[np.float64]:
     """Read one file's poses, (F, 32, dimensions)."""
     try:
-        import cdflib
+        import cdflib  # type: ignore[import-untyped,unused-ignore]
     except ImportError as problem:
         raise PoseFileError(f"{path}: reading .cdf takes cdflib. Install it: pip install cdflib.") from problem
     try:

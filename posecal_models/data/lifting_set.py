@@ -1,4 +1,4 @@
-"""Which 3D poses belong to which 2D keypoints? The pairs that estimators are trained and judged on, in memory and in files.
+"""Which 3D poses belong to which 2D keypoints? The pairs that estimators are trained and judged on.
 
 Poses are in millimetres, relative to the root, in the camera's frame: x to the right, y down, z away from the camera.
 Keypoints are in pixels, x to the right, y down. One row is one person in one image.
@@ -103,7 +103,8 @@ class LiftingSet:
             Those poses.
         """
         parts = {f.name: getattr(self, f.name) for f in fields(self)}
-        return replace(self, **{name: part[rows] for name, part in parts.items() if isinstance(part, np.ndarray)})
+        taken: dict[str, Any] = {name: part[rows] for name, part in parts.items() if isinstance(part, np.ndarray)}
+        return replace(self, **taken)
 
     def in_order_of(
         self, joints: Sequence[str] | None = None, keypoint_joints: Sequence[str] | None = None
@@ -279,7 +280,7 @@ class KeypointSet:
                 f"{path}: keypoints_2d {keypoints.shape}; expected (M, {len(names)}, 2), one row for each of "
                 f"{first_few(names)}."
             )
-        observed = np.isfinite(keypoints).all(-1)
+        observed: Flags = np.asarray(np.isfinite(keypoints).all(-1))
         if "keypoints_observed" in members:
             observed = np.asarray(members["keypoints_observed"], bool)
         elif "occluded" in members and members["occluded"].shape == keypoints.shape[:2]:

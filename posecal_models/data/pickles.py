@@ -1,4 +1,4 @@
-"""How is a pickle read that somebody else made? With a reader that knows arrays, dictionaries, lists and text, nothing else.
+"""How is a pickle read that somebody else made? With a reader that knows arrays, dictionaries, lists and text only.
 
 A pickle is a program: loading one from the network with :mod:`pickle` runs whatever it says. Here every name that it
 asks for is looked up in a short table, so that a hostile file is refused before it has done anything.
@@ -66,8 +66,8 @@ def _load(file: io.BufferedIOBase, which: str) -> Any:
         AttributeError,
     ) as problem:
         raise PoseFileError(
-            f"{which}: {' '.join(str(problem).split())}; expected a pickle of plain arrays, dictionaries, lists and text. "
-            "It was not loaded: a pickle that asks for more can run programs."
+            f"{which}: {' '.join(str(problem).split())}; expected a pickle of plain arrays, dictionaries, lists "
+            "and text. It was not loaded: a pickle that asks for more can run programs."
         ) from problem
 
 

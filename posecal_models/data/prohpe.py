@@ -1,8 +1,8 @@
 """How is ProHPE's Human3.6M read? One pickle of poses, HRNet keypoints and the Gaussians fitted to their heat maps.
 
 Subject to action to subaction to camera to a table with ``3d_gt`` (F, 51), all x, then y, then z of 17 joints in mm in
-the camera's frame; ``2d_hrnet`` (F, 32), all x, then y of MPII's 16 joints in pixels; ``gaussfit`` (F, 112): for each of
-these joints amplitude, x, y, sigma x, angle, sigma y and fit error; and ``imgpath``.
+the camera's frame; ``2d_hrnet`` (F, 32), all x, then y of MPII's 16 joints in pixels; ``gaussfit`` (F, 112): for each
+of these joints amplitude, x, y, sigma x, angle, sigma y and fit error; and ``imgpath``.
 
 A keypoint counts as occluded where either sigma is above 5 pixels.
 """

@@ -1,4 +1,4 @@
-"""In which units does a network see poses and keypoints? The constants, fitted on the training set and saved with weights.
+"""In which units does a network see poses and keypoints? Constants, fitted on the training set, saved with weights.
 
 Keypoints are taken relative to the mean of the observed ones (a person is the same person wherever in the image), then
 divided by one number; poses have a mean pose taken off and are divided by one number. Both are affine, so a density

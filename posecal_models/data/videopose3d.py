@@ -76,7 +76,8 @@ def read_videopose3d(
             views = images[subject].get(action, [])
             if len(views) > len(cameras[subject]):
                 raise PoseDataError(
-                    f"{keypoints}: {subject} {action} has {len(views)} views and {len(cameras[subject])} cameras are given."
+                    f"{keypoints}: {subject} {action} has {len(views)} views; "
+                    f"{len(cameras[subject])} cameras are given."
                 )
             for index, view in enumerate(views):
                 length = min(len(room), len(view))
@@ -94,7 +95,7 @@ def read_videopose3d(
         poses=np.concatenate([part[0] for part in parts]).astype(np.float32),
         keypoint_joints=names[1:],
         keypoints=seen,
-        observed=np.isfinite(seen).all(-1),
+        observed=np.asarray(np.isfinite(seen).all(-1)),
         sigma=np.zeros(seen.shape[:2], np.float32),
         frame_id=np.array([frame for part in parts for frame in part[2]]),
         sequence=np.repeat([f"{part[3]} {part[4]}" for part in parts], counts),

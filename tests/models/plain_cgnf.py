@@ -108,9 +108,7 @@ def forward(
         moved = block % dimensions
         kept = poses[..., [i for i in range(dimensions) if i != moved]]
         t, s = shift_and_scale(weights, block, kept, context, observed, root, parents, scale)
-        poses = torch.stack(
-            [poses[..., i] * s + t if i == moved else poses[..., i] for i in range(dimensions)], -1
-        )
+        poses = torch.stack([poses[..., i] * s + t if i == moved else poses[..., i] for i in range(dimensions)], -1)
         log_determinant = log_determinant + log_scale.sum() + s.log()
     return poses, log_determinant
 

@@ -48,9 +48,7 @@ def repeated(keypoints: Tensor, observed: Tensor) -> tuple[Tensor, Tensor]:
     return keypoints.repeat_interleave(SAMPLES, 0), observed.repeat_interleave(SAMPLES, 0)
 
 
-OPTIONS = [
-    {"backward_weights": backward, "scale": scale} for backward in (False, True) for scale in ("sigmoid", "exp")
-]
+OPTIONS = [{"backward_weights": backward, "scale": scale} for backward in (False, True) for scale in ("sigmoid", "exp")]
 
 
 @pytest.mark.parametrize("options", OPTIONS)
@@ -225,7 +223,7 @@ def test_live_and_dead_parameters_make_up_the_published_number(size):
 
 def test_the_small_model_s_parts_are_those_counted_by_hand():
     table = parameter_table(SIZES["small"])
-    # 10 blocks: (2·100 + 100) + (100·100 + 100) from child to parent; 2 (100·100 + 100) last updates; 2·3·100 root weights
+    # 10 blocks: 2·100 + 100 and 100·100 + 100 from child to parent; 2 (100·100 + 100) last updates; 2·3·100 of the root
     assert table == (540_546, 6_000, 10 * (300 + 10_100), 10 * 2 * 10_100)
     assert table.backward + table.last_updates == 306_000
 

@@ -79,9 +79,7 @@ def test_pieces_make_up_the_whole(at_once):
 def test_graphs_of_one_pose_share_its_prior():
     one, other, (context, truth) = estimator(), estimator(), batch(4)
     rows = torch.arange(4).repeat_interleave(3)
-    context = Context(
-        context.keypoints[rows], torch.rand(12, 16, generator=torch.Generator().manual_seed(5)) < 0.5
-    )
+    context = Context(context.keypoints[rows], torch.rand(12, 16, generator=torch.Generator().manual_seed(5)) < 0.5)
     FlowObjective(one).backward(context, truth[rows], graphs_per_pose=1)
     losses = FlowObjective(other).backward(context, truth[rows], graphs_per_pose=3)
     for (name, found), wanted in zip(gradients(other).items(), gradients(one).values(), strict=True):

@@ -85,16 +85,12 @@ def test_density_latent_inverse_and_mode_equal_the_reference(numbers, state, sce
 
 @pytest.mark.parametrize("scenario", ["full", "part"])
 @pytest.mark.parametrize(("dtype", "suffix", "tolerance"), PRECISIONS)
-def test_the_embedding_of_observed_keypoints_equals_the_reference(
-    numbers, state, scenario, dtype, suffix, tolerance
-):
+def test_the_embedding_of_observed_keypoints_equals_the_reference(numbers, state, scenario, dtype, suffix, tolerance):
     flow = flow_of(state, dtype)
     observed = torch.from_numpy(numbers[f"mask_{scenario}"])
     embedded = flow.embedding(torch.from_numpy(numbers["c"]).to(dtype), observed)
     expected = numbers[f"{scenario}/embedding{suffix}"]
-    np.testing.assert_allclose(
-        embedded[observed].detach().numpy(), expected[observed.numpy()], rtol=0, atol=tolerance
-    )
+    np.testing.assert_allclose(embedded[observed].detach().numpy(), expected[observed.numpy()], rtol=0, atol=tolerance)
 
 
 def test_nothing_observed_equals_the_prior_bit_for_bit(numbers, state):

@@ -78,7 +78,7 @@ def test_help_is_quick_and_needs_no_torch():
         (("train", "cgnf-tiny", "--data", "motion.npz", "-o", "tiny"), "holds a training already. Pass --resume"),
         (("train", "cgnf-tiny", "--data", "motion.npz", "-o", "a/b/c"), "can't be made"),
         (("train", "cgnf-tiny", "--data", "motion.npz", "-o", "x", "--device", "cuda"), "sees no GPU"),
-        (("train", "cgnf-tiny", "--data", "motion.npz", "-o", "x", "--set", "data.test_subjects=[\"S9\"]"), "S9 not there"),
+        (("train", "cgnf-tiny", "--data", "motion.npz", "-o", "x", "--set", 'data.test_subjects=["S9"]'), "S9 not"),
         (("sample", "none.safetensors", "test.npz", "-o", "h.npz"), "none.safetensors: no such weights"),
         (("sample", "tiny/checkpoint.safetensors", "test.npz", "-o", "h.npz"), "holds the state of a training"),
         (("sample", "tiny/weights.safetensors", "motion.npz", "-o", "h.npz"), "motion.npz: lacks keypoints_2d"),
@@ -98,7 +98,10 @@ def test_bad_input_gives_one_message_exit_3_and_no_file(folder, arguments, words
     assert sorted(path.name for path in folder.iterdir()) == before
 
 
-@pytest.mark.parametrize("arguments", [("trian",), ("sample", "a"), ("sample", "a", "b", "-o", "c", "--n", "0"), ("import", "bvh", "a", "-o", "b")])
+@pytest.mark.parametrize(
+    "arguments",
+    [("trian",), ("sample", "a"), ("sample", "a", "b", "-o", "c", "--n", "0"), ("import", "bvh", "a", "-o", "b")],
+)
 def test_a_wrong_call_exits_with_2(arguments):
     from posecal_models.cli import app
 
@@ -106,7 +109,17 @@ def test_a_wrong_call_exits_with_2(arguments):
 
 
 def test_ctrl_c_exits_with_130_and_leaves_a_checkpoint_that_is_whole(folder):
-    command = [sys.executable, "-m", "posecal_models.cli", "train", "cgnf-tiny", "--data", "motion.npz", "-o", "stopped"]
+    command = [
+        sys.executable,
+        "-m",
+        "posecal_models.cli",
+        "train",
+        "cgnf-tiny",
+        "--data",
+        "motion.npz",
+        "-o",
+        "stopped",
+    ]
     command += ["--set", "train.checkpoint_seconds=0.05", "--set", "train.epochs=1000", "--threads", "1"]
     process = subprocess.Popen(command, cwd=folder, env=ENVIRONMENT, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 60

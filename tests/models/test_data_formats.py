@@ -227,9 +227,7 @@ def test_human36m_s_own_files_are_read(tmp_path):
         *(f"S1/Walking 1/54138969/{row}" for row in (0, 4, 8)),
         *(f"S9/Walking 1/54138969/{row}" for row in (0, 8)),
     ]
-    np.testing.assert_allclose(
-        pairs.poses[1, H36M.index("Head") - 1], pose[4, 15] - pose[4, 0], rtol=1e-4, atol=1e-3
-    )
+    np.testing.assert_allclose(pairs.poses[1, H36M.index("Head") - 1], pose[4, 15] - pose[4, 0], rtol=1e-4, atol=1e-3)
     np.testing.assert_allclose(pairs.keypoints[2, H36M.index("RWrist") - 1], projection[8, 27], rtol=1e-5)
     assert pairs.action[0] == "Walking"
 

@@ -97,9 +97,7 @@ def test_min_mpjpe_training_finds_the_sigma_of_the_quadrature():
         found.append(float(model.log_sigma.detach().exp()))
     # the minimum is flat: within 4 % of σ the expected error changes by less than the standard error of 4,000 poses
     standard_error = 100 * 0.3 / math.sqrt(many)
-    assert (
-        true_sigma * (expected_error(found[-1] / true_sigma) - expected_error(best / true_sigma)) < standard_error
-    )
+    assert true_sigma * (expected_error(found[-1] / true_sigma) - expected_error(best / true_sigma)) < standard_error
     np.testing.assert_allclose(found[-1], best, rtol=0.04)
 
 

@@ -183,9 +183,7 @@ def test_a_folder_that_is_not_there_is_named(pairs, estimator, tmp_path):
         sample_to_file(estimator, keypoints(pairs), tmp_path / "nowhere" / "h.npz", n=2)
 
 
-@pytest.mark.parametrize(
-    "kind", ["cgnf", "baseline", "gaussian"]
-)
+@pytest.mark.parametrize("kind", ["cgnf", "baseline", "gaussian"])
 def test_every_estimator_keeps_the_contract(pairs, estimator, kind):
     baseline = SimpleBaseline(width=8).eval()
     model = {"cgnf": estimator, "baseline": baseline, "gaussian": GaussianNoise(baseline).eval()}[kind]

@@ -38,9 +38,7 @@ def context(numbers, dtype=torch.float32) -> Context:
     return Context(keypoints, torch.ones(keypoints.shape[:2], dtype=torch.bool))
 
 
-@pytest.mark.parametrize(
-    ("dtype", "suffix", "tolerance"), [(torch.float64, "_f64", 1e-10), (torch.float32, "", 1e-6)]
-)
+@pytest.mark.parametrize(("dtype", "suffix", "tolerance"), [(torch.float64, "_f64", 1e-10), (torch.float32, "", 1e-6)])
 def test_the_estimate_equals_the_reference(numbers, dtype, suffix, tolerance):
     estimator = baseline().to(dtype).eval()
     ours = estimator.standardised(context(numbers, dtype)).flatten(1).detach()
@@ -80,5 +78,5 @@ def test_a_keypoint_that_is_not_a_number_is_refused(numbers):
 
 
 def test_a_state_dict_of_something_else_is_refused():
-    with pytest.raises(PoseDataError, match="conv1.weight is not part of a SimpleBaseline"):
+    with pytest.raises(PoseDataError, match=r"conv1\.weight is not part of a SimpleBaseline"):
         from_public({"conv1.weight": torch.zeros(1)})

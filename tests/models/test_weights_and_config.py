@@ -146,7 +146,7 @@ except PoseFileError as problem:
 def test_a_gpu_that_is_not_there_is_refused():
     if torch.cuda.is_available():
         pytest.skip("there is one")
-    with pytest.raises(PoseDataError, match="device: cuda was asked for and PyTorch .* sees no GPU"):
+    with pytest.raises(PoseDataError, match=r"device: cuda was asked for and PyTorch .* sees no GPU"):
         device_named("cuda")
     assert device_named("auto").type == "cpu"
 
