@@ -324,6 +324,8 @@ class Training:
     def resume(self) -> None:
         """Go back to the last checkpoint in the folder.
 
+        The number of epochs may differ from the one that the training was started with; a cosine then changes its slope.
+
         Raises
         ------
         PoseFileError
@@ -341,7 +343,7 @@ class Training:
             f"{table}.{name}"
             for table in ("model", "data", "train")
             for name in now[table]
-            if _plain(before[table].get(name)) != _plain(now[table][name])
+            if (table, name) != ("train", "epochs") and _plain(before[table].get(name)) != _plain(now[table][name])
         ]
         if changed:
             raise PoseDataError(

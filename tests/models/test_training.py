@@ -217,6 +217,14 @@ def test_a_checkpoint_of_another_configuration_is_refused(motion_file, tmp_path)
         training(CGNF, motion_file, tmp_path / "a", resume=True, learning_rate=0.5)
 
 
+def test_a_training_can_be_made_longer(motion_file, tmp_path):
+    training(CGNF, motion_file, tmp_path / "a", epochs=1).run()
+    run = training(CGNF, motion_file, tmp_path / "a", epochs=2, resume=True)
+    assert not run.finished
+    run.run()
+    assert run.epoch == 2
+
+
 def test_resuming_where_there_is_nothing_starts(motion_file, tmp_path):
     assert training(CGNF, motion_file, tmp_path / "a", resume=True).step == 0
 
