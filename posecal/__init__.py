@@ -19,11 +19,15 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from posecal import calibration, metrics, plot
     from posecal.calibration import CalibrationCurve, calibration_curve, ece, perfect_sampler, signed_area
+    from posecal.comparison import Comparison, compare
+    from posecal.conclusion import verdict
     from posecal.errors import PosecalError, PoseDataError, PoseFileError
     from posecal.evaluation import add_up, evaluate
     from posecal.io import read_poses
     from posecal.joining import Join, join
     from posecal.protocol import PRESETS, Protocol
+    from posecal.recalibration import cross_fitted, fit_radius, fit_spread
+    from posecal.reference import climatology
     from posecal.report import Report
     from posecal.skeleton import JOINT_SETS, Skeleton
     from posecal.totals import Totals
@@ -32,11 +36,15 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "posecal.calibration": ("CalibrationCurve", "calibration_curve", "ece", "perfect_sampler", "signed_area"),
+    "posecal.comparison": ("Comparison", "compare"),
+    "posecal.conclusion": ("verdict",),
     "posecal.errors": ("PoseDataError", "PoseFileError", "PosecalError"),
     "posecal.evaluation": ("add_up", "evaluate"),
     "posecal.io": ("read_poses",),
     "posecal.joining": ("Join", "join"),
     "posecal.protocol": ("PRESETS", "Protocol"),
+    "posecal.recalibration": ("cross_fitted", "fit_radius", "fit_spread"),
+    "posecal.reference": ("climatology",),
     "posecal.report": ("Report",),
     "posecal.skeleton": ("JOINT_SETS", "Skeleton"),
     "posecal.totals": ("Totals",),
@@ -48,6 +56,7 @@ __all__ = [
     "JOINT_SETS",
     "PRESETS",
     "CalibrationCurve",
+    "Comparison",
     "Join",
     "PoseDataError",
     "PoseFileError",
@@ -59,14 +68,20 @@ __all__ = [
     "add_up",
     "calibration",
     "calibration_curve",
+    "climatology",
+    "compare",
+    "cross_fitted",
     "ece",
     "evaluate",
+    "fit_radius",
+    "fit_spread",
     "join",
     "metrics",
     "perfect_sampler",
     "plot",
     "read_poses",
     "signed_area",
+    "verdict",
 ]
 
 

@@ -38,8 +38,11 @@ ALIGNMENTS: tuple[Alignment, ...] = get_args(Alignment)
 Symmetric = dict[tuple[int, int], FloatArray]
 _ROTATING = ("similarity", "rigid", "reflection")
 
-_TIE = 1e-5
-"""Below this relative gap between the best and the other rotations, decompose."""
+_TIE = 1e-3
+"""Below this relative gap between the best and the other rotations, decompose: there, rounding costs 1e-14 / gap²."""
+
+_FLAT = 1e-6
+"""Where the characteristic polynomial is flatter than this, a step of Newton's method would be a step of rounding."""
 
 
 def aligned_errors(offsets: FloatArray, truth: FloatArray, weights: FloatArray, how: Alignment) -> FloatArray:
@@ -189,7 +192,9 @@ def best_rotations(covariance: FloatArray, *, mirrored: bool = False) -> tuple[F
     rotation, gap = _rotation_at(horn, eigenvalue)
     ties = np.nonzero(~(gap > _TIE))
     if ties[0].size:
-        rotation[ties[0], :, :, ties[1]] = _rotations_by_svd(F[ties[0], :, :, ties[1]])
+        tied = F[ties[0], :, :, ties[1]]
+        rotation[ties[0], :, :, ties[1]] = turned = _rotations_by_svd(tied)
+        eigenvalue[ties] = np.einsum("tij,tij->t", turned, tied)
     if mirrored:
         rotation *= np.where(_determinant(covariance) < 0, -1.0, 1.0)[:, None, None]
     return rotation, eigenvalue * size
@@ -239,7 +244,7 @@ def _largest_eigenvalue(horn: Symmetric, determinant: FloatArray) -> FloatArray:
         squared = root * root
         value = squared * (squared - 2) + linear * root + constant
         slope = 4 * root * (squared - 1) + linear
-        step = np.divide(value, slope, out=np.zeros_like(value), where=slope > 1e-12)
+        step = np.divide(value, slope, out=np.zeros_like(value), where=slope > _FLAT)
         root -= step
         if np.abs(step).max() < 1e-14:
             break

@@ -31,6 +31,7 @@ __all__ = ["Block", "FloatArray", "blocks_of", "checked", "in_order", "per_pose"
 FloatArray = npt.NDArray[np.floating]
 BoolArray = npt.NDArray[np.bool_]
 Result = TypeVar("Result")
+Before = tuple[FloatArray, FloatArray, BoolArray | None]
 
 BLOCK_BYTES = 1024 * 1024
 """About what the offsets of one block take: few enough to stay in cache, enough to be worth a call."""
@@ -49,12 +50,14 @@ class Block:
         The joints that count; the others may hold anything, NaN included.
     root : int, optional
         The joint that is subtracted from every pose; None leaves positions as they are.
-    previous : tuple of arrays (N, 1, K, D) and (1, K, D), optional
-        The pose before the first one, for velocities.
+    previous : tuple of arrays (N, 1, K, D) and (1, K, D) and bool (1, K) or None, optional
+        The pose before the first one and the joints of it that count, for velocities.
     follows : bool array (B,), optional
         Whether each pose comes right after the one before it in its sequence.
     scores : array (N, B), optional
         The model's own score of each hypothesis; higher is better.
+    occluded : bool array (B, K), optional
+        The joints whose keypoints were not seen; none by default.
 
     Attributes
     ----------
@@ -73,18 +76,31 @@ class Block:
         where: BoolArray | None = None,
         *,
         root: int | None = None,
-        previous: tuple[FloatArray, FloatArray] | None = None,
+        previous: Before | None = None,
         follows: BoolArray | None = None,
         scores: FloatArray | None = None,
+        occluded: BoolArray | None = None,
     ) -> None:
+        self.occluded = np.zeros(truth.shape[:2], dtype=bool) if occluded is None else occluded
         self.where = np.ones(truth.shape[:2], dtype=bool) if where is None else where
         self.offsets = _offsets(hypotheses, truth, root)
-        self.truth = truth.astype(self.offsets.dtype) if root is None else truth - truth[:, root, None]
+        self.truth = _relative(truth, root, self.offsets.dtype)
         if not self.where.all():
             self.offsets[~self.where] = 0
             self.truth = np.where(self.where[..., None], self.truth, 0)
         self._root, self._previous, self._follows, self._scores = root, previous, follows, scores
         self._shared: dict[Hashable, Any] = {}
+
+    def stretched(self, factor: float) -> Block:
+        """Give the same poses with the spread of the hypotheses about their median multiplied."""
+        centre, times = self.median[..., None], self.offsets.dtype.type(factor)
+        other = Block.__new__(Block)
+        other.where, other.occluded, other.truth = self.where, self.occluded, self.truth
+        other._root, other._previous, other._follows, other._scores = self._root, None, self._follows, self._scores
+        other._shared = {}
+        other.offsets = centre + times * (self.offsets - centre)
+        other.__dict__["sorted"] = centre + times * (self.sorted - centre)  # stretching keeps the order
+        return other
 
     @cached_property
     def non_finite(self) -> BoolArray:
@@ -141,7 +157,7 @@ class Block:
 
         Parameters
         ----------
-        joints : bool array (K,), optional
+        joints : bool array (K,) or (B, K), optional
             The joints that a metric is about; all by default.
         """
         counted = self.where if joints is None else self.where & joints
@@ -150,25 +166,42 @@ class Block:
         return shares
 
     @cached_property
+    def where_before(self) -> BoolArray:
+        """The joints that counted in the pose before, (B, K); none without one."""
+        before = np.zeros_like(self.where)
+        before[1:] = self.where[:-1]
+        if self._previous is not None:
+            before[:1] = True if self._previous[2] is None else self._previous[2]
+        if self._follows is not None:
+            before[~self._follows] = False
+        return before
+
+    @cached_property
     def velocity_offsets(self) -> FloatArray:
-        """Change of the offsets since the pose before, (B, K, D, N), mm per frame; NaN without one."""
-        before = np.full_like(self.offsets, np.nan)
+        """Change of the offsets since the pose before, (B, K, D, N), mm per frame; 0 where either does not count."""
+        before = np.zeros_like(self.offsets)
         before[1:] = self.offsets[:-1]
         if self._previous is not None:
-            before[:1] = _offsets(*self._previous, self._root)
-        if self._follows is not None:
-            before[~self._follows] = np.nan
-        return self.offsets - before
+            before[:1] = _offsets(*self._previous[:2], self._root)
+        return np.where((self.where & self.where_before)[..., None, None], self.offsets - before, 0)
 
 
 def _offsets(hypotheses: FloatArray, truth: FloatArray, root: int | None) -> FloatArray:
     """Subtract the truth, (N, B, K, D) minus (B, K, D), root-relative where a root is given, as (B, K, D, N)."""
     offsets = np.empty((*truth.shape, len(hypotheses)), dtype=working_dtype(hypotheses.dtype))
-    offsets[...] = hypotheses.transpose(1, 2, 3, 0)
-    offsets -= truth[..., None].astype(offsets.dtype, copy=False)
-    if root is not None and offsets[:, root].any():
-        offsets -= offsets[:, root, None].copy()
+    with np.errstate(invalid="ignore", over="ignore"):  # joints that don't count may hold anything
+        offsets[...] = hypotheses.transpose(1, 2, 3, 0)
+        offsets -= truth[..., None].astype(offsets.dtype, copy=False)
+        if root is not None and offsets[:, root].any():
+            offsets -= offsets[:, root, None].copy()
     return offsets
+
+
+def _relative(truth: FloatArray, root: int | None, dtype: np.dtype[np.floating]) -> FloatArray:
+    """Give true poses relative to the root, if there is one, in the precision of the offsets."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        wide = truth.astype(working_dtype(truth.dtype), copy=False)
+        return (wide if root is None else wide - wide[:, root, None]).astype(dtype)
 
 
 def working_dtype(dtype: npt.DTypeLike) -> np.dtype[np.floating]:
@@ -256,13 +289,14 @@ def blocks_of(
     root: int | None = None,
     scores: FloatArray | None = None,
     follows: BoolArray | None = None,
-    previous: tuple[FloatArray, FloatArray] | None = None,
+    previous: Before | None = None,
+    occluded: BoolArray | None = None,
 ) -> Iterator[Callable[[], Block]]:
     """Cut checked arrays in the paper's layout into blocks, in the order of their poses.
 
     Parameters
     ----------
-    hypotheses, truth, where, root, scores, follows, previous
+    hypotheses, truth, where, root, scores, follows, previous, occluded
         As for :class:`Block`, of M poses instead of B.
 
     Yields
@@ -274,7 +308,8 @@ def blocks_of(
     for start in range(0, truth.shape[0], step):
         poses = slice(start, start + step)
         if start:
-            previous = hypotheses[:, start - 1 : start], truth[start - 1 : start]
+            last = slice(start - 1, start)
+            previous = hypotheses[:, last], truth[last], None if where is None else where[last]
         yield partial(
             Block,
             hypotheses[:, poses],
@@ -284,6 +319,7 @@ def blocks_of(
             scores=None if scores is None else scores[:, poses],
             follows=None if follows is None else follows[poses],
             previous=previous,
+            occluded=None if occluded is None else occluded[poses],
         )
 
 
@@ -294,6 +330,7 @@ def per_pose(
     where: npt.ArrayLike | None = None,
     *,
     root: int | None = None,
+    follows: BoolArray | None = None,
 ) -> FloatArray:
     """Compute a statistic of every pose, walking the blocks.
 
@@ -305,6 +342,8 @@ def per_pose(
         As for :func:`checked`.
     root : int, optional
         The joint to subtract from every pose.
+    follows : bool array (M,), optional
+        Whether each pose comes right after the one before it.
 
     Returns
     -------
@@ -316,7 +355,7 @@ def per_pose(
         raise PoseDataError(f"root: {root}; expected the index of one of {y.shape[1]} joints.")
     root = None if root is None else root % y.shape[1]
     found: list[FloatArray] = []
-    for number, lay_out in enumerate(blocks_of(x, y, mask, root=root)):
+    for number, lay_out in enumerate(blocks_of(x, y, mask, root=root, follows=follows)):
         block = lay_out()
         if block.non_finite.any():
             pose, joint = np.argwhere(block.non_finite)[0]
@@ -344,7 +383,9 @@ def in_order(tasks: Iterable[Callable[[], Result]], threads: int | None = None) 
     NumPy lets go of the interpreter's lock in its loops, so threads over blocks scale. Results are added up by
     one thread in the order of the poses: numbers don't depend on the number of threads.
     """
-    threads = threads or available_cores()
+    threads = available_cores() if threads is None else threads
+    if threads < 1:
+        raise PoseDataError(f"threads: {threads}; expected at least 1.")
     if threads == 1:
         for task in tasks:
             yield task()

@@ -98,13 +98,20 @@ def cells_of(pairs: PosePairs, by: Sequence[str], spread: Callable[[], FloatArra
 
 
 def _parts(entry: str, spread: FloatArray) -> npt.NDArray[np.str_]:
-    """Name the part of the poses that each belongs to by its predicted spread."""
+    """Name the part of the poses that each belongs to by its predicted spread; those with none go to the last."""
+    known = spread[~np.isnan(spread)]
+    if not known.size:
+        raise PoseDataError(f"by: {entry!r} needs a spread; expected at least 2 hypotheses and a joint that counts.")
     try:
         if "=" in entry:
             cuts = np.sort([float(cut) for cut in entry.partition("=")[2].split(",")])
+            if not np.isfinite(cuts).all():
+                raise ValueError
         else:
             parts = int(entry.partition(":")[2] or 3)
-            cuts = np.quantile(spread, np.arange(1, parts) / parts)
+            cuts = np.quantile(known, np.arange(1, parts) / parts)
+        if not np.isfinite(cuts).all():
+            raise ValueError
         edges = [f"{cut:.1f}" for cut in cuts]
         names = [f"1: below {edges[0]} mm"]
     except (ValueError, IndexError):

@@ -11,16 +11,22 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
+from posecal.archive import write_members
 from posecal.block import FloatArray
+from posecal.conclusion import verdict
 from posecal.errors import PoseFileError
 from posecal.io import written_whole
 from posecal.report import Report
 from posecal.skeleton import JOINT_SETS, Skeleton
+from posecal.tables import Sheet, Table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["SAMPLERS", "World", "make_world", "run_demo", "sample", "write_demo"]
 
@@ -190,10 +196,7 @@ def write_demo(folder: Path, world: World | None = None, n_hypotheses: int = 200
     common["frame_id"] = np.array([f"{name}/{number}" for number, name in enumerate(world.sequence)])
 
     def write(name: str, members: dict[str, npt.NDArray[np.generic]]) -> Path:
-        def save(file: BinaryIO) -> None:
-            np.savez(file, allow_pickle=False, **members, **common)
-
-        written_whole(folder / name, save)
+        written_whole(folder / name, lambda file: write_members(file, {**members, **common}))
         return folder / name
 
     yield write(
@@ -236,8 +239,8 @@ def run_demo(folder: Path, say: Callable[[str], object]) -> None:
         raise PoseFileError(f"{folder}: can't be made ({error.strerror}).") from None
     world = make_world()
     say(
-        f"A world where the truth is known: M = {len(world.truth)} poses, and N = 200 hypotheses from three samplers\n"
-        "that know the mean of every pose exactly and differ in nothing but their spread.\n"
+        f"A world where the truth is known: M = {len(world.truth)} poses, and N = 200 hypotheses from each of three\n"
+        "samplers that know the mean of every pose exactly and differ in nothing but their spread.\n"
     )
     files = {path.stem: path for path in write_demo(folder, world)}
     reports = {}
@@ -247,27 +250,50 @@ def run_demo(folder: Path, say: Callable[[str], object]) -> None:
         save(draw(reports[name], title=f"{name} sampler"), folder / f"{name}.png")
         write_html(reports[name], folder / f"{name}.html", f"{name} sampler")
         reports[name].save(folder / f"{name}-result.npz")
+    save(_together(reports), folder / "samplers.svg")
     say(f"\n{reports['calibrated']}\n")
-    say("\n".join(_lesson(reports)))
-    say(f"\nIn {folder}: the files, a page (.html), a reliability diagram (.png) and a result per sampler.")
+    say(_lesson(reports).text())
+    say(f"\nIn {folder}: the files, a page (.html), a reliability diagram (.png) and a result for each sampler.")
 
 
-def _lesson(reports: Mapping[str, Report]) -> Iterator[str]:
-    yield "That was the calibrated sampler. All three:\n"
-    columns = ("min_mpjpe", "mpjpe", "ece", "signed_area", "coverage_90", "radius_50")
-    yield f"{'':16}" + "".join(f"{reports['calibrated'].metrics[name].label:>15}" for name in columns)
+def _together(reports: Mapping[str, Report]) -> Figure:
+    """Draw the reliability diagrams of the samplers side by side."""
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    from posecal.plot import reliability
+    from posecal.plot.style import STYLE
+
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(9.2, 3.5))
+        for place, (name, report) in enumerate(reports.items()):
+            ax = figure.add_subplot(1, len(reports), place + 1)
+            reliability(report, ax=ax)
+            minimum, ece = report.value("min_mpjpe"), report.value("ece")
+            ax.set_title(f"{name}: minMPJPE {minimum:.1f} mm, ECE {ece:.3f}", fontsize=8.5)
+        figure.subplots_adjust(left=0.06, right=0.99, top=0.92, bottom=0.14, wspace=0.28)
+    return figure
+
+
+def _lesson(reports: Mapping[str, Report]) -> Sheet:
+    """What to notice about the three samplers."""
+    names = ("min_mpjpe", "mpjpe", "ece", "signed_area", "coverage_90", "radius_50")
+    some = reports["calibrated"].metrics
+    rows = []
     for name, report in reports.items():
-        values = [report.value(column) for column in columns]
-        units = [report.metrics[column].unit for column in columns]
-        shown = (
-            f"{v:.1f} {u}" if u else f"{v:+.3f}" if c == "signed_area" else f"{v:.3f}"
-            for c, v, u in zip(columns, values, units, strict=True)
-        )
-        yield f"{name:16}" + "".join(f"{text:>15}" for text in shown)
+        values = ((report.value(metric), some[metric].unit) for metric in names)
+        rows.append((name, *(f"{value:.1f} {unit}" if unit else f"{value:.3f}" for value, unit in values)))
     best = min(reports, key=lambda name: reports[name].value("min_mpjpe"))
-    floor = reports["calibrated"].value("ece_floor_95")
-    yield ""
-    yield f"Notice: the {best} sampler has the best minMPJPE. A benchmark that ranks by it prefers a model whose"
-    yield "90 % ball holds the truth far less often than 9 times in 10. The calibration error tells them apart: a"
-    yield f"perfect sampler would stay below {floor:.3f} on independent frames, and the sign of the area says which way"
-    yield "a model errs (negative: overconfident)."
+    columns = (("sampler", False), *((some[metric].label, True) for metric in names))
+    return Sheet(
+        "That was the calibrated sampler. All three, and what posecal says of them",
+        sentences=[f"{name}: {verdict(report)[0]}" for name, report in reports.items()],
+        tables=[Table("Samplers", columns, [*rows])],
+        definitions=[
+            (
+                "Notice",
+                f"the {best} sampler has the best minMPJPE. A benchmark that ranks by minMPJPE prefers a model whose "
+                f"balls for 9 truths in 10 hold {10 * reports[best].value('coverage_90'):.1f} in 10.",
+            )
+        ],
+    )

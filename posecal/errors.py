@@ -5,7 +5,7 @@ Every message follows one shape::
     <which>: <what is, with numbers>; expected <what should be>. <what to do>
 
 The argument or the file comes first, then the actual value, then an action where there is one.
-Independent problems are collected and raised together by :func:`raise_all`.
+Independent problems are collected and raised together by ``raise_all``.
 """
 
 from __future__ import annotations
@@ -64,4 +64,4 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     """End a message with the nearest known word, or with all of them when none is near."""
     known = list(known)
     near = get_close_matches(word, known, n=1)
-    return f"Did you mean {near[0]}?" if near else f"Known: {', '.join(known)}."
+    return f"Did you mean {near[0]}?" if near else f"Known: {', '.join(known) or 'none'}."

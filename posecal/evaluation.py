@@ -10,24 +10,25 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import cast
 
 import numpy as np
 import numpy.typing as npt
 
 import posecal
-from posecal.block import Block, FloatArray, block_length, blocks_of, in_order
+from posecal.block import Before, Block, FloatArray, block_length, blocks_of, in_order
+from posecal.calibration.battery import PreRank
 from posecal.cells import cells_of
-from posecal.errors import PoseDataError
-from posecal.io import Role, as_labels, read_poses
+from posecal.errors import PoseDataError, raise_all
+from posecal.io import Role, as_labels, as_marks, as_scores, read_poses
 from posecal.joining import Join, join
 from posecal.layout import HYPOTHESES, TRUTH, MemoryArray
-from posecal.metric import Statistic, Subject
+from posecal.metric import TRUE_POSES, Statistic, Subject
 from posecal.metrics.spread import predicted_spread
 from posecal.pairs import PosePairs, Poses
 from posecal.protocol import Protocol, preset
-from posecal.registry import curves_of, metrics_of
+from posecal.registry import curves_of, metrics_of, sights_of
 from posecal.report import Report
+from posecal.skeleton import joint_set
 from posecal.totals import Totals
 
 __all__ = ["add_up", "evaluate", "walk"]
@@ -44,15 +45,15 @@ def evaluate(
     /,
     *,
     where: npt.ArrayLike | None = None,
-    joints: Sequence[str] | None = None,
+    joints: Sequence[str] | str | None = None,
     root_joint: str | None = None,
     labels: Mapping[str, npt.ArrayLike] | None = None,
     occluded: npt.ArrayLike | None = None,
     scores: npt.ArrayLike | None = None,
     fps: float | None = None,
-    unit: str = "mm",
-    axes: str = HYPOTHESES,
-    by: Sequence[str] = (),
+    unit: str | None = None,
+    axes: str | None = None,
+    by: Sequence[str] | str = (),
     protocol: Protocol | str | None = None,
     threads: int | None = None,
 ) -> Report:
@@ -67,24 +68,24 @@ def evaluate(
     where : bool array (M, K), optional
         The joints that count.
     joints : sequence of str, optional
-        K names, of arrays; they give the skeleton, the root and the joint sets.
+        K names, or a joint set, where the data name none; they give the skeleton, the root and the joint sets.
     root_joint : str, optional
         The joint to subtract from every pose: a name, an index, or ``none``. By default the hip, or the one
         unnamed joint whose truth is 0 throughout.
     labels : mapping of arrays (M,), optional
-        What is said of each pose of an array: ``sequence``, ``action``, ….
+        What is said of each pose: ``sequence``, ``action``, …; beside the labels of a file.
     occluded : bool array (M, K), optional
-        The joints of arrays whose keypoints were not seen.
+        The joints whose keypoints were not seen; instead of a file's.
     scores : array (N, M), optional
-        The model's score of each hypothesis of an array.
+        The model's score of each hypothesis; instead of a file's.
     fps : float, optional
-        Frames per second, of arrays.
-    unit : str
-        Of arrays: ``mm``, ``cm``, ``m``, or the millimetres in one unit.
-    axes : str
-        The layout of an array of hypotheses, such as ``MNKD``.
+        Frames per second; instead of a file's.
+    unit : str, optional
+        Of what declares none: ``mm``, ``cm``, ``m``, or the millimetres in one unit. Arrays are in mm by default.
+    axes : str, optional
+        The layout of hypotheses that declare none, such as ``MNKD``; ``NMKD`` by default.
     by : sequence of str
-        Labels to group by.
+        Labels to group by; one alone may be given as it is.
     protocol : Protocol or str, optional
         The options, or the name of a preset.
     threads : int, optional
@@ -119,38 +120,49 @@ def evaluate(
     """
     if isinstance(protocol, str):
         protocol = preset(protocol).protocol
-    sides: list[Poses] = []
-    for role, side in (("hypotheses", hypotheses), ("truth", truth)):
-        if isinstance(side, (str, os.PathLike)):
-            sides.append(read_poses(side, cast(Role, role)))
-        else:
-            sides.append(_passed(cast(Role, role), side, axes, unit, joints))
-    if not isinstance(truth, (str, os.PathLike)):
-        sides[1] = replace(
-            sides[1],
-            labels={name: as_labels(values, name) for name, values in (labels or {}).items()},
-            marks={} if occluded is None else {"occluded": np.asarray(occluded)},
-            fps=fps,
-        )
+    names = joint_set(joints) if isinstance(joints, str) else None if joints is None else tuple(joints)
+    ours = _side("hypotheses", hypotheses, axes or HYPOTHESES, unit, names)
+    theirs = _side("truth", truth, TRUTH, unit, names)
+    given = {name: as_labels(values, name) for name, values in (labels or {}).items()}
+    theirs = replace(theirs, labels={**theirs.labels, **given}, fps=theirs.fps if fps is None else float(fps))
+    if occluded is not None:
+        theirs = replace(theirs, marks={"occluded": as_marks(occluded, "occluded")})
     if scores is not None:
-        sides[0] = replace(sides[0], scores=np.asarray(scores, dtype=np.float64))
-    pairs = join(sides[0], sides[1], Join(root_joint=root_joint))
+        ours = replace(ours, scores=as_scores(scores, "scores"))
+    pairs = join(ours, theirs, Join(axes=axes, root_joint=root_joint))
+    raise_all(
+        f"labels: {name} has {len(values):,} values for {len(pairs.truth):,} poses; expected one each."
+        for name, values in given.items()
+        if name not in pairs.labels
+    )
     if where is not None:
         mask = np.asarray(where)
         if mask.dtype != bool or mask.shape != pairs.truth.shape[:2]:
             raise PoseDataError(f"where: {mask.dtype} {mask.shape}; expected bool (M, K) = {pairs.truth.shape[:2]}.")
         pairs = replace(pairs, where=mask)
+    by = (by,) if isinstance(by, str) else tuple(by)
     return Report(add_up(pairs, protocol, by=by, threads=threads), by)
 
 
-def _passed(role: Role, array: npt.ArrayLike, axes: str, unit: str, joints: Sequence[str] | None) -> Poses:
-    """Declare an array that was passed: its layout and unit are part of the call."""
-    found = np.asanyarray(array)
-    if found.dtype.kind not in "fiu":
-        raise PoseDataError(f"{role}: dtype {found.dtype}; expected real numbers such as float32.")
-    names = None if joints is None else tuple(joints)
-    layout = axes if role == "hypotheses" else TRUTH
-    return Poses(role, MemoryArray(found), axes=layout, unit=unit, joints=names)
+def _side(
+    role: Role,
+    side: npt.ArrayLike | str | os.PathLike[str],
+    axes: str,
+    unit: str | None,
+    joints: tuple[str, ...] | None,
+) -> Poses:
+    """Open a file, or declare an array; what a file does not say of itself is said here."""
+    if isinstance(side, (str, os.PathLike)):
+        found = read_poses(side, role)
+        return replace(
+            found,
+            unit=unit if found.unit is None else found.unit,
+            joints=joints if found.joints is None else found.joints,
+        )
+    array = np.asanyarray(side)
+    if array.dtype.kind not in "fiu":
+        raise PoseDataError(f"{role}: dtype {array.dtype}; expected real numbers such as float32.")
+    return Poses(role, MemoryArray(array), axes=axes, unit=unit or "mm", joints=joints)
 
 
 def add_up(
@@ -158,6 +170,7 @@ def add_up(
     protocol: Protocol | None = None,
     *,
     by: Sequence[str] = (),
+    preranks: Mapping[str, PreRank] | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Totals:
@@ -170,7 +183,11 @@ def add_up(
     protocol : Protocol, optional
         The options.
     by : sequence of str
-        Labels by which poses will be grouped; see :func:`posecal.cells.cells_of`.
+        Labels by which poses will be grouped; see :func:`posecal.cells.cells_of`. ``sight`` tells occluded from
+        visible joints.
+    preranks : mapping of callables, optional
+        Tests of the battery of one's own, by name: each from a pool of poses (N + 1, K, D), the truth last, to a
+        number of each, (N + 1,).
     threads : int, optional
         How many; by default one per core.
     progress : callable, optional
@@ -187,6 +204,7 @@ def add_up(
         For labels or masks that the pairs lack, options that don't fit, and coordinates that are not finite.
     """
     protocol = protocol or Protocol()
+    masked = pairs.where is not None
     pairs = _scored(pairs, protocol)
     subject = Subject(
         n_hypotheses=pairs.shape[0],
@@ -195,9 +213,19 @@ def add_up(
         labels=tuple(pairs.labels),
         fps=pairs.fps,
         scored=pairs.scores is not None,
+        marked=pairs.occluded is not None,
+        masked=masked,
+        preranks=tuple(preranks or ()),
     )
-    statistics = _statistics(protocol, subject)
-    wanted = [*by, *([] if protocol.average == "poses" else [protocol.average])]
+    statistics = _statistics(protocol, subject, preranks)
+    if "sight" in by:
+        statistics |= {
+            s.name: s for ms in sights_of(protocol, subject).values() for m in ms.values() for s in m.statistics
+        }
+    wanted = [
+        *(label for label in by if label != "sight"),
+        *([] if protocol.average == "poses" else [protocol.average]),
+    ]
     cells = cells_of(pairs, wanted, lambda: _spread(pairs, threads))
     totals = Totals(
         subject=subject,
@@ -207,26 +235,35 @@ def add_up(
         poses=np.bincount(cells.of_pose).astype(np.int64),
         remarks=pairs.remarks,
         sequences=cells.labelled,
+        cell_of=cells.of_pose,
     )
     bad: list[npt.NDArray[np.intp]] = []
+    kept: dict[str, list[FloatArray]] = {}
     done = 0
-    tasks = (partial(_measure, poses, block, cells.of_pose[poses], statistics) for poses, block in walk(pairs))
+    tasks = (
+        partial(_measure, poses, block, cells.of_pose[poses], tuple(statistics.values()))
+        for poses, block in walk(pairs)
+    )
     for found in in_order(tasks, threads):
         bad.append(found.non_finite)
         for name, (sums, counts) in found.sums.items():
             totals.add(name, found.cells, sums, counts)
+        for name, values in found.kept.items():
+            kept.setdefault(name, []).append(values)
         done += found.poses
         if progress is not None:
             progress(done)
     _refuse_non_finite(pairs, pairs.names[0], np.concatenate(bad))
+    totals.kept = {name: np.concatenate(parts) for name, parts in kept.items()}
     return totals
 
 
-def _statistics(protocol: Protocol, subject: Subject) -> tuple[Statistic, ...]:
-    found = {s.name: s for metric in metrics_of(protocol, subject).values() for s in metric.statistics}
-    if protocol.metrics in {"default", "all"}:
+def _statistics(protocol: Protocol, subject: Subject, preranks: Mapping[str, PreRank] | None) -> dict[str, Statistic]:
+    found = {TRUE_POSES.name: TRUE_POSES}
+    found |= {s.name: s for metric in metrics_of(protocol, subject, preranks).values() for s in metric.statistics}
+    if "default" in protocol.metrics or "all" in protocol.metrics:
         found |= {curve.statistic.name: curve.statistic for curve in curves_of(protocol, subject).values()}
-    return tuple(found.values())
+    return found
 
 
 # --- one walk -------------------------------------------------------------------------------------------------
@@ -235,13 +272,13 @@ def _statistics(protocol: Protocol, subject: Subject) -> tuple[Statistic, ...]:
 def walk(pairs: PosePairs) -> Iterator[tuple[slice, Callable[[], Block]]]:
     """Give the blocks of some pairs, to be laid out, each with the poses that it holds."""
     n, m, k, d = pairs.shape
-    window = max(1, WINDOW_BYTES // (n * k * d * pairs.stored.array.dtype.itemsize))
+    window = max(1, WINDOW_BYTES // (n * k * d * pairs.hypotheses.itemsize))
     sequence = pairs.labels.get("sequence", np.zeros(m, dtype=np.str_))
-    follows = np.concatenate([[False], sequence[1:] == sequence[:-1]])
-    previous: tuple[FloatArray, FloatArray] | None = None
+    follows = np.concatenate([[False], (sequence[1:] == sequence[:-1]) & (np.diff(pairs.place) == 1)])
+    previous: Before | None = None
     for start in range(0, m, window):
         poses = slice(start, min(start + window, m))
-        hypotheses, truth = pairs.stored.read(poses.start, poses.stop), pairs.truth[poses]
+        hypotheses, truth = pairs.hypotheses.read(poses.start, poses.stop), pairs.truth[poses]
         size = block_length(hypotheses.shape, hypotheses.dtype)
         blocks = blocks_of(
             hypotheses,
@@ -251,10 +288,11 @@ def walk(pairs: PosePairs) -> Iterator[tuple[slice, Callable[[], Block]]]:
             scores=None if pairs.scores is None else pairs.scores[:, poses],
             follows=follows[poses],
             previous=previous,
+            occluded=None if pairs.occluded is None else pairs.occluded[poses],
         )
         for number, block in enumerate(blocks):
             yield slice(start + number * size, min(start + (number + 1) * size, poses.stop)), block
-        previous = hypotheses[:, -1:].copy(), truth[-1:]
+        previous = hypotheses[:, -1:].copy(), truth[-1:], None if pairs.where is None else pairs.where[poses][-1:]
 
 
 @dataclass(frozen=True)
@@ -264,6 +302,7 @@ class _Measured:
     poses: int
     cells: npt.NDArray[np.intp]
     sums: dict[str, tuple[FloatArray, npt.NDArray[np.int64]]]
+    kept: dict[str, FloatArray]
     non_finite: npt.NDArray[np.intp]
 
 
@@ -273,17 +312,21 @@ def _measure(
     block = lay_out()
     bad = np.argwhere(block.non_finite) + np.array([poses.start, 0])
     if len(bad):
-        return _Measured(len(cells), cells[:0], {}, bad)
+        return _Measured(len(cells), cells[:0], {}, {}, bad)
     runs = np.flatnonzero(np.concatenate([[True], cells[1:] != cells[:-1]]))
-    sums = {}
+    sums: dict[str, tuple[FloatArray, npt.NDArray[np.int64]]] = {}
+    kept_values: dict[str, FloatArray] = {}
     for statistic in statistics:
         values = np.asarray(statistic.compute(block), dtype=np.float64)
+        if statistic.kept:
+            kept_values[statistic.name] = values
+            continue
         kept = 2 if statistic.per_joint else 1
         counted = ~np.isnan(values.reshape(*values.shape[:kept], -1)[..., 0])
         shown = counted.reshape(*counted.shape, *[1] * (values.ndim - kept))
         total = np.add.reduceat(np.where(shown, values, 0), runs, axis=0)
         sums[statistic.name] = total, np.add.reduceat(counted, runs, axis=0, dtype=np.int64)
-    return _Measured(len(cells), cells[runs], sums, bad)
+    return _Measured(len(cells), cells[runs], sums, kept_values, bad)
 
 
 def _spread(pairs: PosePairs, threads: int | None) -> FloatArray:
@@ -317,7 +360,8 @@ def _scored(pairs: PosePairs, protocol: Protocol) -> PosePairs:
         chosen = pairs.occluded if protocol.where == "occluded" else ~pairs.occluded
         where = chosen if where is None else chosen & where
     if where is not None and not where.any():
-        raise PoseDataError(f"where: no joint of {name} is {protocol.where}; expected some to score.")
+        what = "counts" if protocol.where == "all" else f"is {protocol.where}"
+        raise PoseDataError(f"where: no joint of {name} {what}; expected some to score.")
     bad = ~np.isfinite(pairs.truth).all(axis=2)
     _refuse_non_finite(pairs, name, np.argwhere(bad if where is None else bad & where))
     return replace(pairs, where=where)
@@ -325,9 +369,9 @@ def _scored(pairs: PosePairs, protocol: Protocol) -> PosePairs:
 
 def _refuse_non_finite(pairs: PosePairs, name: str, bad: npt.NDArray[np.intp]) -> None:
     if len(bad):
-        frames = len(np.unique(bad[:, 0]))
+        frames, (frame, joint) = len(np.unique(bad[:, 0])), bad[0]
         raise PoseDataError(
             f"{name} has non-finite coordinates in {frames:,} of {len(pairs.truth):,} frames (first: frame "
-            f"{pairs.frame_id[bad[0, 0]]}, joint {pairs.joints[bad[0, 1]]}). Mask those joints with where, or leave "
-            "those frames out."
+            f"{pairs.frame_id[frame]}, joint {pairs.joints[joint].removeprefix('joint ')}). Mask those joints with "
+            "where, or leave those frames out."
         )

@@ -12,7 +12,7 @@ from posecal.errors import PoseDataError
 from posecal.io import written_whole
 from posecal.plot import KINDS, draw, figure_bytes
 from posecal.report import Report
-from posecal.tables import definitions, tables, title
+from posecal.sheets import report_sheet
 
 __all__ = ["as_html", "write_html"]
 
@@ -35,26 +35,16 @@ def as_html(report: Report, name: str) -> str:
     from jinja2 import Environment
 
     pictures = []
-    for kind in KINDS:
+    for kind, (_, about) in {**KINDS, "battery": (None, "tests for what the ECE can't see")}.items():
         try:
             svg = figure_bytes(draw(report, kind), ".svg").decode()
         except PoseDataError:
             continue  # the report lacks what the picture shows
-        pictures.append((KINDS[kind][1], svg[svg.index("<svg") :]))
+        pictures.append((about, svg[svg.index("<svg") :], kind == "battery"))
     template = files("posecal").joinpath("page.html").read_text(encoding="utf-8")
-    return (
-        Environment(autoescape=True, trim_blocks=True)
-        .from_string(template)
-        .render(
-            name=name,
-            about=title(report),
-            remarks=report.remarks,
-            pictures=pictures,
-            tables=tables(report, joints=True),
-            definitions=definitions(report),
-            signature=report.signature,
-        )
-    )
+    page = Environment(autoescape=True, trim_blocks=True).from_string(template)
+    sheet = report_sheet(report, joints=True, definitions=True)
+    return page.render(name=name, sheet=sheet, remarks=report.remarks, pictures=pictures)
 
 
 def write_html(report: Report, path: str | os.PathLike[str], name: str) -> None:

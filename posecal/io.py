@@ -1,30 +1,33 @@
-"""How do poses come out of files, and results into them? Mapped, never unpickled; written whole or not at all.
+"""How do poses come out of files, and results into them? Never unpickled; written whole or not at all.
 
-``.npz`` and ``.npy`` are read. A member that was stored uncompressed is memory-mapped where it lies in the zip; a
-compressed one is unpacked into an unnamed temporary file first and mapped there, so that neither needs memory of
-its size. A mapping is opened anew for every piece that is read, so that the pages of the last piece are let go.
+``.npz`` and ``.npy`` are read. A member that was stored uncompressed is read where it lies in the zip, some poses at
+a time; a compressed one is unpacked into an unnamed temporary file first, so that neither needs memory of its size.
 """
 
 from __future__ import annotations
 
+import lzma
+import math
 import os
-import shutil
 import tempfile
+import warnings
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from io import FileIO
 from pathlib import Path
 from typing import IO, BinaryIO, Literal, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from posecal.errors import PoseDataError, PoseFileError
-from posecal.pairs import Poses
+from posecal.block import BoolArray, FloatArray
+from posecal.errors import PosecalError, PoseDataError, PoseFileError, did_you_mean
+from posecal.file_array import FileArray
+from posecal.pairs import COMMON_LABELS, Poses
 
-__all__ = ["MappedArray", "Role", "as_labels", "check_writable", "read_poses", "written_whole"]
+__all__ = ["Role", "as_labels", "as_marks", "as_scores", "check_writable", "read_poses", "written_whole"]
 
 Role = Literal["hypotheses", "truth"]
 
@@ -32,36 +35,8 @@ _NAMES: dict[Role, tuple[str, ...]] = {"hypotheses": ("hypotheses", "hyps"), "tr
 _WORDS = ("axes", "unit")
 _MARKS = ("occluded", "visible")
 _RESERVED = (*_WORDS, *_MARKS, "joints", "frame_id", "scores", "fps")
-
-
-@dataclass(frozen=True)
-class MappedArray:
-    """An array that lies in an open file.
-
-    Attributes
-    ----------
-    file : binary file
-        Open for as long as the array is used.
-    offset : int
-        Where its first byte lies.
-    shape : tuple of int
-        The length of every axis.
-    dtype : numpy.dtype
-        The type of its numbers.
-    fortran : bool
-        Whether the first axis is the fastest.
-    """
-
-    file: IO[bytes]
-    offset: int
-    shape: tuple[int, ...]
-    dtype: np.dtype[np.generic]
-    fortran: bool
-
-    def open(self) -> npt.NDArray[np.generic]:
-        """Map the array; its pages are let go with it."""
-        order: Literal["F", "C"] = "F" if self.fortran else "C"
-        return np.memmap(self.file, self.dtype, "r", self.offset, self.shape, order).view(np.ndarray)
+_LABELS = "USbiu"
+"""Kinds of arrays that can be labels: text, bytes, yes/no, whole numbers."""
 
 
 def read_poses(path: str | os.PathLike[str], role: Role) -> Poses:
@@ -77,7 +52,7 @@ def read_poses(path: str | os.PathLike[str], role: Role) -> Poses:
     Returns
     -------
     Poses
-        The coordinates, mapped, and everything that the file declares.
+        The coordinates, in the file, and everything that it declares.
 
     Raises
     ------
@@ -85,32 +60,31 @@ def read_poses(path: str | os.PathLike[str], role: Role) -> Poses:
         For files that can't be read: missing, a folder, empty, cut off, of another kind.
     PoseDataError
         For files that lack the array, or whose members have the wrong type.
+
+    Notes
+    -----
+    Differs from the published code: none.
     """
+    if role not in _NAMES:
+        raise PoseDataError(f"role: {role!r} is not known. {did_you_mean(role, _NAMES)}")
     path = Path(path)
     with _opened(path) as file:
         start = file.read(6)
         if not start:
             raise PoseFileError(f"{path.name}: empty file; expected an .npz or .npy file.")
         if start == b"\x93NUMPY":
-            array = _mapped(file, 0, path.name)
-            _check_numbers(array, path.name)
-            return Poses(path.name, array)
+            return Poses(path.name, _coordinates(file, 0, path.name))
         if not start.startswith(b"PK"):
             what = "looks like a pickle" if start.startswith(b"\x80") else "is neither an .npz nor an .npy file"
             raise PoseFileError(f"{path.name} {what}; expected numpy.savez or numpy.save. posecal never unpickles.")
-        try:
-            return _read_archive(file, path.name, role)
-        except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError) as error:
-            raise PoseFileError(
-                f"{path.name}: no whole zip archive ({error}). Was it cut off? Copy it again."
-            ) from None
+        return _read_archive(file, path.name, role)
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[BinaryIO]:
-    """Open a file for reading, and leave it open where its contents are mapped."""
+def _opened(path: Path) -> Iterator[FileIO]:
+    """Open a file for reading, and leave it open where its contents are still to be read."""
     try:
-        file = path.open("rb")
+        file = path.open("rb", buffering=0)
     except FileNotFoundError:
         raise PoseFileError(f"{path}: no such file.") from None
     except IsADirectoryError:
@@ -118,13 +92,25 @@ def _opened(path: Path) -> Iterator[BinaryIO]:
     except OSError as error:
         raise PoseFileError(f"{path}: can't be read ({error.strerror}).") from None
     try:
+        if not file.seekable():
+            raise PoseFileError(f"{path}: is a stream; expected a file. Save it first.")
         yield file
-    except BaseException:
+    except BaseException as error:
         file.close()
+        if isinstance(error, PosecalError):
+            raise
+        if isinstance(error, NotImplementedError):
+            raise PoseFileError(f"{path.name}: {error}. Save it again with numpy.savez_compressed.") from None
+        if isinstance(error, _BROKEN):
+            raise PoseFileError(f"{path.name}: can't be read ({error}). Was it cut off? Copy it again.") from None
         raise
 
 
-def _read_archive(file: BinaryIO, name: str, role: Role) -> Poses:
+_BROKEN = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, OSError, ValueError)
+"""What the standard library raises for a file that is not what its first bytes say."""
+
+
+def _read_archive(file: FileIO, name: str, role: Role) -> Poses:
     archive = zipfile.ZipFile(file)
     members = {
         info.filename.removesuffix(".npy"): info for info in archive.infolist() if info.filename.endswith(".npy")
@@ -132,28 +118,27 @@ def _read_archive(file: BinaryIO, name: str, role: Role) -> Poses:
     arrays = {key: _member_header(archive, info, f"{name}: {key}") for key, info in members.items()}
     chosen = _choose(arrays, name, role)
     array = _member_array(archive, file, members[chosen], f"{name}: {chosen}")
-    _check_numbers(array, f"{name}: {chosen}")
 
     def small(key: str) -> npt.NDArray[np.generic] | None:
         return _load(archive, members[key], f"{name}: {key}") if key in members else None
 
     labels = {}
     for key, (shape, dtype) in arrays.items():
-        if key not in (*_RESERVED, chosen) and len(shape) == 1 and dtype.kind in "USbiu":
-            labels[key] = _text(cast(npt.NDArray[np.generic], small(key)))
-    joints, frame_id = small("joints"), small("frame_id")
-    scores, fps = small("scores"), small("fps")
+        wanted = dtype.kind in _LABELS or (dtype.hasobject and key in COMMON_LABELS)
+        if key not in (*_RESERVED, chosen) and len(shape) == 1 and wanted:
+            labels[key] = as_labels(cast(npt.NDArray[np.generic], small(key)), f"{name}: {key}")
+    joints, frame_id, scores = small("joints"), small("frame_id"), small("scores")
     return Poses(
         name=name,
         array=array,
         axes=_word(small("axes"), f"{name}: axes"),
         unit=_word(small("unit"), f"{name}: unit"),
-        joints=None if joints is None else tuple(_text(joints.ravel()).tolist()),
-        frame_id=None if frame_id is None else _text(frame_id.ravel()),
+        joints=None if joints is None else tuple(_text(joints.ravel(), f"{name}: joints").tolist()),
+        frame_id=None if frame_id is None else as_labels(frame_id.ravel(), f"{name}: frame_id"),
         labels=labels,
-        marks={key: _yes_no(found, f"{name}: {key}") for key in _MARKS if (found := small(key)) is not None},
-        scores=None if scores is None else scores.astype(np.float64),
-        fps=None if fps is None else float(fps.astype(np.float64).ravel()[0]),
+        marks={key: as_marks(found, f"{name}: {key}") for key in _MARKS if (found := small(key)) is not None},
+        scores=None if scores is None else as_scores(scores, f"{name}: scores"),
+        fps=_number(small("fps"), f"{name}: fps"),
     )
 
 
@@ -189,53 +174,68 @@ def _header(file: IO[bytes], name: str) -> tuple[tuple[int, ...], bool, np.dtype
     try:
         version = np.lib.format.read_magic(file)
         read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        return read(file)
-    except ValueError as error:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # NumPy's remark on files of Python 2, which are as good as any
+            shape, fortran, dtype = read(file)
+    except (ValueError, SyntaxError, RecursionError, MemoryError) as error:
         raise PoseFileError(f"{name}: no .npy header that can be read ({error}).") from None
+    if any(length < 0 for length in shape):
+        raise PoseFileError(f"{name}: its header says {shape}; expected lengths of 0 or more.")
+    return shape, fortran, dtype
 
 
-def _member_array(archive: zipfile.ZipFile, file: BinaryIO, info: zipfile.ZipInfo, name: str) -> MappedArray:
+def _member_array(archive: zipfile.ZipFile, file: FileIO, info: zipfile.ZipInfo, name: str) -> FileArray:
     if info.compress_type == zipfile.ZIP_STORED:
+        with archive.open(info) as member:
+            while member.read(1 << 20):  # to its end, where zipfile compares the checksum
+                pass
         file.seek(info.header_offset + 26)  # the lengths of the name and of the extra field, just before them
         lengths = np.frombuffer(file.read(4), dtype="<u2")
-        return _mapped(file, info.header_offset + 30 + int(lengths.sum()), name)
-    unpacked = cast(BinaryIO, tempfile.TemporaryFile())  # noqa: SIM115 (it lives as long as the array)
+        return _coordinates(file, info.header_offset + 30 + int(lengths.sum()), name)
+    unpacked = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 (it lives as long as the array)
     try:
         with archive.open(info) as member:
-            shutil.copyfileobj(member, unpacked, 1 << 20)
-        unpacked.flush()
-    except OSError as error:
+            while data := member.read(1 << 20):
+                _written(unpacked, data, name)
+        return _coordinates(unpacked, 0, name)
+    except BaseException:
         unpacked.close()
+        raise
+
+
+def _written(unpacked: FileIO, data: bytes, name: str) -> None:
+    try:
+        while data:
+            data = data[unpacked.write(data) :]
+    except OSError as error:
         raise PoseFileError(f"{name}: can't be unpacked into {tempfile.gettempdir()} ({error.strerror}).") from None
-    return _mapped(unpacked, 0, name)
 
 
-def _mapped(file: BinaryIO, offset: int, name: str) -> MappedArray:
+def _coordinates(file: FileIO, offset: int, name: str) -> FileArray:
+    """Find an array of real numbers in a file."""
     file.seek(offset)
-    shape, fortran, dtype = _header(file, name)
-    start = file.tell()
+    shape, fortran, dtype = _header(cast(IO[bytes], file), name)
     if dtype.hasobject:
         raise PoseDataError(
             f"{name} is an array of Python objects, and posecal never unpickles. Save numbers: "
             "numpy.stack(list_of_arrays).astype(numpy.float32)."
         )
-    length = file.seek(0, os.SEEK_END) - start
-    needed = dtype.itemsize * int(np.prod(shape, dtype=np.int64))
-    if length < needed:
-        raise PoseFileError(f"{name}: {length:,} of {needed:,} bytes are there. Was the file cut off? Copy it again.")
-    return MappedArray(file, start, shape, dtype, fortran)
-
-
-def _check_numbers(array: MappedArray, name: str) -> None:
-    if array.dtype.kind not in "fiu":
-        raise PoseDataError(f"{name}: dtype {array.dtype}; expected real numbers such as float32.")
+    if dtype.kind not in "fiu":
+        raise PoseDataError(f"{name}: dtype {dtype}; expected real numbers such as float32.")
+    found = FileArray(name, file, file.tell(), shape, dtype, fortran)
+    missing, needed = found.bytes_missing, dtype.itemsize * math.prod(shape)
+    if missing:
+        raise PoseFileError(
+            f"{name}: {needed - missing:,} of {needed:,} bytes are there. Was the file cut off? Copy it again."
+        )
+    return found
 
 
 def _load(archive: zipfile.ZipFile, info: zipfile.ZipInfo, name: str) -> npt.NDArray[np.generic]:
     with archive.open(info) as member:
         try:
             return cast(npt.NDArray[np.generic], np.lib.format.read_array(member, allow_pickle=False))
-        except ValueError as error:
+        except (ValueError, SyntaxError, RecursionError, MemoryError) as error:
             raise PoseDataError(f"{name}: can't be read ({error}). Save text and numbers, not objects.") from None
 
 
@@ -248,14 +248,48 @@ def as_labels(values: npt.ArrayLike, name: str) -> npt.NDArray[np.str_]:
         Where it is not one word, number or yes/no per pose.
     """
     array = np.asarray(values)
-    if array.ndim != 1 or array.dtype.kind not in "USbiu":
+    if array.ndim != 1 or array.dtype.kind not in _LABELS:
         raise PoseDataError(f"{name}: {array.dtype} {array.shape}; expected one word or whole number per pose, (M,).")
-    return _text(array)
+    return _text(array, name)
 
 
-def _text(array: npt.NDArray[np.generic]) -> npt.NDArray[np.str_]:
+def as_marks(values: npt.ArrayLike, name: str) -> BoolArray:
+    """Give a mask of joints.
+
+    Raises
+    ------
+    PoseDataError
+        Where it is not boolean.
+    """
+    array = np.asarray(values)
+    if array.dtype.kind != "b":
+        raise PoseDataError(f"{name}: dtype {array.dtype}; expected bool (M, K).")
+    return cast(BoolArray, array)
+
+
+def as_scores(values: npt.ArrayLike, name: str) -> FloatArray:
+    """Give the score of every hypothesis.
+
+    Raises
+    ------
+    PoseDataError
+        Where one is not a real number.
+    """
+    array = np.asarray(values)
+    if array.dtype.kind not in "fiu":
+        raise PoseDataError(f"{name}: dtype {array.dtype}; expected real numbers (N, M).")
+    unknown = int(np.isnan(array).sum())
+    if unknown:
+        raise PoseDataError(f"{name}: {unknown:,} of {array.size:,} are NaN; expected numbers (N, M).")
+    return array.astype(np.float64)
+
+
+def _text(array: npt.NDArray[np.generic], name: str) -> npt.NDArray[np.str_]:
     if array.dtype.kind == "S":
-        return np.char.decode(array.astype(np.bytes_), "utf-8")
+        try:
+            return np.char.decode(array.astype(np.bytes_), "utf-8")
+        except UnicodeDecodeError as error:
+            raise PoseDataError(f"{name}: {error}. Save text, not bytes of another encoding.") from None
     if array.dtype.kind == "b":
         return np.where(array, "yes", "no")
     return array.astype(np.str_)
@@ -266,13 +300,15 @@ def _word(array: npt.NDArray[np.generic] | None, name: str) -> str | None:
         return None
     if array.size != 1:
         raise PoseDataError(f"{name}: {array.size} values; expected one word.")
-    return str(_text(array.ravel())[0])
+    return str(_text(array.ravel(), name)[0])
 
 
-def _yes_no(array: npt.NDArray[np.generic], name: str) -> npt.NDArray[np.bool_]:
-    if array.dtype.kind != "b":
-        raise PoseDataError(f"{name}: dtype {array.dtype}; expected bool (M, K).")
-    return cast(npt.NDArray[np.bool_], array)
+def _number(array: npt.NDArray[np.generic] | None, name: str) -> float | None:
+    if array is None:
+        return None
+    if array.size != 1 or array.dtype.kind not in "fiu":
+        raise PoseDataError(f"{name}: {array.dtype} {array.shape}; expected one number.")
+    return float(array.astype(np.float64).ravel()[0])
 
 
 # --- writing --------------------------------------------------------------------------------------------------
@@ -297,17 +333,24 @@ def check_writable(path: str | os.PathLike[str]) -> Path:
         Where its folder does not exist, or nothing can be written into it.
     """
     path = Path(path)
-    folder = path.parent
+    folder = _target(path).parent
     if not folder.is_dir():
         raise PoseFileError(f"{path}: the folder {folder} does not exist. Make it first.")
     if path.is_dir():
         raise PoseFileError(f"{path}: is a folder; expected the name of a file.")
+    if path.exists() and not path.is_file():
+        raise PoseFileError(f"{path}: is a device or a pipe; expected the name of a file.")
     try:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
         raise PoseFileError(f"{path}: can't be written ({error.strerror}).") from None
     return path
+
+
+def _target(path: Path) -> Path:
+    """Follow links, so that what they point to is written and they stay; a plain name stays as it is."""
+    return Path(os.path.realpath(path)) if path.is_symlink() else path
 
 
 def written_whole(path: str | os.PathLike[str], write: Callable[[BinaryIO], object]) -> None:
@@ -326,13 +369,13 @@ def written_whole(path: str | os.PathLike[str], write: Callable[[BinaryIO], obje
         Where it can't be written. What was there before stays.
     """
     path = check_writable(path)
-    part = None
+    target, part = _target(path), None
     try:
-        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
+        with tempfile.NamedTemporaryFile(dir=target.parent, prefix=f".{path.name}.", delete=False) as file:
             part = Path(file.name)
             write(cast(BinaryIO, file))
         part.chmod(0o666 & ~_umask())
-        part.replace(path)
+        part.replace(target)
         part = None
     except OSError as error:
         raise PoseFileError(f"{path}: can't be written ({error.strerror or error}).") from None

@@ -5,7 +5,9 @@ Everything that is wrong with the two is said at once.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -15,12 +17,12 @@ import numpy.typing as npt
 from posecal.block import BoolArray, FloatArray
 from posecal.errors import PoseDataError, did_you_mean, first_few, raise_all
 from posecal.layout import HYPOTHESES, TRUTH, Layout, plausible_layouts
-from posecal.pairs import Labels, PosePairs, Poses, Rows, Stored, in_millimetres
+from posecal.pairs import COMMON_LABELS, Labels, PosePairs, Poses, Rows, Stored, in_millimetres
 from posecal.sanity import doubts
-from posecal.skeleton import JOINT_SETS, Skeleton, canonical_name
+from posecal.skeleton import Skeleton, canonical_name, joint_set
 from posecal.units import millimetres_per
 
-__all__ = ["Join", "join"]
+__all__ = ["Join", "alone", "join"]
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,11 @@ class Join:
         ``error``, or ``skip`` to score the frames that both have.
     joints : str
         ``same``, or ``common`` to score the joints that both have.
+
+    Raises
+    ------
+    PoseDataError
+        For a layout, a unit or a joint set that can't be, whatever the data; all at once.
     """
 
     axes: str | None = None
@@ -53,6 +60,23 @@ class Join:
     root_joint: str | None = None
     missing: Literal["error", "skip"] = "error"
     joints: Literal["same", "common"] = "same"
+
+    def __post_init__(self) -> None:
+        checks: tuple[tuple[str | None, Callable[[str], object]], ...] = (
+            (self.axes, lambda text: Layout(text, HYPOTHESES)),
+            (self.truth_axes, lambda text: Layout(text, TRUTH)),
+            (self.unit, millimetres_per),
+            (self.truth_unit, millimetres_per),
+            (self.joint_names, joint_set),
+        )
+        problems = []
+        for said, check in checks:
+            try:
+                if said is not None:
+                    check(said)
+            except PoseDataError as error:
+                problems.append(str(error))
+        raise_all(problems)
 
 
 def join(hypotheses: Poses, truth: Poses, how: Join | None = None) -> PosePairs:
@@ -88,40 +112,49 @@ def join(hypotheses: Poses, truth: Poses, how: Join | None = None) -> PosePairs:
 
     factor = _factor(hypotheses, "unit", how.unit, problems)
     true_factor = _factor(truth, "truth-unit", how.truth_unit or how.unit, problems)
-    rows, true_rows = _join_frames(hypotheses, truth, (shape[1], true_shape[0]), how, problems, remarks)
+    fitting = [text for text in plausible_layouts(hypotheses.array.shape, true_shape) if text != layout.text]
+    hint = f"The shapes fit the axes {fitting[0]}. " if fitting else ""
+    rows, true_rows = _join_frames(hypotheses, truth, (shape[1], true_shape[0]), how, hint, problems, remarks)
     names, true_names = _names(hypotheses, truth, (shape[2], true_shape[1]), how, problems)
     columns, true_columns = _join_joints(hypotheses, truth, names, true_names, shape[2], how, problems, remarks)
     if shape[3] != true_shape[2]:
-        problems.append(f"{hypotheses.name} has D = {shape[3]} coordinates and {truth.name} {true_shape[2]}.")
+        problems.append(
+            f"{hypotheses.name} has D = {shape[3]} coordinates and {truth.name} {true_shape[2]}; expected as many."
+        )
     raise_all(problems)
 
-    y = in_millimetres(true_layout.read(truth.array.open(), np.arange(true_shape[0])), true_factor)
+    y = in_millimetres(true_layout.read(truth.array, np.arange(true_shape[0])), true_factor)
     root = _root(how.root_joint, true_names, y)
     if root is not None and root not in true_columns:
-        y = y - y[:, root, None]
+        with np.errstate(invalid="ignore"):  # joints that don't count may hold anything
+            y = y - y[:, root, None]
         remarks.append(f"{hypotheses.name} lacks the root {true_names[root]}; taken as relative to it.")
     occluded = _occluded(truth, true_rows, true_columns, true_shape[:2], problems)
     if occluded is None:
         occluded = _occluded(hypotheses, rows, columns, shape[1:3], problems)
-    labels = _labels(hypotheses, truth, rows, true_rows, problems)
+    labels = _labels(hypotheses, truth, (shape[1], true_shape[0]), rows, true_rows, problems)
     clip = true_layout.clip_length(truth.array.shape) or layout.clip_length(hypotheses.array.shape)
     if clip and "sequence" not in labels:
         labels = {"sequence": (true_rows // clip).astype(str), **labels}
     scores = hypotheses.scores
     if scores is not None and scores.shape != shape[:2]:
         problems.append(f"{hypotheses.name}: scores {scores.shape}; expected (N, M) = {shape[:2]}.")
+    fps = truth.fps if truth.fps is not None else hypotheses.fps
+    if fps is not None and not 0 < fps < math.inf:
+        problems.append(f"fps: {fps:g}; expected frames per second, above 0.")
     raise_all(problems)
 
     pairs = PosePairs(
-        stored=Stored(hypotheses.array, layout, rows, columns, factor),
+        hypotheses=Stored(hypotheses.array, layout, rows, columns, factor),
         truth=np.ascontiguousarray(y[true_rows][:, true_columns]),
         joints=tuple(true_names[k] for k in true_columns),
         root=None if root is None else next((k for k, at in enumerate(true_columns) if at == root), None),
         frame_id=true_rows.astype(str) if truth.frame_id is None else truth.frame_id[true_rows],
+        place=true_rows,
         labels=labels,
         occluded=occluded,
         scores=None if scores is None else scores[:, rows],
-        fps=truth.fps if truth.fps is not None else hypotheses.fps,
+        fps=fps,
         names=(hypotheses.name, truth.name),
     )
     declared = (hypotheses.unit or how.unit) is not None, (truth.unit or how.truth_unit or how.unit) is not None
@@ -129,6 +162,41 @@ def join(hypotheses: Poses, truth: Poses, how: Join | None = None) -> PosePairs:
     if root is None and how.root_joint != "none":
         remarks.append("no root joint is known, so positions are taken as they stand; --root-joint names one.")
     return replace(pairs, remarks=tuple(remarks))
+
+
+def alone(poses: Poses, how: Join | None = None) -> tuple[Stored, tuple[str, ...], int | None]:
+    """Read hypotheses without a truth.
+
+    Parameters
+    ----------
+    poses : Poses
+        Hypotheses, as stored or passed; undeclared they are (N, M, K, D) in mm.
+    how : Join, optional
+        What the user says beside the data.
+
+    Returns
+    -------
+    stored : Stored
+        The hypotheses.
+    joints : tuple of str
+        Their joints, numbered where they have no names.
+    root : int or None
+        The joint that positions are relative to.
+
+    Raises
+    ------
+    PoseDataError
+        For a layout, a unit or names that don't fit.
+    """
+    how = how or Join()
+    layout = Layout(_declared(poses, "axes", poses.axes, how.axes) or HYPOTHESES, HYPOTHESES)
+    shape = layout.shape(poses.array.shape)
+    problems = [f"{poses.name}: nothing in it; its shape is {poses.array.shape}."] if 0 in poses.array.shape else []
+    factor = _factor(poses, "unit", how.unit, problems)
+    _, joints = _names(poses, poses, (shape[2], shape[2]), how, problems)
+    raise_all(dict.fromkeys(problems))
+    stored = Stored(poses.array, layout, np.arange(shape[1]), np.arange(shape[2]), factor)
+    return stored, joints, _root(how.root_joint, joints, stored.read(0, 1)[0])
 
 
 # --- axes and units -------------------------------------------------------------------------------------------
@@ -139,23 +207,22 @@ def _layouts(hypotheses: Poses, truth: Poses, how: Join) -> tuple[Layout, Layout
     declared = _declared(hypotheses, "axes", hypotheses.axes, how.axes)
     true_declared = _declared(truth, "truth-axes", truth.axes, how.truth_axes)
     both = f"{hypotheses.name} {x} and {truth.name} {y}: expected (N, M, K, D) and (M, K, D)"
-    if declared is None and true_declared is None and len(x) == 3 and len(y) == 4:
+    layout = _named(hypotheses, declared or HYPOTHESES, HYPOTHESES)
+    true_layout = _named(truth, true_declared or _truth_beside(layout, y), TRUTH)
+    if len(x) == len(true_layout.groups) != len(layout.groups) == len(y):
         raise PoseDataError(f"{both}. The two look swapped.")
-    layout = None if declared is None else Layout(declared, HYPOTHESES)
-    if true_declared is None:
-        true_declared = TRUTH
-        if layout is not None and (len(y) != 3 or layout.shape(x)[1:] != y):
-            true_declared = layout.without("N", "I")
-    true_layout = Layout(true_declared, TRUTH)
     if len(y) != len(true_layout.groups):
         raise PoseDataError(f"{both}. Declare another layout of {truth.name} with --truth-axes.")
-    if layout is not None:
-        return layout, true_layout
-    true_shape = true_layout.shape(y)
-    if len(x) != 4:
+    if len(x) != len(layout.groups):
         raise PoseDataError(f"{both}. Declare another layout of {hypotheses.name} with --axes.")
-    if true_shape[1] == 3 != true_shape[2]:
+    true_shape = _sizes(truth, true_layout)
+    if true_declared is None and true_shape[1] == 3 != true_shape[2]:
         raise PoseDataError(f"{both}, coordinates last. Pass --truth-axes MDK.")
+    if declared is not None:
+        _sizes(hypotheses, layout)
+        if true_declared is None and true_shape[1] == true_shape[2] and layout.without("N", "I") == "MDK":
+            raise PoseDataError(f"{both}, but K = D = 3 tells no layout. Pass --truth-axes MKD or --truth-axes MDK.")
+        return layout, true_layout
     fitting = plausible_layouts(x, true_shape)
     if len(fitting) > 1:
         raise PoseDataError(
@@ -164,7 +231,29 @@ def _layouts(hypotheses: Poses, truth: Poses, how: Join) -> tuple[Layout, Layout
         )
     if fitting and fitting != [HYPOTHESES]:
         raise PoseDataError(f"{both}. The shapes fit --axes {fitting[0]}.")
-    return Layout(HYPOTHESES, HYPOTHESES), true_layout
+    return layout, true_layout
+
+
+def _truth_beside(layout: Layout, y: tuple[int, ...]) -> str:
+    """Give the layout of a truth that declares none: the paper's, or the hypotheses' where only that fits."""
+    beside = layout.without("N", "I")
+    if len(y) != len(Layout(beside, TRUTH).groups):
+        return TRUTH
+    return TRUTH if len(y) == 3 and y[2] == layout.coordinates else beside
+
+
+def _named(poses: Poses, text: str, core: str) -> Layout:
+    try:
+        return Layout(text, core)
+    except PoseDataError as error:
+        raise PoseDataError(f"{poses.name}: {error}") from None
+
+
+def _sizes(poses: Poses, layout: Layout) -> tuple[int, ...]:
+    try:
+        return layout.shape(poses.array.shape)
+    except PoseDataError as error:
+        raise PoseDataError(f"{poses.name}: {error}") from None
 
 
 def _declared(poses: Poses, flag: str, stored: str | None, said: str | None) -> str | None:
@@ -190,23 +279,25 @@ def _join_frames(
     truth: Poses,
     sizes: tuple[int, int],
     how: Join,
+    hint: str,
     problems: list[str],
     remarks: list[str],
 ) -> tuple[Rows, Rows]:
     """Give the rows of the two that belong together, in the order of the truth."""
+    before = len(problems)
+    for poses, number in zip((hypotheses, truth), sizes, strict=True):
+        if poses.frame_id is not None and len(poses.frame_id) != number:
+            problems.append(f"{poses.name}: {len(poses.frame_id):,} frame_id for {number:,} poses; expected one each.")
     if hypotheses.frame_id is None or truth.frame_id is None:
         if sizes[0] != sizes[1]:
             without = [poses.name for poses in (hypotheses, truth) if poses.frame_id is None]
             problems.append(
                 f"{hypotheses.name} has M = {sizes[0]:,} poses and {truth.name} {sizes[1]:,}; expected as many. "
-                f"Store a frame_id in both to join them ({' and '.join(without)} without)."
+                f"{hint}Store a frame_id in both to join them ({' and '.join(without)} without)."
             )
         return np.arange(sizes[0]), np.arange(sizes[1])
     ids, wanted = hypotheses.frame_id.tolist(), truth.frame_id.tolist()
-    before = len(problems)
-    for poses, found, number in ((hypotheses, ids, sizes[0]), (truth, wanted, sizes[1])):
-        if len(found) != number:
-            problems.append(f"{poses.name}: {len(found):,} frame_id for {number:,} poses; expected one each.")
+    for poses, found in ((hypotheses, ids), (truth, wanted)):
         twice = [name for name, count in Counter(found).items() if count > 1]
         if twice:
             problems.append(
@@ -239,16 +330,19 @@ def _names(
     hypotheses: Poses, truth: Poses, sizes: tuple[int, int], how: Join, problems: list[str]
 ) -> tuple[tuple[str, ...] | None, tuple[str, ...]]:
     """Give posecal's names of the joints of the two; numbers where the truth's have none."""
-    known = how.joint_names
-    if known is not None and known not in JOINT_SETS:
-        problems.append(f"joint names: {known!r} is not known. {did_you_mean(known, JOINT_SETS)}")
     found: list[tuple[str, ...] | None] = []
     for poses, size in zip((hypotheses, truth), sizes, strict=True):
         names = None if poses.joints is None else tuple(canonical_name(name) for name in poses.joints)
-        if names is None and known in JOINT_SETS and len(JOINT_SETS[known]) == size:
-            names = JOINT_SETS[known]
+        if names is None and how.joint_names is not None:
+            names = joint_set(how.joint_names)
         if names is not None and len(names) != size:
-            problems.append(f"{poses.name}: {len(names)} joints named for K = {size}; expected one name each.")
+            what = (
+                f"{len(names)} joints named"
+                if poses.joints is not None
+                else f"{how.joint_names} has {len(names)} joints"
+            )
+            problems.append(f"{poses.name}: {what} for K = {size}; expected one name each.")
+            names = None
         twice = [name for name, count in Counter(names or ()).items() if count > 1]
         if twice:
             problems.append(f"{poses.name} names joints more than once: {first_few(twice)}.")
@@ -313,9 +407,11 @@ def _root(said: str | None, names: tuple[str, ...], truth: FloatArray) -> int | 
 # --- labels and marks -----------------------------------------------------------------------------------------
 
 
-def _labels(hypotheses: Poses, truth: Poses, rows: Rows, true_rows: Rows, problems: list[str]) -> Labels:
-    found = {name: values[true_rows] for name, values in truth.labels.items()}
-    for name, values in hypotheses.labels.items():
+def _labels(
+    hypotheses: Poses, truth: Poses, sizes: tuple[int, int], rows: Rows, true_rows: Rows, problems: list[str]
+) -> Labels:
+    found = {name: values[true_rows] for name, values in _of_poses(truth, sizes[1], problems).items()}
+    for name, values in _of_poses(hypotheses, sizes[0], problems).items():
         ours = values[rows]
         if name in found and not np.array_equal(found[name], ours):
             different = int((found[name] != ours).sum())
@@ -325,6 +421,16 @@ def _labels(hypotheses: Poses, truth: Poses, rows: Rows, true_rows: Rows, proble
             )
         found.setdefault(name, ours)
     return found
+
+
+def _of_poses(poses: Poses, number: int, problems: list[str]) -> Labels:
+    """Keep what is one word per pose. A file may hold other lists; under a common label's name that is an error."""
+    problems += [
+        f"{poses.name}: {name} has {len(values):,} values for {number:,} poses; expected one each."
+        for name, values in poses.labels.items()
+        if len(values) != number and name in COMMON_LABELS
+    ]
+    return {name: values for name, values in poses.labels.items() if len(values) == number}
 
 
 def _occluded(

@@ -37,7 +37,7 @@ _IN_THE_WILD = ("NMKD", "MNKD", "MKND", "NMDK", "MNDK", "MKDN", "MDKN")
 
 
 class LazyArray(Protocol):
-    """Something with a shape and a dtype that gives its numbers only when it is opened."""
+    """Something with a shape and a dtype that gives its numbers part by part."""
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -47,8 +47,8 @@ class LazyArray(Protocol):
     def dtype(self) -> np.dtype[np.generic]:
         """The type of its numbers."""
 
-    def open(self) -> npt.NDArray[np.generic]:
-        """Give the array, or a view of it, to be read and let go."""
+    def part(self, where: tuple[slice, ...]) -> npt.NDArray[np.generic]:
+        """Give what lies between two places, ``slice(start, stop)``, along every axis."""
 
 
 @dataclass(frozen=True)
@@ -73,9 +73,9 @@ class MemoryArray:
         """The type of its numbers."""
         return self.array.dtype
 
-    def open(self) -> npt.NDArray[np.generic]:
-        """Give the array."""
-        return self.array
+    def part(self, where: tuple[slice, ...]) -> npt.NDArray[np.generic]:
+        """Give a view of what lies between two places along every axis."""
+        return self.array[where]
 
 
 @dataclass(frozen=True)
@@ -166,41 +166,43 @@ class Layout:
         """Give T, None where the layout has no clips."""
         return self.sizes(shape).get("T")
 
-    def read(self, array: npt.NDArray[np.generic], poses: npt.NDArray[np.intp]) -> npt.NDArray[np.generic]:
-        """Read some poses of a stored array, in the paper's layout.
+    def read(self, array: LazyArray, poses: npt.NDArray[np.intp]) -> npt.NDArray[np.generic]:
+        """Read some poses of a stored array, in the paper's layout, and nothing else of it.
 
         Parameters
         ----------
-        array : array
-            As stored, possibly mapped from a file.
+        array : LazyArray
+            As stored.
         poses : array of int (m,)
-            Their numbers, counted through the clips.
+            Their numbers, counted through the clips; at least one.
 
         Returns
         -------
         array (N, m, K, D) or (m, K, D)
-            A view where the poses are consecutive and no axis had to be split or joined across memory, else a copy.
+            A view of an array in memory where the poses are consecutive frames of one clip, else a copy.
         """
         sizes = self.sizes(array.shape)
+        frames = sizes.get("T", sizes["M"])
+        ends = np.flatnonzero((np.diff(poses) != 1) | (poses[1:] % frames == 0)) + 1
+        runs = [self._consecutive(array, sizes, int(run[0]), len(run)) for run in np.split(poses, ends)]
+        return runs[0] if len(runs) == 1 else np.concatenate(runs, axis=self.core.index("M"))
+
+    def _consecutive(self, array: LazyArray, sizes: dict[str, int], first: int, number: int) -> npt.NDArray[np.generic]:
+        """Read consecutive frames of one clip, or consecutive poses where there are no clips."""
+        frame = "T" if "T" in sizes else "M"
+        clip, start = divmod(first, sizes[frame])
+        wanted = {"I": slice(sizes.get("I", 1) - 1, sizes.get("I", 1)), "M": slice(clip, clip + 1)}
+        wanted[frame] = slice(start, start + number)
+        some = array.part(
+            tuple(wanted.get(group, slice(0, size)) for group, size in zip(self.groups, array.shape, strict=True))
+        )
         letters = "".join(self.groups)
-        split = array.reshape([sizes[letter] for letter in letters])
-        split = split[tuple(-1 if letter == "I" else slice(None) for letter in letters)]
-        letters = letters.replace("I", "")
-        clips = sizes.get("T", 1)
-        if "T" not in letters:
-            split, letters = split[..., None], letters + "T"
-        order = self.core.replace("M", "MT")
-        view = split.transpose([letters.index(letter) for letter in order])
-        axis = self.core.index("M")
-        before = (slice(None),) * axis
-        first, last = int(poses[0]), int(poses[-1])
-        if np.array_equal(poses, np.arange(first, last + 1)):
-            some = view[(*before, slice(first // clips, last // clips + 1))]
-            joined = some.reshape(*some.shape[:axis], -1, *some.shape[axis + 2 :])
-            start = first - first // clips * clips
-            return joined[(*before, slice(start, start + len(poses)))]
-        index: tuple[slice | npt.NDArray[np.intp], ...] = (*before, poses // clips, poses % clips)
-        return view[index]
+        lengths = {letter: place.stop - place.start for letter, place in wanted.items()}
+        split = some.reshape([lengths.get(letter, sizes[letter]) for letter in letters])
+        alone = {"I", "M"} - {frame}
+        split = split.squeeze(axis=tuple(place for place, letter in enumerate(letters) if letter in alone))
+        left = [letter for letter in letters if letter not in alone]
+        return split.transpose([left.index(letter) for letter in self.core.replace("M", frame)])
 
 
 def plausible_layouts(shape: tuple[int, ...], truth: tuple[int, ...]) -> list[str]:

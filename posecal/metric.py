@@ -16,13 +16,14 @@ import numpy as np
 
 from posecal.block import Block, BoolArray, FloatArray
 from posecal.errors import PoseDataError
+from posecal.inference import Deviation
 from posecal.protocol import Protocol, named_joints
 from posecal.skeleton import JOINT_SETS
 
-__all__ = ["Curve", "Direction", "Family", "Metric", "Scope", "Statistic", "Subject", "item"]
+__all__ = ["TRUE_POSES", "Curve", "Direction", "Family", "Metric", "Scope", "Statistic", "Subject", "item"]
 
 Direction = Literal["lower", "higher", "zero", "none"]
-Family = Literal["accuracy", "calibration", "spread"]
+Family = Literal["accuracy", "calibration", "battery", "scores", "spread"]
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,14 @@ class Subject:
         Frames per second.
     scored : bool
         Whether the model scored its hypotheses.
+    marked : bool
+        Whether occluded joints are marked.
+    preranks : tuple of str
+        Names of the user's own pre-ranks.
+    reference : str
+        What skills are relative to; empty without skills.
+    masked : bool
+        Whether the user left out joints of some poses by a mask of their own.
     """
 
     n_hypotheses: int
@@ -51,6 +60,10 @@ class Subject:
     labels: tuple[str, ...] = ()
     fps: float | None = None
     scored: bool = False
+    marked: bool = False
+    preranks: tuple[str, ...] = ()
+    reference: str = ""
+    masked: bool = False
 
 
 @dataclass(frozen=True)
@@ -65,11 +78,14 @@ class Statistic:
         From a block to (B, *shape); NaN where a pose (or a joint of it) does not count.
     per_joint : bool
         Whether the first axis of the shape is joints, each of which counts or not.
+    kept : bool
+        Whether the numbers are kept pose by pose, for orders over poses, which no sums give.
     """
 
     name: str
     compute: Callable[[Block], FloatArray]
     per_joint: bool = False
+    kept: bool = False
 
 
 @dataclass(frozen=True)
@@ -87,7 +103,7 @@ class Metric:
     direction : str
         ``lower`` or ``higher`` is better, ``zero`` is best, or ``none``.
     family : str
-        ``accuracy``, ``calibration`` or ``spread``.
+        ``accuracy``, ``calibration``, ``battery``, ``scores`` or ``spread``.
     brief : str
         The same in a few words, for a table.
     definition : str
@@ -95,7 +111,7 @@ class Metric:
     statistic : Statistic
         What is summed over poses.
     finish : callable
-        From the mean of the statistic over poses to the number.
+        From the mean of the statistic over poses to the number; from its values (M, ...) where they are kept.
     by_joint : tuple of Statistic and callable, or None
         What is summed, and from its mean to one number per joint, NaN for joints that don't count.
     clips : int
@@ -103,6 +119,12 @@ class Metric:
         that, weighted with their poses, is the number.
     headline : bool
         Whether the default report shows it.
+    deviation : Deviation or None
+        Of calibration errors: how the error is made of mean deviations, so that sign-flips can test it.
+    offset : array (Q,) or None
+        With it: what a perfect sampler's curve is off by at this N.
+    fires : str
+        Of tests: what it means when it rejects.
     """
 
     name: str
@@ -117,6 +139,9 @@ class Metric:
     by_joint: tuple[Statistic, Callable[[FloatArray], FloatArray]] | None = None
     clips: int = 0
     headline: bool = False
+    deviation: Deviation | None = None
+    offset: FloatArray | None = None
+    fires: str = ""
 
     @property
     def statistics(self) -> tuple[Statistic, ...]:
@@ -147,6 +172,10 @@ class Curve:
     axes: tuple[str, str]
     definition: str
     statistic: Statistic
+
+
+TRUE_POSES = Statistic("truth", lambda block: block.truth.sum(axis=(1, 2), dtype=np.float64))
+"""Sum of a true pose's coordinates: not a metric, but what tells whether two results were held against one truth."""
 
 
 def item(*place: int) -> Callable[[FloatArray], float]:

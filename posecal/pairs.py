@@ -8,14 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from posecal.block import BoolArray, FloatArray
+from posecal.errors import PoseDataError
 from posecal.layout import Layout, LazyArray
 
-__all__ = ["Labels", "PosePairs", "Poses", "Rows", "Stored"]
+__all__ = ["COMMON_LABELS", "Hypotheses", "Labels", "PosePairs", "Poses", "Rows", "Stored"]
+
+COMMON_LABELS = ("sequence", "subject", "action", "camera")
+"""Names under which a file can only mean a label of every pose."""
 
 Labels = Mapping[str, npt.NDArray[np.str_]]
 Rows = npt.NDArray[np.intp]
@@ -59,6 +64,24 @@ class Poses:
     fps: float | None = None
 
 
+class Hypotheses(Protocol):
+    """N hypotheses of M poses, read some poses at a time."""
+
+    @property
+    def n_hypotheses(self) -> int:
+        """N."""
+
+    @property
+    def itemsize(self) -> int:
+        """Bytes of a stored coordinate, by which windows are measured."""
+
+    def read(self, start: int, stop: int) -> FloatArray:
+        """Read some poses, (N, stop - start, K, D) in mm."""
+
+    def taken(self, poses: Rows) -> Hypotheses:
+        """Keep some poses, by their numbers."""
+
+
 @dataclass(frozen=True)
 class Stored:
     """Hypotheses where they lie, and how to read some poses of them.
@@ -73,6 +96,8 @@ class Stored:
         The stored poses and joints that count, in the order in which they count.
     factor : float
         Millimetres in its unit.
+    most : int or None
+        How many hypotheses are read, the first ones; all by default.
     """
 
     array: LazyArray
@@ -80,10 +105,25 @@ class Stored:
     rows: Rows
     columns: Rows
     factor: float
+    most: int | None = None
+
+    @property
+    def n_hypotheses(self) -> int:
+        """N."""
+        return self.most or self.layout.shape(self.array.shape)[0]
+
+    @property
+    def itemsize(self) -> int:
+        """Bytes of a stored coordinate."""
+        return self.array.dtype.itemsize
+
+    def taken(self, poses: Rows) -> Stored:
+        """Keep some poses, by their numbers."""
+        return replace(self, rows=self.rows[poses])
 
     def read(self, start: int, stop: int) -> FloatArray:
         """Read some poses, (N, stop - start, K, D) in mm."""
-        found = self.layout.read(self.array.open(), self.rows[start:stop])
+        found = self.layout.read(self.array, self.rows[start:stop])[: self.most]
         if not np.array_equal(self.columns, np.arange(found.shape[2])):
             found = found[:, :, self.columns]
         return in_millimetres(found, self.factor)
@@ -102,8 +142,8 @@ class PosePairs:
 
     Attributes
     ----------
-    stored : Stored
-        The hypotheses, read some poses at a time.
+    hypotheses : Hypotheses
+        Read some poses at a time.
     truth : array (M, K, D)
         True poses, mm.
     joints : tuple of str
@@ -112,6 +152,8 @@ class PosePairs:
         The joint to subtract from every pose.
     frame_id : array of str (M,)
         What each pose is called.
+    place : array of int (M,)
+        Its place among the truth's frames, as they were stored: two poses are consecutive where their places are.
     labels : mapping of arrays of str (M,)
         What else is said of each pose.
     occluded : bool array (M, K) or None
@@ -128,11 +170,12 @@ class PosePairs:
         What a careful reader should know about the join.
     """
 
-    stored: Stored
+    hypotheses: Hypotheses
     truth: FloatArray
     joints: tuple[str, ...]
     root: int | None
     frame_id: npt.NDArray[np.str_]
+    place: Rows
     labels: Labels
     occluded: BoolArray | None
     scores: FloatArray | None
@@ -145,17 +188,32 @@ class PosePairs:
     def shape(self) -> tuple[int, int, int, int]:
         """(N, M, K, D)."""
         m, k, d = self.truth.shape
-        return self.stored.layout.shape(self.stored.array.shape)[0], m, k, d
+        return self.hypotheses.n_hypotheses, m, k, d
 
     def taken(self, poses: Rows) -> PosePairs:
         """Keep some poses, by their numbers."""
         return replace(
             self,
-            stored=replace(self.stored, rows=self.stored.rows[poses]),
+            hypotheses=self.hypotheses.taken(poses),
             truth=self.truth[poses],
             frame_id=self.frame_id[poses],
+            place=self.place[poses],
             labels={name: values[poses] for name, values in self.labels.items()},
             occluded=None if self.occluded is None else self.occluded[poses],
             scores=None if self.scores is None else self.scores[:, poses],
             where=None if self.where is None else self.where[poses],
         )
+
+    def with_hypotheses(self, most: int) -> PosePairs:
+        """Keep the first hypotheses of every pose.
+
+        Raises
+        ------
+        PoseDataError
+            Where there are fewer, or the hypotheses don't come from an array.
+        """
+        n = self.shape[0]
+        if not 1 <= most <= n or not isinstance(self.hypotheses, Stored):
+            raise PoseDataError(f"hypotheses: {most}; expected 1 to N = {n}, the hypotheses of {self.names[0]}.")
+        scores = None if self.scores is None else self.scores[:most]
+        return replace(self, hypotheses=replace(self.hypotheses, most=most), scores=scores)

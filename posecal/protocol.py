@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from posecal.errors import PoseDataError, did_you_mean, raise_all
-from posecal.skeleton import JOINT_SETS
+from posecal.skeleton import JOINT_SETS, REST_POSE, canonical_name
 
 __all__ = ["PRESETS", "Preset", "Protocol", "preset"]
 
@@ -75,12 +75,16 @@ class Protocol:
             if choices and value not in choices:
                 problems.append(f"{option.name}: {value!r} is not known. {did_you_mean(str(value), choices)}")
         kind, _, clips = self.best.partition(":")
-        if kind not in {"frame", "sequence", "batch", "joint"} or (kind == "batch") != _is_count(clips):
+        if self.best not in {"frame", "sequence", "joint"} and not (kind == "batch" and _is_count(clips)):
             problems.append(f"best: {self.best!r}; expected frame, sequence, batch:k (k clips) or joint.")
+        elif self.best != "frame" and self.align_best == "linked":
+            problems.append(f"align_best: 'linked' with best: {self.best!r}; expected best: 'frame'.")
         if self.mode != "score" and not self.mode.isdecimal():
             problems.append(f"mode: {self.mode!r}; expected score or the index of a hypothesis.")
         if not 0 < self.pck_threshold < float("inf"):
             problems.append(f"pck_threshold: {self.pck_threshold}; expected a length in mm.")
+        if not all(word.strip() for word in self.metrics.split(",")):
+            problems.append(f"metrics: {self.metrics!r}; expected default, all, or names with commas.")
         raise_all(problems)
 
     def changed(self, options: Mapping[str, str]) -> Protocol:
@@ -336,7 +340,8 @@ def named_joints(option: str, text: str, joints: tuple[str, ...]) -> tuple[str, 
     Returns
     -------
     tuple of str
-        The chosen ones, in the poses' order. Members of a joint set that the poses lack are passed over.
+        The chosen ones, in the poses' order. Members of a joint set that the poses lack are passed over, and so is a
+        joint of the human tree to leave out.
 
     Raises
     ------
@@ -346,9 +351,11 @@ def named_joints(option: str, text: str, joints: tuple[str, ...]) -> tuple[str, 
     if text == "all":
         return joints
     if text.startswith("all but "):
-        left_out = text.removeprefix("all but ")
+        left_out = canonical_name(text.removeprefix("all but "))
+        if left_out not in {*joints, *REST_POSE}:
+            raise PoseDataError(f"{option}: {left_out!r} is no joint. {did_you_mean(left_out, joints)}")
         return tuple(name for name in joints if name != left_out)
-    asked = JOINT_SETS.get(text) or tuple(name.strip() for name in text.split(","))
+    asked = JOINT_SETS.get(text) or tuple(canonical_name(name.strip()) for name in text.split(","))
     missing = [name for name in asked if name not in joints]
     if text not in JOINT_SETS and missing:
         known = [*joints, *JOINT_SETS]

@@ -2,16 +2,30 @@
 
 from __future__ import annotations
 
-from posecal.calibration.table import calibration_metrics
-from posecal.errors import did_you_mean, raise_all
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+
+from posecal.calibration.battery import PreRank
+from posecal.calibration.table import battery_metrics, calibration_metrics
+from posecal.errors import PoseDataError, did_you_mean, raise_all
 from posecal.metric import Curve, Metric, Scope, Subject
+from posecal.metrics.best_of import ROUND_SIZES
+from posecal.metrics.score_table import guide_metrics, score_metrics, skill_metrics
 from posecal.metrics.table import accuracy_curves, accuracy_metrics, spread_metrics
 from posecal.protocol import Protocol
+from posecal.sight import SIGHTS, sight_metrics
+from posecal.skeleton import JOINT_SETS
 
-__all__ = ["curves_of", "known_metrics", "metrics_of"]
+__all__ = ["GROUPS", "check_names", "curves_of", "known_metrics", "metrics_of", "sights_of"]
 
 
-def known_metrics(protocol: Protocol, subject: Subject) -> dict[str, Metric]:
+GROUPS = ("default", "battery", "scores", "all")
+"""Words that stand for several metrics."""
+
+
+def known_metrics(
+    protocol: Protocol, subject: Subject, preranks: Mapping[str, PreRank] | None = None
+) -> dict[str, Metric]:
     """Every metric that a subject has what it takes for.
 
     Parameters
@@ -20,6 +34,8 @@ def known_metrics(protocol: Protocol, subject: Subject) -> dict[str, Metric]:
         The options.
     subject : Subject
         What is measured.
+    preranks : mapping of callables, optional
+        The user's own pre-ranks, where their functions are at hand.
 
     Returns
     -------
@@ -34,20 +50,27 @@ def known_metrics(protocol: Protocol, subject: Subject) -> dict[str, Metric]:
     scope = Scope(protocol, subject)
     found = list(accuracy_metrics(scope))
     if subject.n_hypotheses > 1:
-        found += [*calibration_metrics(scope), *spread_metrics(scope)]
+        found += [*calibration_metrics(scope), *battery_metrics(scope, preranks), *score_metrics(scope)]
+        found += skill_metrics(scope)
+        found += [*spread_metrics(scope), *guide_metrics(scope)]
+    if protocol.average != "poses":
+        averaged = f"; the mean of its values for each {protocol.average}"
+        found = [replace(metric, definition=metric.definition + averaged) for metric in found]
     return {metric.name: metric for metric in found}
 
 
-def metrics_of(protocol: Protocol, subject: Subject) -> dict[str, Metric]:
+def metrics_of(
+    protocol: Protocol, subject: Subject, preranks: Mapping[str, PreRank] | None = None
+) -> dict[str, Metric]:
     """Choose the metrics that a protocol asks for.
 
     Parameters
     ----------
     protocol : Protocol
-        The options; ``metrics`` names what is reported. The default are the headlines, and whatever comes free
-        with them because it shares their statistics.
-    subject : Subject
-        What is measured.
+        The options; ``metrics`` names what is reported: names, and the words of :data:`GROUPS`. ``default`` are the
+        headlines, and whatever comes free with them because it shares their statistics.
+    subject, preranks
+        As for :func:`known_metrics`.
 
     Returns
     -------
@@ -59,19 +82,41 @@ def metrics_of(protocol: Protocol, subject: Subject) -> dict[str, Metric]:
     PoseDataError
         For an unknown name, or a metric that needs what the subject lacks; all such names at once.
     """
-    known = known_metrics(protocol, subject)
-    if protocol.metrics == "all":
-        return known
-    if protocol.metrics == "default":
-        kept = {metric.statistic.name for metric in known.values() if metric.headline} | {
-            "errors_by_n",
-            "inside_reference",
-        }
-        return {name: metric for name, metric in known.items() if metric.statistic.name in kept}
-    names = [word.strip() for word in protocol.metrics.split(",")]
-    problems = [f"metrics: {name} {_lacks(name, subject, known)}" for name in names if name not in known]
-    raise_all(problems)
-    return {name: known[name] for name in known if name in names}
+    known = known_metrics(protocol, subject, preranks)
+    words = [word.strip() for word in protocol.metrics.split(",")]
+    raise_all(f"metrics: {word} {_lacks(word, subject, known)}" for word in words if word not in {*known, *GROUPS})
+    free = {metric.statistic.name for metric in known.values() if metric.headline} | {"errors_by_n", "inside_reference"}
+    return {
+        name: metric
+        for name, metric in known.items()
+        if name in words
+        or "all" in words
+        or metric.family in words
+        or ("default" in words and metric.statistic.name in free)
+    }
+
+
+def check_names(protocol: Protocol, own: Collection[str] = ()) -> None:
+    """Refuse names of metrics that no data could make known.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        The options.
+    own : collection of str
+        Names of the user's own metrics.
+
+    Raises
+    ------
+    PoseDataError
+        For the names, all at once.
+    """
+    joints, n = JOINT_SETS["h36m-17"], ROUND_SIZES[-1] + 1
+    anything = Subject(n, joints, root=0, labels=("sequence",), fps=1.0, scored=True, marked=True, reference="another")
+    known = [*known_metrics(Protocol(), anything), *GROUPS, *own]
+    unknown = [word for word in (word.strip() for word in protocol.metrics.split(",")) if word not in known]
+    if unknown:
+        raise PoseDataError(f"metrics: {', '.join(unknown)} not known. {did_you_mean(unknown[0], known)}")
 
 
 def _lacks(name: str, subject: Subject, known: dict[str, Metric]) -> str:
@@ -79,7 +124,7 @@ def _lacks(name: str, subject: Subject, known: dict[str, Metric]) -> str:
         return "needs sequences. Store a label sequence in the truth's file."
     if ("weighted_pose" in name or "mode_mpjpe" in name) and not subject.scored:
         return "needs the model's scores. Store scores beside the hypotheses, or set mode to an index."
-    if name.startswith(("ece", "signed", "coverage", "radius", "diversity")) and subject.n_hypotheses < 2:
+    if subject.n_hypotheses < 2 and name in {*GROUPS, *known_metrics(Protocol(), replace(subject, n_hypotheses=2))}:
         return "needs at least 2 hypotheses; there is 1."
     return f"is not known. {did_you_mean(name, known)}"
 
@@ -100,3 +145,33 @@ def curves_of(protocol: Protocol, subject: Subject) -> dict[str, Curve]:
         Curves by name.
     """
     return {curve.name: curve for curve in accuracy_curves(Scope(protocol, subject))}
+
+
+def sights_of(protocol: Protocol, subject: Subject) -> dict[str, dict[str, Metric]]:
+    """Give the numbers over occluded and over visible joints, by the kind of joint and by name.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        The options.
+    subject : Subject
+        What is measured.
+
+    Returns
+    -------
+    dict
+        Metrics by ``occluded`` and ``visible``, then by name.
+
+    Raises
+    ------
+    PoseDataError
+        Where the poses don't say which joints are occluded, or there is one hypothesis.
+    """
+    if not subject.marked:
+        raise PoseDataError(
+            "by: sight needs to know which joints are occluded; expected a member occluded or visible, bool (M, K)."
+        )
+    if subject.n_hypotheses < 2:
+        raise PoseDataError("by: sight needs at least 2 hypotheses; there is 1.")
+    scope = Scope(protocol, subject)
+    return {sight: {metric.name: metric for metric in sight_metrics(scope, sight)} for sight in SIGHTS}

@@ -41,23 +41,22 @@ def doubts(pairs: PosePairs, declared: bool, true_declared: bool) -> list[str]:
     n, m, _, _ = pairs.shape
     few = min(m, 8)
     size = _size(pairs.truth)
-    ours = _size(pairs.stored.read(0, few)[: min(n, 50)].reshape(-1, *pairs.truth.shape[1:]))
+    ours = _size(pairs.hypotheses.read(0, few)[: min(n, 50)].reshape(-1, *pairs.truth.shape[1:]))
     name, true_name = pairs.names
-    problems = []
-    if 0 < size < TINY and not true_declared:
-        problems.append(_metres(true_name, size))
-    if 0 < ours < TINY and not declared:
-        problems.append(_metres(name, ours))
-    if problems:
+    sides = (true_name, size, true_declared), (name, ours, declared)
+    tiny = [(_metres(of, length), said) for of, length, said in sides if 0 < length < TINY]
+    undeclared = [words for words, said in tiny if not said]
+    if undeclared:
         raise PoseDataError(
-            " ".join(problems) + " Pass --unit m, or store unit in the files; --unit mm if it is right."
+            " ".join(undeclared) + " Pass --unit m, or store unit in the files; --unit mm if it is right."
         )
-    if not (declared and true_declared) and size > 0 and ours > 0 and not 0.05 < ours / size < 20:
-        raise PoseDataError(
-            f"{name} and {true_name} differ in size by a factor of {max(ours / size, size / ours):,.0f}; expected one "
-            "unit. Store unit in both, or pass --unit and --truth-unit."
-        )
-    return _bones(pairs)
+    remarks = [f"{words} Is its unit right?" for words, _ in tiny]
+    if size > 0 and ours > 0 and not 0.05 < ours / size < 20:
+        differ = f"{name} and {true_name} differ in size by a factor of {max(ours / size, size / ours):,.0f}"
+        if not (declared and true_declared):
+            raise PoseDataError(f"{differ}; expected one unit. Store unit in both, or pass --unit and --truth-unit.")
+        remarks.append(f"{differ}. Are their units right?")
+    return remarks or _bones(pairs)
 
 
 def _metres(name: str, size: float) -> str:
@@ -79,7 +78,8 @@ def _bones(pairs: PosePairs) -> list[str]:
         return []
     parents, children = np.array(bones).T
     some = pairs.truth[:: max(1, len(pairs.truth) // 500)].astype(np.float64)
-    lengths = np.linalg.norm(some[:, children] - some[:, parents], axis=-1)
+    with np.errstate(invalid="ignore"):  # joints that don't count may hold anything
+        lengths = np.linalg.norm(some[:, children] - some[:, parents], axis=-1)
     lengths = lengths[np.isfinite(lengths)]
     if not lengths.size or BONES[0] <= np.median(lengths) <= BONES[1]:
         return []

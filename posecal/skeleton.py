@@ -21,30 +21,30 @@ from posecal.errors import PoseDataError, did_you_mean
 
 __all__ = ["JOINT_SETS", "REST_POSE", "Skeleton", "canonical_name", "joint_set"]
 
-# name: (parent, rest position in mm; x to the person's left, y forwards, z up, the hip at the origin)
+# name: (parent, rest position in mm; x to the person's left, y backwards, z up, the hip at the origin)
 _TREE: dict[str, tuple[str | None, tuple[float, float, float]]] = {
     "Hip": (None, (0, 0, 0)),
     "RHip": ("Hip", (-130, 0, 0)),
-    "RKnee": ("RHip", (-140, 20, -450)),
-    "RFoot": ("RKnee", (-150, -20, -900)),
+    "RKnee": ("RHip", (-140, -20, -450)),
+    "RFoot": ("RKnee", (-150, 20, -900)),
     "LHip": ("Hip", (130, 0, 0)),
-    "LKnee": ("LHip", (140, 20, -450)),
-    "LFoot": ("LKnee", (150, -20, -900)),
-    "Spine": ("Hip", (0, -10, 240)),
+    "LKnee": ("LHip", (140, -20, -450)),
+    "LFoot": ("LKnee", (150, 20, -900)),
+    "Spine": ("Hip", (0, 10, 240)),
     "Thorax": ("Spine", (0, 0, 490)),
-    "UpperNeck": ("Thorax", (0, 10, 590)),
-    "Neck/Nose": ("Thorax", (0, 60, 600)),
-    "Head": ("Neck/Nose", (0, 20, 710)),
+    "UpperNeck": ("Thorax", (0, -10, 590)),
+    "Neck/Nose": ("Thorax", (0, -60, 600)),
+    "Head": ("Neck/Nose", (0, -20, 710)),
     "LShoulder": ("Thorax", (150, 0, 460)),
-    "LElbow": ("LShoulder", (260, -30, 210)),
-    "LWrist": ("LElbow", (330, 60, -20)),
+    "LElbow": ("LShoulder", (260, 30, 210)),
+    "LWrist": ("LElbow", (330, -60, -20)),
     "RShoulder": ("Thorax", (-150, 0, 460)),
-    "RElbow": ("RShoulder", (-260, -30, 210)),
-    "RWrist": ("RElbow", (-330, 60, -20)),
+    "RElbow": ("RShoulder", (-260, 30, 210)),
+    "RWrist": ("RElbow", (-330, -60, -20)),
 }
 
 REST_POSE: dict[str, tuple[float, float, float]] = {name: rest for name, (_, rest) in _TREE.items()}
-"""A standing person in round millimetres: x to the person's left, y forwards, z up, hip at the origin."""
+"""A standing person in round millimetres: x to the person's left, y backwards, z up, hip at the origin."""
 
 _H36M_17 = (
     *("Hip", "RHip", "RKnee", "RFoot", "LHip", "LKnee", "LFoot", "Spine", "Thorax"),
@@ -87,7 +87,7 @@ def canonical_name(name: str) -> str:
     Returns
     -------
     str
-        The name in :data:`REST_POSE`, or ``name``.
+        The name in ``REST_POSE``, or ``name``.
 
     Notes
     -----

@@ -1,40 +1,18 @@
-"""How does a report look to a person? The same few tables as text for a terminal and as Markdown.
-
-One screen by default: accuracy, calibration and spread over all poses, each number with what it is in a few words.
-"""
+"""How do tables look to a person? The same sheet as text for a terminal and as Markdown."""
 
 from __future__ import annotations
 
 import io
-import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field
+from typing import Literal
 
 from rich import box
+from rich.cells import cell_len
 from rich.console import Console
-from rich.padding import Padding
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from posecal.metric import Metric
-from posecal.protocol import PRESETS, Protocol
-from posecal.report import Report
-
-__all__ = [
-    "Table",
-    "as_markdown",
-    "as_text",
-    "definitions",
-    "headline",
-    "number",
-    "protocols_as_text",
-    "tables",
-    "title",
-]
-
-FAMILIES = {"accuracy": "Accuracy", "calibration": "Calibration", "spread": "Spread"}
-ARROWS = {"lower": "↓", "higher": "↑", "zero": "0", "none": ""}
-BY_GROUP = ("min_mpjpe", "mpjpe", "pa_min_mpjpe", "pck", "ece", "signed_area", "coverage_90", "radius_50")
-BY_JOINT = ("min_mpjpe", "mpjpe", "ece", "signed_area", "coverage_50", "coverage_90", "radius_50", "radius_90")
+__all__ = ["Sheet", "Table"]
 
 
 @dataclass(frozen=True)
@@ -44,7 +22,7 @@ class Table:
     Attributes
     ----------
     title : str
-        Its heading.
+        Its heading; the text for a terminal shows the first column's instead.
     columns : tuple of (str, bool)
         Headings, and whether a column holds numbers.
     rows : list of tuples of str
@@ -56,230 +34,121 @@ class Table:
     rows: list[tuple[str, ...]]
 
 
-def number(value: float, unit: str = "") -> str:
-    """Write a number: three digits after the point for lengths, five for shares and errors of shares."""
-    if math.isnan(value):
-        return "–"
-    return f"{value:.3f} {unit}" if unit else f"{value:.5f}"
+@dataclass(frozen=True)
+class Sheet:
+    """What is shown at once: a title, what there is to say, tables, definitions, and a line to keep.
 
-
-def title(report: Report) -> str:
-    """Say in one line what was measured."""
-    totals = report.totals
-    subject, poses = totals.subject, int(totals.poses.sum())
-    sequences = len(set(totals.cells["sequence"].tolist()))
-    of = f" in {sequences:,} sequences" if totals.sequences else ""
-    origin = "as given" if subject.root is None else f"relative to {subject.joints[subject.root]}"
-    where = "" if totals.protocol.where == "all" else f", {totals.protocol.where} joints only"
-    return (
-        f"posecal {totals.version} · N = {subject.n_hypotheses} hypotheses · M = {poses:,} poses{of} · "
-        f"K = {len(subject.joints)} joints, {origin}{where}"
-    )
-
-
-def headline(report: Report) -> list[Metric]:
-    """Choose the metrics of the first table: the headlines, or all that were asked for by name."""
-    asked = report.totals.protocol.metrics not in {"default", "all"}
-    return [metric for metric in report.metrics.values() if metric.headline or asked]
-
-
-def tables(report: Report, *, joints: bool = False) -> list[Table]:
-    """Make the tables of a report.
-
-    Parameters
+    Attributes
     ----------
-    report : Report
+    title : str
+        One line.
+    sentences : list of str
+        In words, before the tables.
+    tables : list of Table
         The numbers.
-    joints : bool
-        Whether to add the table per joint.
-
-    Returns
-    -------
-    list of Table
-        One per family of metrics, then one per label to group by, then the one per joint.
+    definitions : list of (str, str)
+        Terms and what they mean.
+    footer : str
+        A line that must stay whole, such as a signature.
     """
-    shown = headline(report)
-    found: list[Table] = []
-    columns: tuple[tuple[str, bool], ...]
-    for family, name in FAMILIES.items():
-        rows = [metric for metric in shown if metric.family == family]
-        if rows and family == "calibration":
-            columns = (
-                (name, False),
-                ("value", True),
-                ("perfect sampler", True),
-                ("", False),
-                ("what it is", False),
-            )
-            found.append(Table(name, columns, [_calibration_row(report, metric) for metric in rows]))
-        elif rows:
-            columns = ((name, False), ("value", True), ("", False), ("what it is", False))
-            found.append(Table(name, columns, [_row(report, metric) for metric in rows]))
-    for label in report.by:
-        names = [name for name in BY_GROUP if name in report.metrics]
-        columns = ((label, False), ("poses", True), *((report.metrics[name].label, True) for name in names))
-        groups = [group for group in report.groups if group is not None and group.startswith(f"{label}=")]
-        found.append(Table(f"By {label}", columns, [_group_row(report, group, names) for group in groups]))
-    if joints:
-        names = [name for name in BY_JOINT if name in report.metrics]
-        columns = (("joint", False), *((report.metrics[name].label, True) for name in names))
-        values = {(row.metric, row.joint): row.value for row in report.rows if row.joint is not None}
-        found.append(
-            Table(
-                "By joint",
-                columns,
-                [
-                    (
-                        joint,
-                        *(_short(values.get((name, joint), math.nan), report.metrics[name].unit) for name in names),
-                    )
-                    for joint in report.totals.subject.joints
-                ],
-            )
-        )
+
+    title: str
+    sentences: list[str] = field(default_factory=list)
+    tables: list[Table] = field(default_factory=list)
+    definitions: list[tuple[str, str]] = field(default_factory=list)
+    footer: str = ""
+
+    def text(self, width: int = 120, *, colour: bool = False) -> str:
+        """Write the sheet for a terminal.
+
+        Parameters
+        ----------
+        width : int
+            Columns of the terminal.
+        colour : bool
+            Whether to use its colours.
+
+        Returns
+        -------
+        str
+            The text, without a final line break.
+        """
+        out = io.StringIO()
+        console = Console(file=out, width=width, force_terminal=colour, no_color=not colour, highlight=False)
+        console.print(Text(self.title, style="bold"))
+        for sentence in self.sentences:
+            console.print(Text(sentence))
+        for table in (part for whole in self.tables for part in _parts(whole, width)):
+            console.print()
+            drawn = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, header_style="bold")
+            for (heading, is_number), place in zip(table.columns, _widths(table, width), strict=True):
+                dim = "dim" if heading == "what it is" else ""
+                justify: Literal["left", "right"] = "right" if is_number else "left"
+                drawn.add_column(Text(heading), justify=justify, style=dim, overflow="fold", width=place)
+            for row in table.rows:
+                drawn.add_row(*(Text(cell) for cell in row))
+            console.print(drawn)
+        if self.definitions:
+            console.print()
+            for term, meaning in self.definitions:
+                console.print(Text.assemble((term, "bold"), ": ", meaning))
+        if self.footer:
+            console.print()
+            console.print(Text(self.footer, style="dim"), soft_wrap=True)
+        return "\n".join(line.rstrip() for line in out.getvalue().splitlines())
+
+    def markdown(self) -> str:
+        """Write the sheet as Markdown, without a final line break."""
+        lines = [_escaped(self.title), *(line for sentence in self.sentences for line in ("", _escaped(sentence)))]
+        for table in self.tables:
+            lines += ["", f"### {_escaped(table.title)}", ""]
+            lines.append("| " + " | ".join(_escaped(heading) for heading, _ in table.columns) + " |")
+            lines.append("|" + "|".join("---:" if is_number else "---" for _, is_number in table.columns) + "|")
+            lines += ["| " + " | ".join(_escaped(cell) for cell in row) + " |" for row in table.rows]
+        if self.definitions:
+            lines += ["", "### Definitions", ""]
+            lines += [f"- **{_escaped(term)}**: {_escaped(meaning)}" for term, meaning in self.definitions]
+        return "\n".join([*lines, "", f"`{self.footer}`"] if self.footer else lines)
+
+
+GAP = 3
+"""Columns of the terminal between two columns of a table."""
+
+
+def _narrowest(table: Table, column: int) -> int:
+    """How narrow a column can be: no number is broken over lines, and no word."""
+    heading, is_number = table.columns[column]
+    cells = [row[column] for row in table.rows]
+    pieces = [*heading.split(), *(cells if is_number else (word for cell in cells for word in cell.split()))]
+    return max(map(cell_len, pieces), default=0)
+
+
+def _widths(table: Table, width: int) -> list[int]:
+    """Share out the width of the terminal: the widest columns give way first."""
+    least = [_narrowest(table, column) for column in range(len(table.columns))]
+    cells = [[heading, *(row[column] for row in table.rows)] for column, (heading, _) in enumerate(table.columns)]
+    found = [max(cell_len(line) for cell in column for line in (cell.splitlines() or [""])) for column in cells]
+    while sum(found) + GAP * (len(found) - 1) > width:
+        yielding = [column for column in range(len(found)) if found[column] > least[column]]
+        if not yielding:
+            break
+        found[max(yielding, key=lambda column: found[column])] -= 1
     return found
 
 
-def _row(report: Report, metric: Metric) -> tuple[str, ...]:
-    return metric.label, number(report.value(metric.name), metric.unit), ARROWS[metric.direction], metric.brief
-
-
-def _calibration_row(report: Report, metric: Metric) -> tuple[str, ...]:
-    label, value, arrow, brief = _row(report, metric)
-    return label, value, _perfect(report, metric), arrow, brief
-
-
-def _perfect(report: Report, metric: Metric) -> str:
-    floors = {row.metric: row.value for row in report.rows if "_floor" in row.metric}
-    if f"{metric.name}_floor" in floors:
-        return f"{floors[f'{metric.name}_floor']:.4f} (< {floors[f'{metric.name}_floor_95']:.4f})"
-    return {"signed_area": "0"}.get(metric.name, "")
-
-
-def _group_row(report: Report, group: str, names: list[str]) -> tuple[str, ...]:
-    rows = {row.metric: row for row in report.rows if row.group == group and row.joint is None}
-    cells = report.groups[group]
-    poses = int(report.totals.poses[cells].sum())
-    shown = (_short(rows[name].value, rows[name].unit) for name in names)
-    return group.partition("=")[2], f"{poses:,}", *shown
-
-
-def _short(value: float, unit: str) -> str:
-    return "–" if math.isnan(value) else f"{value:.1f}" if unit else f"{value:.3f}"
-
-
-def definitions(report: Report) -> list[tuple[str, str]]:
-    """Give the label and the full definition of every number of the first tables."""
-    return [(metric.label, metric.definition) for metric in headline(report)]
-
-
-def as_text(
-    report: Report,
-    *,
-    joints: bool = False,
-    full: bool = False,
-    width: int = 120,
-    colour: bool = False,
-) -> str:
-    """Write a report for a terminal.
-
-    Parameters
-    ----------
-    report : Report
-        The numbers.
-    joints, full : bool
-        As ``joints`` and ``definitions`` of :meth:`posecal.Report.render`.
-    width : int
-        Columns of the terminal.
-    colour : bool
-        Whether to use its colours.
-
-    Returns
-    -------
-    str
-        The text, without a final line break.
-    """
-    out = io.StringIO()
-    console = Console(
-        file=out, width=width, force_terminal=colour, no_color=not colour, highlight=False, soft_wrap=False
-    )
-    console.print(Text(title(report), style="bold"))
-    for table in tables(report, joints=joints):
-        console.print()
-        drawn = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, header_style="bold")
-        for heading, is_number in table.columns:
-            dim = "dim" if heading == "what it is" else ""
-            drawn.add_column(Text(heading), justify="right" if is_number else "left", style=dim, overflow="fold")
-        for row in table.rows:
-            drawn.add_row(*(Text(cell) for cell in row))
-        console.print(drawn)
-    if full:
-        console.print()
-        for label, definition in definitions(report):
-            console.print(Text.assemble((label, "bold"), ": ", definition))
-    console.print()
-    console.print(Text(f"signature: {report.signature}", style="dim"), soft_wrap=True)
-    return "\n".join(line.rstrip() for line in out.getvalue().splitlines())
-
-
-def as_markdown(report: Report, *, joints: bool = False, full: bool = False) -> str:
-    """Write a report as Markdown.
-
-    Parameters
-    ----------
-    report, joints, full
-        As for :func:`as_text`.
-
-    Returns
-    -------
-    str
-        The text, without a final line break.
-    """
-    lines = [title(report)]
-    for table in tables(report, joints=joints):
-        lines += ["", f"### {table.title}", ""]
-        lines.append("| " + " | ".join(_escaped(heading) for heading, _ in table.columns) + " |")
-        lines.append("|" + "|".join("---:" if is_number else "---" for _, is_number in table.columns) + "|")
-        lines += ["| " + " | ".join(_escaped(cell) for cell in row) + " |" for row in table.rows]
-    if full:
-        lines += ["", "### Definitions", ""]
-        lines += [f"- **{_escaped(label)}**: {_escaped(definition)}" for label, definition in definitions(report)]
-    return "\n".join([*lines, "", f"`{report.signature}`"])
+def _parts(table: Table, width: int) -> list[Table]:
+    """Cut a table that is too wide for the terminal into some with the same first column."""
+    least = [_narrowest(table, column) for column in range(len(table.columns))]
+    parts: list[list[int]] = [[0]]
+    for column in range(1, len(least)):
+        if len(parts[-1]) > 1 and sum(least[c] + GAP for c in parts[-1]) + least[column] > width:
+            parts.append([0])
+        parts[-1].append(column)
+    return [
+        Table(table.title, tuple(table.columns[c] for c in part), [tuple(row[c] for c in part) for row in table.rows])
+        for part in parts
+    ]
 
 
 def _escaped(text: str) -> str:
     return text.replace("\\", "\\\\").replace("|", "\\|").replace("<", "&lt;").replace("\n", " ")
-
-
-def protocols_as_text(width: int = 120, *, colour: bool = False) -> str:
-    """List the presets with every option that they set, then all options.
-
-    Parameters
-    ----------
-    width : int
-        Columns of the terminal.
-    colour : bool
-        Whether to use its colours.
-
-    Returns
-    -------
-    str
-        The text, without a final line break.
-    """
-    out = io.StringIO()
-    console = Console(file=out, width=width, force_terminal=colour, no_color=not colour, highlight=False)
-    for preset in PRESETS.values():
-        console.print(Text.assemble((preset.name, "bold"), "  ", (preset.source, "dim")))
-        for name, value in preset.options.items():
-            console.print(Text(f"  {name} = {value}"), soft_wrap=True)
-        if preset.note:
-            console.print(Padding(Text(preset.note, style="dim"), (0, 0, 0, 2)))
-        console.print()
-    table = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, header_style="bold")
-    for heading in ("option", "default", "values", "what it says"):
-        table.add_column(heading, overflow="fold")
-    for option in fields(Protocol):
-        values = " | ".join(option.metadata["choices"]) if "choices" in option.metadata else option.metadata["form"]
-        table.add_row(*(Text(str(cell)) for cell in (option.name, option.default, values, option.metadata["about"])))
-    console.print(table)
-    return "\n".join(line.rstrip() for line in out.getvalue().splitlines())

@@ -20,13 +20,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from posecal.archive import write_members
 from posecal.block import FloatArray
 from posecal.errors import PoseDataError, PoseFileError, did_you_mean, raise_all
 from posecal.io import written_whole
 from posecal.metric import Metric, Statistic, Subject
 from posecal.protocol import Protocol
 
-__all__ = ["FORMAT", "Totals"]
+__all__ = ["FORMAT", "Totals", "difference_of_signatures", "is_result"]
 
 FORMAT = 1
 """The version of the file format."""
@@ -54,8 +55,12 @@ class Totals:
         What a careful reader should know.
     sequences : bool
         Whether the sequences were labelled; else they are runs of consecutive frames, taken as independent.
-    sums, counts : dicts of arrays (C, *shape) and (C,) or (C, J)
+    sums, counts : dicts of arrays (C, …) and (C,) or (C, J)
         By statistic: the sum over the poses that count, and their number.
+    kept : dict of arrays (M, …)
+        By statistic: the values of every pose, of the few that no sums replace.
+    cell_of : array of int (M,)
+        With them: the cell of each pose.
     """
 
     subject: Subject
@@ -67,6 +72,8 @@ class Totals:
     sequences: bool = True
     sums: dict[str, FloatArray] = field(default_factory=dict)
     counts: dict[str, npt.NDArray[np.int64]] = field(default_factory=dict)
+    kept: dict[str, FloatArray] = field(default_factory=dict)
+    cell_of: npt.NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
     # --- adding -----------------------------------------------------------------------------------------------
 
@@ -79,7 +86,7 @@ class Totals:
             The statistic.
         cells : array of int (R,)
             The cell of each row.
-        sums, counts : arrays (R, *shape) and (R,) or (R, J)
+        sums, counts : arrays (R, …) and (R,) or (R, J)
             What is added.
         """
         if name not in self.sums:
@@ -116,8 +123,15 @@ class Totals:
 
     def count(self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None = None) -> int:
         """Poses that count in a statistic: at the joint where most do."""
+        if statistic.kept:
+            return len(self._kept(statistic, cells))
         chosen = slice(None) if cells is None else cells
         return int(np.max(self.counts[statistic.name][chosen].sum(axis=0), initial=0))
+
+    def _kept(self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None) -> FloatArray:
+        values = self.kept[statistic.name]
+        chosen = values if cells is None else values[cells[self.cell_of]]
+        return chosen[~np.isnan(chosen).any(axis=1)]
 
     def value(self, metric: Metric, cells: npt.NDArray[np.bool_] | None = None) -> float:
         """Give a metric over the poses of some cells; by the option ``average``, the mean of its groups' values."""
@@ -129,6 +143,8 @@ class Totals:
         return float(np.mean(found)) if found else float("nan")
 
     def _pooled(self, metric: Metric, cells: npt.NDArray[np.bool_]) -> float:
+        if metric.statistic.kept:
+            return metric.finish(self._kept(metric.statistic, cells))
         if not metric.clips:
             return metric.finish(self.mean(metric.statistic, cells))
         sums, counts = self.sums[metric.statistic.name], self.counts[metric.statistic.name]
@@ -144,11 +160,17 @@ class Totals:
         return total / number if number else float("nan")
 
     def by_joint(self, metric: Metric, cells: npt.NDArray[np.bool_] | None = None) -> FloatArray:
-        """Give a metric per joint, (K,); NaN for joints that don't count."""
+        """Give a metric per joint, (K,), averaged as its value; NaN for joints that don't count."""
         if metric.by_joint is None:
             return np.full(len(self.subject.joints), np.nan)
         statistic, finish = metric.by_joint
-        return finish(self.mean(statistic, cells))
+        if self.protocol.average == "poses":
+            return finish(self.mean(statistic, cells))
+        cells = np.ones(len(self.poses), dtype=bool) if cells is None else cells
+        groups = [finish(self.mean(statistic, cells & group)) for _, group in self.groups(self.protocol.average)]
+        values = np.stack(groups)
+        counted = ~np.isnan(values)
+        return _mean(np.where(counted, values, 0).sum(axis=0), counted.sum(axis=0))
 
     @property
     def signature(self) -> str:
@@ -162,11 +184,37 @@ class Totals:
             **self.protocol.options,
         }
         parts.pop("metrics")
+        parts["where"] += ",mask" if s.masked else ""
         default = Protocol().options
         kept = ("posecal", "N", "K", "origin", "joints", "root", "where", "best", "align", "average")
         shown = {key: value for key, value in parts.items() if key in kept or value != default.get(key)}
         shown["ece"] = f"exchangeable,{self.protocol.summary_over_joints}"
         return " ".join(f"{key}={value.replace(' ', '_')}" for key, value in shown.items())
+
+    # --- sequences --------------------------------------------------------------------------------------------
+
+    def by_sequence(
+        self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None = None
+    ) -> tuple[FloatArray, npt.NDArray[np.int64]]:
+        """Add up a statistic over each sequence among some cells: sums (S, …) and counts (S,) or (S, J)."""
+        chosen = np.ones(len(self.poses), dtype=bool) if cells is None else cells
+        _, place = np.unique(self.cells["sequence"][chosen], return_inverse=True)
+        sums, counts = self.sums[statistic.name][chosen], self.counts[statistic.name][chosen]
+        added = np.zeros((place.max(initial=-1) + 1, *sums.shape[1:]))
+        number = np.zeros((len(added), *counts.shape[1:]), dtype=np.int64)
+        np.add.at(added, place, sums)
+        np.add.at(number, place, counts)
+        return added, number
+
+    def without(self, metric: Metric, cells: npt.NDArray[np.bool_] | None = None) -> FloatArray:
+        """Give a metric with each sequence left out in turn, (S,)."""
+        chosen = np.ones(len(self.poses), dtype=bool) if cells is None else cells
+        names = self.cells["sequence"]
+        if metric.clips or metric.statistic.kept or self.protocol.average != "poses":
+            return np.array([self.value(metric, chosen & (names != name)) for name in np.unique(names[chosen])])
+        sums, counts = self.by_sequence(metric.statistic, chosen)
+        rest, number = sums.sum(axis=0) - sums, counts.sum(axis=0) - counts
+        return np.array([metric.finish(_mean(a, n)) for a, n in zip(rest, number, strict=True)])
 
     # --- joining shards ---------------------------------------------------------------------------------------
 
@@ -191,15 +239,17 @@ class Totals:
         PoseDataError
             Where two differ in more than their poses, or hold the same poses.
         """
+        if not parts:
+            raise PoseDataError("merge: no results; expected at least one.")
         names = names or [f"part {number}" for number in range(1, len(parts) + 1)]
         first = parts[0]
         problems = []
         for name, part in zip(names[1:], parts[1:], strict=True):
             if part.signature != first.signature:
-                problems.append(f"{names[0]} and {name} were not made alike: {_difference(first, part)}.")
-            if set(part.cells) != set(first.cells) or set(part.sums) != set(first.sums):
-                ours = sorted(set(first.cells) ^ set(part.cells)) + sorted(set(first.sums) ^ set(part.sums))
-                problems.append(f"{names[0]} and {name} differ in what they hold: {', '.join(ours)}.")
+                problems.append(f"{names[0]} and {name} were not made alike: {difference_of_signatures(first, part)}.")
+            held, ours = ({*t.cells, *t.sums, *t.kept} for t in (first, part))
+            if held != ours:
+                problems.append(f"{names[0]} and {name} differ in what they hold: {', '.join(sorted(held ^ ours))}.")
         raise_all(problems)
         keys = list(first.cells)
         rows: dict[tuple[str, ...], int] = {}
@@ -231,6 +281,8 @@ class Totals:
             np.add.at(poses, cells_of, part.poses)
             for statistic in first.sums:
                 whole.add(statistic, cells_of, part.sums[statistic], part.counts[statistic])
+        whole.kept = {name: np.concatenate([part.kept[name] for part in parts]) for name in first.kept}
+        whole.cell_of = np.concatenate([of[part.cell_of] for part, of in zip(parts, where, strict=True)])
         return whole
 
     # --- files ------------------------------------------------------------------------------------------------
@@ -255,7 +307,9 @@ class Totals:
         members |= {f"cell/{name}": values for name, values in self.cells.items()}
         for name in self.sums:
             members[f"sum/{name}"], members[f"count/{name}"] = self.sums[name], self.counts[name]
-        written_whole(path, lambda file: np.savez_compressed(file, allow_pickle=False, **members))
+        members |= {f"kept/{name}": values.astype(np.float32) for name, values in self.kept.items()}
+        members["cell_of"] = self.cell_of.astype(np.int32)
+        written_whole(path, lambda file: write_members(file, members, compressed=True))
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Totals:
@@ -286,7 +340,11 @@ class Totals:
                 sequences=about["sequences"],
                 sums=_part(members, "sum/"),
                 counts=_part(members, "count/"),
+                kept=_part(members, "kept/"),
+                cell_of=members["cell_of"],
             )
+        except PoseFileError:
+            raise
         except FileNotFoundError:
             raise PoseFileError(f"{path}: no such file.") from None
         except IsADirectoryError:
@@ -299,10 +357,19 @@ class Totals:
             EOFError,
             zipfile.BadZipFile,
             zlib.error,
-        ) as error:
-            if isinstance(error, PoseFileError):
-                raise
+        ):
             raise PoseFileError(f"{name}: no result of posecal evaluate --save, or not a whole one.") from None
+        except OSError as error:
+            raise PoseFileError(f"{path}: can't be read ({error.strerror}).") from None
+
+
+def is_result(path: str | os.PathLike[str]) -> bool:
+    """Whether a file looks like a saved result, rather than an array of poses."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return "about.npy" in archive.namelist()
+    except (OSError, zipfile.BadZipFile):
+        return False
 
 
 def _natural(text: str) -> list[tuple[int, str]]:
@@ -323,7 +390,8 @@ def _tuples(subject: dict[str, Any]) -> dict[str, Any]:
     return {key: tuple(value) if isinstance(value, list) else value for key, value in subject.items()}
 
 
-def _difference(one: Totals, other: Totals) -> str:
+def difference_of_signatures(one: Totals, other: Totals) -> str:
+    """Say in what two results were not made alike."""
     ours, theirs = (dict(part.split("=", 1) for part in t.signature.split()) for t in (one, other))
     keys = [key for key in {**ours, **theirs} if ours.get(key) != theirs.get(key)]
     return ", ".join(f"{key} {ours.get(key, 'default')} against {theirs.get(key, 'default')}" for key in keys)

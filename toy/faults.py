@@ -14,6 +14,7 @@ is the root mean square of its three.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -86,6 +87,10 @@ class Case:
         -------
         ndarray, shape (N, M, K, 3)
             mm.
+
+        Notes
+        -----
+        Differs from the published code: not in it.
         """
         M, K, D = self.posterior.mean.shape
         values, vectors = np.linalg.eigh(self.posterior.joint_covariance)
@@ -130,6 +135,10 @@ class Fault:
             mm.
         truth : ndarray, shape (M, K, 3)
             mm; the scene's own unless the fault says otherwise.
+
+        Notes
+        -----
+        Differs from the published code: not in it.
         """
         if N < 1:
             raise PoseDataError(f"N = {N} hypotheses; expected at least 1.")
@@ -306,10 +315,6 @@ def named_fault(name: str) -> Fault:
     """
     if name in FAULTS:
         return FAULTS[name]
-    if name.startswith("spread-"):
-        try:
-            return spread(float(name.removeprefix("spread-")))
-        except ValueError as error:
-            if isinstance(error, PoseDataError):
-                raise
+    if factor := re.fullmatch(r"spread-(-?\d*\.?\d+)", name):
+        return spread(float(factor[1]))
     raise PoseDataError(f"fault: {name!r} is not known. {did_you_mean(name, [*FAULTS, 'spread-0.5'])}")

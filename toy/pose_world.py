@@ -28,7 +28,7 @@ __all__ = ["PoseWorld", "Posterior", "Scene"]
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 
-_TO_CAMERA = np.array([[1.0, 0, 0], [0, 0, -1], [0, -1, 0]])  # rest poses: x to the person's left, y forwards, z up
+_TO_CAMERA = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # rest poses: x to the person's left, y backwards, z up
 
 
 @dataclass(frozen=True)
@@ -135,12 +135,16 @@ class PoseWorld:
         Returns
         -------
         PoseWorld
-            A bone leans with its neighbours' correlation of depth and image, so that the image tells of depth.
+            K joints. Bones that lean tie depth to the image, so that keypoints tell a little of it.
 
         Raises
         ------
         PoseDataError
             Where a joint is not on the human tree.
+
+        Notes
+        -----
+        Differs from the published code: not in it.
         """
         names = joint_set(joints) if isinstance(joints, str) else tuple(joints)
         skeleton = Skeleton(names)
@@ -178,6 +182,10 @@ class PoseWorld:
         ------
         PoseDataError
             Where a joint is not on the human tree, ``sigma`` is not above 0, or ``prior_ratio`` not above 1.
+
+        Notes
+        -----
+        Differs from the published code: not in it.
         """
         if not (sigma > 0 and prior_ratio > 1):
             raise PoseDataError(f"sigma {sigma} mm, prior_ratio {prior_ratio}; expected above 0 and above 1.")
@@ -256,6 +264,10 @@ class PoseWorld:
         ------
         PoseDataError
             Where a share is not between 0 and 1, or there is no frame.
+
+        Notes
+        -----
+        Differs from the published code: not in it.
         """
         if sequences < 1 or frames < 1 or not 0 <= correlation < 1 or not 0 <= hidden <= 1:
             raise PoseDataError(
@@ -304,6 +316,10 @@ class PoseWorld:
         ------
         PoseDataError
             Where the shapes don't belong to this world, or an observed keypoint is not finite.
+
+        Notes
+        -----
+        Differs from the published code: not in it.
         """
         keypoints, observed = np.asarray(keypoints, float), np.asarray(observed, bool)
         K, V = len(self.joints), len(self.view)
@@ -350,6 +366,10 @@ class PoseWorld:
         -------
         Posterior
             M times the same law.
+
+        Notes
+        -----
+        Differs from the published code: not in it.
         """
         nothing = np.zeros((poses, len(self.joints)), bool)
         return self.posterior(np.full((*nothing.shape, len(self.view)), np.nan), nothing)

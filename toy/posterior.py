@@ -39,6 +39,14 @@ class Posterior:
         The pattern of each pose.
     moves : ndarray of bool, shape (K,)
         The joints that move.
+
+    Examples
+    --------
+    One joint, 3 mm of standard deviation in each coordinate: the density at its mean is (3 √(2π))⁻³ per mm³.
+
+    >>> law = Posterior(np.zeros((1, 1, 3)), 9 * np.eye(3)[None], np.array([0]), np.array([True]))
+    >>> round(float(law.log_prob(np.zeros((1, 1, 3)))[0]), 4), round(-3 * math.log(3 * math.sqrt(2 * math.pi)), 4)
+    (-6.0527, -6.0527)
     """
 
     mean: Floats
@@ -64,6 +72,10 @@ class Posterior:
         -------
         ndarray, shape (N, M, K, 3)
             Poses, mm.
+
+        Notes
+        -----
+        Differs from the published code: not in it.
         """
         M, K, D = self.mean.shape
         drawn = np.broadcast_to(self.mean, (N, M, K, D)).copy()
@@ -87,6 +99,10 @@ class Posterior:
         -------
         ndarray, shape (M,)
             Nats per pose, of a density in mm. Higher is better.
+
+        Notes
+        -----
+        Differs from the published code: not in it.
         """
         truth = np.asarray(truth, float)
         if truth.shape != self.mean.shape:
@@ -123,6 +139,10 @@ class Posterior:
             mm.
         covariance : ndarray, shape (M, 3, 3)
             mm².
+
+        Notes
+        -----
+        Differs from the published code: not in it.
         """
         return self.mean[:, joint], self.joint_covariance[self.pattern, joint]
 
@@ -156,6 +176,10 @@ class Posterior:
         ------
         PoseDataError
             Where there are fewer than 2 poses.
+
+        Notes
+        -----
+        Differs from the published code: not in it.
         """
         M, K, _ = self.mean.shape
         if M < 2:

@@ -17,6 +17,7 @@ from scipy.special import erf
 
 from posecal.block import FloatArray
 from posecal.calibration import LEVELS
+from toy.progress import bar
 
 SIZES = (*range(2, 21), 22, 25, 28, 32, 36, 40, 45, 50, 56, 64, 80, 100, 128, 160, 200, 256, 400, 700, 1000)
 """The N that are tabulated."""
@@ -99,7 +100,7 @@ def write_table(path: Path, draws: int = 400_000, seed: int = 0) -> None:
         Of the generator.
     """
     table: dict[str, dict[str, list[float]]] = {"paper": {}, "reference": {}}
-    for n in SIZES:
+    for n in bar(SIZES, "ranks"):
         for name, row in bias(n, draws, seed).items():
             table[name][str(n)] = [round(float(value), 6) for value in row]
     note = f"bias of a perfect sampler, isotropic Gaussian in 3D; python -m toy rank-law, {draws} draws, seed {seed}"

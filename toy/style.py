@@ -13,7 +13,7 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib.colors import LinearSegmentedColormap
 
-from posecal.plot import FAINT, INK, OVER, UNDER
+from posecal.plot.style import FAINT, INK, OVER, UNDER
 
 __all__ = ["CONFIDENCE", "DEPTH", "FAINT", "GOLD", "INK", "OVER", "UNDER", "style"]
 

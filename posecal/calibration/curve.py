@@ -1,7 +1,7 @@
 """How often does the truth lie within the ball that holds a share q of its hypotheses? The calibration curve.
 
 ω_k(q) of joint k is the mean over poses of how far inside its q-ball the truth lies
-(:func:`posecal.calibration.ranks.inside`). For a calibrated model ω_k(q) = q; below the diagonal the truth falls
+(:mod:`posecal.calibration.ranks`). For a calibrated model ω_k(q) = q; below the diagonal the truth falls
 outside too often and the model is overconfident, above it is underconfident.
 """
 
@@ -15,7 +15,7 @@ import numpy.typing as npt
 from posecal.block import Block, BoolArray, FloatArray, per_pose
 from posecal.calibration.ranks import LEVELS, Definition, inside, known_definition
 
-__all__ = ["CalibrationCurve", "calibration_curve", "inside_table"]
+__all__ = ["CalibrationCurve", "calibration_curve", "inside_table", "joint_median"]
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class CalibrationCurve:
     Attributes
     ----------
     definition : str
-        One of :data:`posecal.calibration.DEFINITIONS`.
+        One of :data:`posecal.calibration.ranks.DEFINITIONS`.
     coverage : array (K, Q)
         ω_k(q), 0 to 1; NaN for joints that never count.
     pooled : array (Q,)
@@ -46,9 +46,15 @@ class CalibrationCurve:
     def median(self) -> FloatArray:
         """ω(q), (Q,): the median over the joints that count, the curve of the paper."""
         counted = self.coverage[~np.isnan(self.coverage).any(axis=1)]
-        if not len(counted):
-            return np.full(LEVELS.size, np.nan)
-        return np.asarray(np.median(counted, axis=0))
+        return joint_median(counted) if len(counted) else np.full(LEVELS.size, np.nan)
+
+
+def joint_median(curves: FloatArray) -> FloatArray:
+    """Median over the joints of curves (..., K, Q) without NaN; by sorting, faster than NumPy's median."""
+    ordered = np.sort(curves, axis=-2)
+    middle = ordered.shape[-2] // 2
+    upper: FloatArray = ordered[..., middle, :]
+    return upper if ordered.shape[-2] % 2 else (ordered[..., middle - 1, :] + upper) / 2
 
 
 def inside_table(block: Block, definition: Definition, joints: BoolArray | None = None) -> FloatArray:
@@ -59,7 +65,7 @@ def inside_table(block: Block, definition: Definition, joints: BoolArray | None 
     block : Block
         B poses.
     definition : str
-        One of :data:`posecal.calibration.DEFINITIONS`.
+        One of :data:`posecal.calibration.ranks.DEFINITIONS`.
     joints : bool array (K,), optional
         The joints that are scored.
 

@@ -1,6 +1,6 @@
 """What numbers does a calibration curve come down to?
 
-The ECE is the mean over levels of |ω(q) - q|: how far the curve lies from the diagonal, without saying on which
+The ECE is the mean over levels of ``|ω(q) - q|``: how far the curve lies from the diagonal, without saying on which
 side. The signed area says on which: negative is overconfident. Coverage reads the curve at one level.
 
 Over the joints the paper takes the median curve. That hides joints that err in opposite ways, so the mean over
@@ -30,7 +30,7 @@ def joint_ece(coverage: FloatArray) -> FloatArray:
     Parameters
     ----------
     coverage : array (..., Q)
-        ω(q) at :data:`posecal.calibration.LEVELS`.
+        ω(q) at :data:`posecal.calibration.ranks.LEVELS`.
 
     Returns
     -------
@@ -80,7 +80,7 @@ def ece(curve: CalibrationCurve, over: OverJoints = "median") -> float:
 
     Notes
     -----
-    A perfect sampler shows more than 0 at finite M; see :func:`posecal.calibration.perfect_sampler`.
+    A perfect sampler shows more than 0 at finite M; see :func:`posecal.calibration.floor.perfect_sampler`.
     Differs from the published code: none, given the same curves.
 
     References
@@ -117,7 +117,7 @@ def signed_area(coverage: FloatArray) -> FloatArray:
     Parameters
     ----------
     coverage : array (..., Q)
-        ω(q) at :data:`posecal.calibration.LEVELS`.
+        ω(q) at :data:`posecal.calibration.ranks.LEVELS`.
 
     Returns
     -------
@@ -142,7 +142,7 @@ def coverage_at(coverage: FloatArray, level: float) -> FloatArray:
     Parameters
     ----------
     coverage : array (..., Q)
-        ω(q) at :data:`posecal.calibration.LEVELS`.
+        ω(q) at :data:`posecal.calibration.ranks.LEVELS`.
     level : float
         q, 0 to 1.
 
@@ -150,6 +150,11 @@ def coverage_at(coverage: FloatArray, level: float) -> FloatArray:
     -------
     array (...)
         Shares, 0 to 1; the level itself is best.
+
+    Raises
+    ------
+    PoseDataError
+        For a level that is no share.
 
     Notes
     -----
@@ -160,6 +165,8 @@ def coverage_at(coverage: FloatArray, level: float) -> FloatArray:
     >>> float(coverage_at(LEVELS, 0.5))
     0.5
     """
+    if not 0 <= level <= 1:
+        raise PoseDataError(f"level: {level}; expected a share from 0 to 1.")
     place = level * (LEVELS.size - 1)
     below = min(int(place), LEVELS.size - 2)
     share = place - below

@@ -57,7 +57,7 @@ def expected_curve(n_hypotheses: int, definition: Definition = "exchangeable") -
     n_hypotheses : int
         N, at least 2.
     definition : str
-        One of :data:`posecal.calibration.DEFINITIONS`.
+        One of :data:`posecal.calibration.ranks.DEFINITIONS`.
 
     Returns
     -------
@@ -97,8 +97,9 @@ def _bias(n_hypotheses: int, definition: str, at: FloatArray) -> FloatArray:
 
     def scaled(n: int) -> FloatArray:
         row = table[n]
-        shares = np.arange(1, row.size + 1) / (row.size + 1) if definition == "paper" else LEVELS
-        return n * np.interp(at, shares, row)
+        if definition == "paper":  # no bias where nothing or everything is inside
+            row = np.concatenate([[0.0], row, [0.0]])
+        return n * np.interp(at, np.linspace(0, 1, row.size), row)
 
     above = min((n for n in table if n >= n_hypotheses), default=max(table))
     below = max((n for n in table if n <= n_hypotheses), default=min(table))
@@ -125,9 +126,9 @@ def perfect_sampler(
     n_hypotheses, n_poses, n_joints : int
         N, M and K: hypotheses, poses that count, joints that count.
     definition : str
-        One of :data:`posecal.calibration.DEFINITIONS`.
+        One of :data:`posecal.calibration.ranks.DEFINITIONS`.
     over : str
-        The summary over joints; see :func:`posecal.calibration.ece`.
+        The summary over joints; see :func:`posecal.calibration.error.ece`.
     draws : int
         Test sets drawn, from a fixed seed.
 
@@ -139,7 +140,7 @@ def perfect_sampler(
     Raises
     ------
     PoseDataError
-        For fewer than two hypotheses or an unknown name.
+        For fewer than two hypotheses, no pose or joint, or an unknown name.
 
     Notes
     -----
@@ -155,6 +156,8 @@ def perfect_sampler(
     """
     known = known_definition(definition)
     mean = expected_curve(n_hypotheses, known)
+    if n_poses < 1 or n_joints < 1:
+        raise PoseDataError(f"poses: M = {n_poses}, K = {n_joints}; expected at least one of each.")
     if known == "exchangeable":
         chances = np.full(n_hypotheses + 1, 1 / (n_hypotheses + 1))
         weights = np.clip(LEVELS * (n_hypotheses + 1) - np.arange(n_hypotheses + 1)[:, None], 0, 1)

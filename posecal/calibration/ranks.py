@@ -42,6 +42,7 @@ __all__ = ["DEFINITIONS", "LEVELS", "Definition", "inside", "known_definition", 
 Counts = npt.NDArray[np.intp]
 Definition = Literal["exchangeable", "paper", "reference"]
 DEFINITIONS: tuple[Definition, ...] = get_args(Definition)
+"""The three definitions, the default first."""
 
 LEVELS: FloatArray = np.arange(21) / 20
 """The quantile levels q of every calibration curve: 0, 0.05, … 1, both ends in."""

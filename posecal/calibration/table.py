@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import cast
 
 import numpy as np
 
-from posecal.block import FloatArray
+from posecal.block import Block, FloatArray
+from posecal.calibration.battery import BATTERY, PreRank, Test, user_weights
 from posecal.calibration.curve import CalibrationCurve, inside_table
 from posecal.calibration.error import OverJoints, ece, joint_ece, signed_area
+from posecal.calibration.floor import expected_curve
 from posecal.calibration.ranks import DEFINITIONS, LEVELS, Definition
+from posecal.errors import PoseDataError
+from posecal.inference import Deviation
 from posecal.metric import Metric, Scope, Statistic
 
-__all__ = ["calibration_metrics", "curve_of", "inside_statistic", "summary"]
+__all__ = ["battery_metrics", "calibration_metrics", "curve_of", "inside_statistic", "summary"]
 
 _OVER = {
     "median": "the median over",
@@ -21,6 +25,15 @@ _OVER = {
     "worst": "the worst of",
     "pooled": "per pose the mean over",
 }
+
+
+_DEVIATIONS: dict[str, Deviation] = {
+    "median": Deviation(None, -1, "median"),
+    "mean": Deviation(None, -1, "mean"),
+    "worst": Deviation(None, -1, "worst"),
+    "pooled": Deviation(-1),
+}
+"""How each summary of an ``inside`` statistic is made of its rows: K joints, and the pooled one."""
 
 
 def inside_statistic(scope: Scope, definition: Definition) -> Statistic:
@@ -62,6 +75,7 @@ def _errors(scope: Scope, definition: Definition) -> Iterator[Metric]:
     suffix, label = ("", "ECE") if definition == "exchangeable" else (f"_{definition}", f"ECE ({definition})")
     briefs = {"median": "median of", "mean": "mean of", "worst": "worst of", "pooled": "pooled over"}
     about = f"{definition} definition, N={scope.subject.n_hypotheses}, {LEVELS.size} levels"
+    offset = expected_curve(scope.subject.n_hypotheses, definition) - LEVELS
     summaries: tuple[tuple[str, str, OverJoints, str], ...] = (
         ("", "", over, f"mean over q of |ω(q) − q|, ω: {_OVER[over]} {joints}"),
         ("_mean", ", mean of joints", "mean", f"mean over {joints} of the mean over q of |ω_k(q) − q|"),
@@ -80,6 +94,8 @@ def _errors(scope: Scope, definition: Definition) -> Iterator[Metric]:
             finish=lambda mean, how=how: ece(curve_of(mean, definition), how),  # type: ignore[misc]
             by_joint=None if ending else (statistic, lambda mean: joint_ece(mean[:-1])),
             headline=definition != "reference" and not ending,
+            deviation=_DEVIATIONS[how],
+            offset=None if definition == "exchangeable" else offset,
         )
 
 
@@ -139,3 +155,58 @@ def _coverages(scope: Scope) -> Iterator[Metric]:
             by_joint=(statistic, lambda mean, place=place: mean[:-1, place]),  # type: ignore[misc]
             headline=True,
         )
+
+
+def battery_metrics(scope: Scope, preranks: Mapping[str, PreRank] | None = None) -> Iterator[Metric]:
+    """The battery: what the curve can't see, and the user's own pre-ranks.
+
+    Parameters
+    ----------
+    scope : Scope
+        The joints.
+    preranks : mapping of callables, optional
+        The functions of the user's pre-ranks, where they are at hand; a saved result has only their names.
+    """
+    for test in BATTERY:
+        yield _rank_metric(scope, test, lambda block, test=test: test.weights(block, scope.moving))  # type: ignore[misc]
+    for name in scope.subject.preranks:
+        own = (preranks or {}).get(name)
+        test = Test(name, name, "the user's own", "the truth does not rank as one of the hypotheses would", None)
+
+        def weights(block: Block, own: PreRank | None = own, name: str = name) -> FloatArray:
+            if own is None:
+                raise PoseDataError(f"prerank: {name!r} is not at hand; expected its function.")
+            return user_weights(block, scope.moving, own)
+
+        yield _rank_metric(scope, test, weights)
+
+
+def _rank_metric(scope: Scope, test: Test, weights: Callable[[Block], FloatArray]) -> Metric:
+    n, coordinates = scope.subject.n_hypotheses, test.name == "coordinate_pit"
+    joints = scope.counted(scope.moving)
+    over = f", mean over axes and {joints}" if coordinates else f" of poses of {joints}"
+    statistic = Statistic(test.name, weights, per_joint=True)
+
+    def by_joint(mean: FloatArray) -> FloatArray:
+        return np.asarray(joint_ece(mean).mean(axis=-1))
+
+    def finish(mean: FloatArray) -> float:
+        errors = joint_ece(mean.reshape(-1, LEVELS.size))
+        errors = errors[~np.isnan(errors)]
+        return float(errors.mean()) if errors.size else float("nan")
+
+    return Metric(
+        name=test.name,
+        label=test.label,
+        unit="",
+        direction="lower",
+        family="battery",
+        brief=test.definition,
+        definition=f"mean over q of |ω(q) − q|{over}, ω: exchangeable rank of the truth among N={n} hypotheses by the "
+        f"{test.definition}",
+        statistic=statistic,
+        finish=finish,
+        by_joint=(statistic, by_joint) if coordinates else None,
+        deviation=Deviation(),
+        fires=test.fires,
+    )

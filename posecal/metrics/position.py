@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.align import Alignment, aligned_errors
-from posecal.block import Block, BoolArray, FloatArray, blocks_of, checked, per_pose, squared_norms
+from posecal.block import Block, BoolArray, FloatArray, checked, per_pose, squared_norms
 from posecal.errors import PoseDataError, did_you_mean
 from posecal.metrics.best_of import OF_ERRORS, OfErrors, best_of, subset_weights
 
@@ -254,7 +254,7 @@ def min_mpjpe(
 
     Notes
     -----
-    It falls with N whatever the model (see :func:`posecal.metrics.min_mpjpe_curve`), and the distribution that
+    It falls with N whatever the model (see :func:`posecal.metrics.position.min_mpjpe_curve`), and the distribution that
     minimises it is not the true one. Differs from the published code: none.
 
     References
@@ -339,13 +339,14 @@ def velocity_errors(block: Block, *, of: OfPoses | None = None, body: BoolArray 
     Returns
     -------
     array (B, n)
-        ‖Δx - Δy‖, mm per frame; n is N, or 1 for ``of="mean_pose"``. NaN for the first pose of a sequence.
+        ‖Δx - Δy‖, mm per frame; n is N, or 1 for ``of="mean_pose"``. NaN for the first pose of a sequence, and where
+        no joint counts in both poses.
     """
     steps = block.velocity_offsets
     if of == "mean_pose":
         steps = steps.mean(axis=-1, keepdims=True)
     errors = np.sqrt(squared_norms(steps))
-    weights = block.weights(body)
+    weights = block.weights(block.where_before if body is None else block.where_before & body)
     found: FloatArray = np.einsum("bk,bkn->bn", weights, errors)
     found[~weights.any(axis=1)] = np.nan
     return found
@@ -376,14 +377,15 @@ def mpjve(
     fps : float, optional
         Frames per second; with it the result is per second, else per frame.
     where : bool array (M, K), optional
-        The joints that count.
+        The joints that count; a step needs the joint in both of its poses.
     root : int, optional
         The joint to subtract from every pose first.
 
     Returns
     -------
     array (M,)
-        Errors, mm per frame or per second; lower is better; NaN for the first pose of each sequence.
+        Errors, mm per frame or per second; lower is better; NaN for the first pose of each sequence, and for a pose
+        that shares no joint that counts with the pose before it.
 
     Raises
     ------
@@ -407,11 +409,16 @@ def mpjve(
     >>> mpjve(walk, np.zeros((3, 1, 3)))
     array([nan,  5.,  5.])
     """
-    x, y, mask = checked(hypotheses, truth, where)
+    _, y, _ = checked(hypotheses, truth, where)
     labels = np.zeros(len(y)) if sequence is None else np.asarray(sequence)
     if labels.shape != (len(y),):
         raise PoseDataError(f"sequence {labels.shape}: expected (M,) = ({len(y)},).")
+    if fps is not None and not 0 < fps < float("inf"):
+        raise PoseDataError(f"fps: {fps}; expected frames per second above 0.")
     follows = np.concatenate([[False], labels[1:] == labels[:-1]])
-    blocks = blocks_of(x, y, mask, root=root, follows=follows)
-    per_frame = np.concatenate([velocity_errors(lay_out()).mean(axis=-1, dtype=np.float64) for lay_out in blocks])
+
+    def statistic(block: Block) -> FloatArray:
+        return np.asarray(velocity_errors(block).mean(axis=-1, dtype=np.float64))
+
+    per_frame = per_pose(statistic, hypotheses, truth, where, root=root, follows=follows)
     return per_frame if fps is None else per_frame * fps

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from posecal.block import Block, FloatArray, per_pose, squared_norms
+from posecal.block import Block, BoolArray, FloatArray, per_pose, squared_norms
 from posecal.errors import PoseDataError
 
 __all__ = ["diversity", "joint_deviations", "joint_radii", "mean_over_joints", "predicted_spread", "radius"]
@@ -29,10 +29,13 @@ def joint_deviations(block: Block, *, population: bool = False) -> FloatArray:
     return np.where(block.where, found, np.nan)
 
 
-def predicted_spread(block: Block) -> FloatArray:
+def predicted_spread(block: Block, joints: BoolArray | None = None) -> FloatArray:
     """How wide a pose's hypotheses lie: mean over its moving joints of :func:`joint_deviations`, (B,), mm."""
     found = joint_deviations(block)
-    return mean_over_joints(np.where(found > 0, found, np.nan))
+    if joints is not None:
+        found = np.where(joints, found, np.nan)
+    moving = mean_over_joints(np.where(found > 0, found, np.nan))
+    return np.where(np.isnan(moving), mean_over_joints(found), moving)
 
 
 def joint_radii(block: Block, shares: tuple[float, ...]) -> FloatArray:

@@ -121,10 +121,16 @@ def _best_over(scope: Scope, metric: Metric, align: Alignment, prefix: str) -> M
             found = (weights * joint_errors(block, align, body=scope.body).min(axis=-1)).sum(axis=1, dtype=np.float64)
             return np.where(weights.any(axis=1), found, np.nan)
 
+        def of_joints(block: Block) -> FloatArray:
+            least = joint_errors(block, align, body=scope.body).min(axis=-1)
+            return np.where(block.where & scope.body, least, np.nan)
+
+        joints = Statistic(f"{prefix}joint_errors_of_best_joints", of_joints, True)
         return replace(
             metric,
             statistic=Statistic(f"{prefix}errors_of_best_joints", per_joint),
             finish=item(),
+            by_joint=None if metric.by_joint is None else (joints, np.asarray),
             brief=f"best of N={n} at each joint, {scope.number(scope.body)}",
             definition=f"mean over poses of the {error}, of the best of N={n} hypotheses at each joint",
         )
@@ -135,6 +141,7 @@ def _best_over(scope: Scope, metric: Metric, align: Alignment, prefix: str) -> M
         metric,
         statistic=Statistic(f"{prefix}errors_of_n", lambda block: pose_errors(block, align, body=scope.body)),
         finish=lambda mean: float(mean.min()),
+        by_joint=None,
         clips=int(clips or 1),
         brief=f"best of N={n} per {span}, {scope.number(scope.body)}",
         definition=f"mean over poses, one of the N={n} hypotheses chosen per {span}; error: {error}",

@@ -65,8 +65,8 @@ class TestPrior:
 
     def test_a_person_stands_as_the_skeleton_rests(self) -> None:
         world = PoseWorld.person("h36m-17")
-        rest = Skeleton(world.joints).rest_pose  # x to the person's left, y forwards, z up
-        np.testing.assert_allclose(world.mean, np.stack([rest[:, 0], -rest[:, 2], -rest[:, 1]], axis=-1))
+        rest = Skeleton(world.joints).rest_pose  # x to the person's left, y backwards, z up
+        np.testing.assert_allclose(world.mean, np.stack([rest[:, 0], -rest[:, 2], rest[:, 1]], axis=-1))
 
     def test_a_persons_bones_swing_more_than_they_stretch(self) -> None:
         world = PoseWorld.person(across=0.25, along=0.05)

@@ -7,6 +7,7 @@ import numpy as np
 from toy import mean as nearest
 from toy import pictures
 from toy.experiments.result import Result
+from toy.progress import bar
 from toy.table import check, table
 
 __all__ = ["run"]
@@ -31,9 +32,11 @@ def run(rng: np.random.Generator, *, poses: int = 100_000) -> Result:
         The fits with their errors, and how far from the mean minMPJPE goes for a skewed truth.
     """
     offset, span = np.linspace(-6, 6, 121), np.linspace(-2, 2, 81)
-    z = {(N, s): nearest.expected_z(offset, sigma=s, truth_sigma=1.0, N=N) for N, s in CASES}
-    fits = {case: nearest.fit_sigmoid(offset, values) for case, values in z.items()}
-    skewed = {(N, s): nearest.best_offset_skewed(sigma=s, N=N) for N, s in CASES}
+    z, fits, skewed = {}, {}, {}
+    for N, s in bar(CASES, "nearest hypotheses"):
+        z[N, s] = nearest.expected_z(offset, sigma=s, truth_sigma=1.0, N=N)
+        fits[N, s] = nearest.fit_sigmoid(offset, z[N, s])
+        skewed[N, s] = nearest.best_offset_skewed(sigma=s, N=N)
     text = [
         table(
             "E[z*] at offsets to ∓6 σ*, and the sigmoid C (2 S(k a) − 1) fitted to it",

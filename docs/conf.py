@@ -1,0 +1,20 @@
+"""Settings of the documentation: ``sphinx-build -W -n docs docs/_build``."""
+
+from posecal import __version__
+
+project = "posecal"
+author = "The posecal authors"
+copyright = "2026, The posecal authors"
+version = release = __version__
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.mathjax", "numpydoc"]
+myst_enable_extensions = ["dollarmath", "colon_fence"]
+myst_heading_anchors = 3
+exclude_patterns = ["_build"]
+html_theme = "furo"
+html_title = "posecal"
+html_static_path: list[str] = []
+autosummary_generate = True
+autodoc_typehints = "none"
+numpydoc_show_class_members = False
+suppress_warnings = ["myst.xref_missing"]

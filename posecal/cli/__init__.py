@@ -1,0 +1,76 @@
+"""The command line: arguments, exit codes, and nothing else.
+
+Exit codes: 0 done, 2 a wrong call, 3 the files can't be evaluated (one message on stderr), 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import sys
+from io import TextIOWrapper
+from typing import Annotated
+
+import typer
+
+from posecal.cli import compare, evaluate, plots, recalibrate
+from posecal.cli.running import guarded
+
+__all__ = ["app", "main"]
+
+app = typer.Typer(
+    name="posecal",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="rich",
+    pretty_exceptions_enable=False,
+    help="Can the uncertainty of a multi-hypothesis 3D human pose model be trusted? "
+    "Start with [bold]posecal demo[/bold], or [bold]posecal evaluate hyps.npz gt.npz[/bold].",
+)
+
+
+@guarded
+def _say_version(asked: bool) -> None:
+    if asked:
+        from posecal import __version__
+
+        typer.echo(f"posecal {__version__}")
+        raise typer.Exit
+
+
+@guarded
+def _explain(metric: str | None) -> None:
+    if metric is not None:
+        from posecal.explanation import explain
+
+        typer.echo(explain(metric))
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_say_version, is_eager=True, help="The version.")
+    ] = False,
+    explain: Annotated[
+        str | None,
+        typer.Option(callback=_explain, is_eager=True, metavar="METRIC", help="What a metric is, and how to read it."),
+    ] = None,
+) -> None:
+    """Give the options of posecal itself; they act by themselves."""
+
+
+app.command()(evaluate.evaluate)
+app.command()(evaluate.report)
+app.command()(compare.compare)
+app.add_typer(recalibrate.app, name="recalibrate")
+app.add_typer(plots.app, name="plot")
+app.command()(evaluate.merge)
+app.command()(evaluate.presets)
+app.command()(evaluate.demo)
+
+
+def main() -> None:
+    """Run the command line."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a letter that the terminal lacks is no reason to stop
+    app(prog_name="posecal")

@@ -1,0 +1,90 @@
+"""``posecal compare``: which of two models is better, paired by sequence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from posecal.cli.options import (
+    WRITING,
+    Axes,
+    Form,
+    Formats,
+    JointNames,
+    Missing,
+    MissingFrames,
+    Most,
+    RootJoint,
+    Threads,
+    TruthAxes,
+    TruthUnit,
+    Unit,
+    Where,
+    option,
+)
+from posecal.cli.running import check_outputs, guarded, join_of, progress, protocol_of, read_pairs, say
+
+if TYPE_CHECKING:
+    from posecal.totals import Totals
+
+__all__ = ["compare"]
+
+
+@guarded
+def compare(
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Hypotheses of two or more models and, last, the truth; or two or more saved results.",
+            show_default=False,
+        ),
+    ],
+    where: Annotated[Where, option("Which joints to score.")] = Where.all,
+    metrics: Annotated[str, option("default, battery, scores, all, or names, with commas.")] = "default, scores",
+    preset: Annotated[str | None, option("A published protocol; see posecal presets.")] = None,
+    options: Annotated[
+        list[str] | None, option("Any option that posecal presets lists. Repeatable.", "--set", metavar="OPTION=VALUE")
+    ] = None,
+    axes: Axes = None,
+    truth_axes: TruthAxes = None,
+    unit: Unit = None,
+    truth_unit: TruthUnit = None,
+    joint_names: JointNames = None,
+    root_joint: RootJoint = None,
+    missing: MissingFrames = Missing.error,
+    most: Most = None,
+    form: Formats = Form.text,
+    plot: Annotated[Path | None, option("Draw minMPJPE against the ECE: .svg, .png or .pdf.", panel=WRITING)] = None,
+    threads: Threads = None,
+) -> None:
+    """Compare models on the same poses: differences with intervals, p-values and ranks."""
+    check_outputs(*files, plot=plot)
+    from posecal.comparison import compare as compare_totals
+    from posecal.evaluation import add_up
+    from posecal.sheets import comparison_sheet
+    from posecal.totals import Totals, is_result
+
+    totals: list[Totals] = []
+    if all(is_result(path) for path in files):
+        names = [path.stem for path in files]
+        totals = [Totals.load(path) for path in files]
+    else:
+        *models, truth = files
+        names = [path.stem for path in models]
+        how = join_of(axes, truth_axes, unit, truth_unit, joint_names, root_joint, missing)
+        protocol = protocol_of(preset, options or [], where, "all", metrics)
+        for path in models:
+            pairs = read_pairs(path, truth, how, most)
+            with progress(len(pairs.truth), path.name) as advance:
+                totals.append(add_up(pairs, protocol, threads=threads, progress=advance))
+    found = compare_totals(totals, names)
+    if plot is not None:
+        from posecal.plot import draw_comparison, save
+
+        save(draw_comparison(found), plot)
+    if form is Form.text:
+        say(comparison_sheet(found))
+    else:
+        typer.echo(comparison_sheet(found).markdown() if form is Form.markdown else found.render(form.value))

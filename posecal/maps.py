@@ -1,0 +1,184 @@
+"""How are recalibrations kept? In small JSON files that a person can read, with a version, checked when read.
+
+And how are they applied: a spread map gives a new file of hypotheses, a radius map a file of centres and radii.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+import numpy.typing as npt
+
+import posecal
+from posecal.archive import Archive
+from posecal.block import Block, FloatArray, block_length
+from posecal.errors import PoseDataError, PoseFileError
+from posecal.io import written_whole
+from posecal.metrics.spread import joint_deviations
+from posecal.pairs import Hypotheses
+from posecal.recalibration import RadiusMap, SpreadMap, stretched
+
+__all__ = ["apply_map", "read_map", "write_map"]
+
+FORMAT = 1
+"""The version of the file format."""
+
+Map = SpreadMap | RadiusMap
+WINDOW_BYTES = 32 * 1024 * 1024
+
+
+def write_map(map_: Map, path: str | os.PathLike[str]) -> None:
+    """Write a map as JSON, whole or not at all.
+
+    Raises
+    ------
+    PoseFileError
+        Where the file can't be written.
+    """
+    about: dict[str, object] = {"posecal": posecal.__version__, "format": FORMAT}
+    if isinstance(map_, SpreadMap):
+        about |= {"kind": "spread", "factors": _by_joint(map_.joints, map_.factors)}
+    else:
+        unit = "standard deviations" if map_.scaled else "mm"
+        about |= {"kind": "radius", "alpha": map_.alpha, "unit": unit, "radii": _by_joint(map_.joints, map_.radii)}
+    about["fitted_on"] = {"poses": map_.poses, "sequences": map_.sequences}
+    text = json.dumps(about, indent=1, ensure_ascii=False) + "\n"
+    written_whole(path, lambda file: file.write(text.encode()))
+
+
+def _by_joint(joints: tuple[str, ...], values: FloatArray) -> dict[str, float | None]:
+    return {joint: None if math.isnan(v) else float(v) for joint, v in zip(joints, values, strict=True)}
+
+
+def read_map(path: str | os.PathLike[str]) -> Map:
+    """Read and check a map.
+
+    Parameters
+    ----------
+    path : path
+        What :func:`write_map` wrote.
+
+    Returns
+    -------
+    SpreadMap or RadiusMap
+        The map.
+
+    Raises
+    ------
+    PoseFileError
+        For a file that can't be read or is no map of this version.
+    """
+    name = Path(path).name
+    try:
+        about: Any = json.loads(Path(path).read_text(encoding="utf-8"))
+        if about["format"] != FORMAT:
+            raise PoseFileError(f"{name}: format {about['format']}; expected {FORMAT}. Fit it again.")
+        numbers = about["factors"] if about["kind"] == "spread" else about["radii"]
+        values = np.array([math.nan if value is None else float(value) for value in numbers.values()])
+        fitted = int(about["fitted_on"]["poses"]), int(about["fitted_on"]["sequences"])
+        if about["kind"] == "spread":
+            if not (np.isfinite(values) & (values > 0)).all():
+                raise PoseFileError(f"{name}: a factor is not above 0; expected positive numbers.")
+            return SpreadMap(tuple(numbers), values, *fitted)
+        scaled = {"mm": False, "standard deviations": True}[about["unit"]]
+        return RadiusMap(tuple(numbers), values, float(about["alpha"]), scaled, *fitted)
+    except FileNotFoundError:
+        raise PoseFileError(f"{path}: no such file.") from None
+    except PoseFileError:
+        raise
+    except OSError as error:
+        raise PoseFileError(f"{path}: can't be read ({error.strerror}).") from None
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise PoseFileError(f"{name}: no map of posecal recalibrate fit, or not a whole one.") from None
+
+
+def apply_map(
+    map_: Map,
+    hypotheses: Hypotheses,
+    joints: tuple[str, ...],
+    root: int | None,
+    n_poses: int,
+    path: str | os.PathLike[str],
+    members: dict[str, npt.NDArray[np.generic]],
+    progress: Callable[[int], object] | None = None,
+) -> None:
+    """Apply a map to hypotheses, into a file that posecal reads; some poses at a time, whole or not at all.
+
+    Parameters
+    ----------
+    map_ : SpreadMap or RadiusMap
+        The map.
+    hypotheses : Hypotheses
+        What it is applied to.
+    joints : tuple of str
+        Their joints.
+    root : int or None
+        The joint that spreads are relative to.
+    n_poses : int
+        M.
+    path : path
+        An ``.npz`` file: ``hypotheses`` (M, N, K, D), or ``centre`` (M, K, D) and ``radius`` (M, K), mm.
+    members : dict of arrays
+        What else goes into the file: frame ids, say.
+    progress : callable, optional
+        Called with the number of poses that are done.
+
+    Raises
+    ------
+    PoseDataError
+        Where the map lacks a joint.
+    PoseFileError
+        Where the file can't be written.
+    """
+    first = hypotheses.read(0, 1)
+    n, _, k, d = first.shape
+    missing = [joint for joint in joints if joint not in map_.joints]
+    if missing:
+        raise PoseDataError(f"map: it lacks the joints {', '.join(missing)}. Fit one on these joints.")
+    window = max(1, WINDOW_BYTES // (n * k * d * first.dtype.itemsize))
+
+    def windows() -> Iterator[FloatArray]:
+        for start in range(0, n_poses, window):
+            stop = min(start + window, n_poses)
+            yield hypotheses.read(start, stop)
+            if progress is not None:
+                progress(stop)
+
+    def write(file: BinaryIO) -> None:
+        with Archive(file) as archive:
+            common = {"joints": np.array(joints), "unit": np.array("mm"), **members}
+            if isinstance(map_, SpreadMap):
+                factors = map_.factors[[map_.joints.index(joint) for joint in joints]]
+                parts = (stretched(found, factors, root).swapaxes(0, 1) for found in windows())
+                archive.add_pieces("hypotheses", (n_poses, n, k, d), first.dtype, parts)
+                common["axes"] = np.array("MNKD")
+            else:
+                radii = map_.radii[[map_.joints.index(joint) for joint in joints]]
+                found = [_balls(found, radii, root, scaled=map_.scaled) for found in windows()]
+                common["centre"] = np.concatenate([centre for centre, _ in found])
+                common["radius"] = np.concatenate([radius for _, radius in found])
+                common["alpha"] = np.array(map_.alpha)
+            for name, array in common.items():
+                archive.add(name, array)
+
+    written_whole(path, write)
+
+
+def _balls(
+    hypotheses: FloatArray, radii: FloatArray, root: int | None, *, scaled: bool
+) -> tuple[FloatArray, FloatArray]:
+    """Centres (m, K, D) and radii (m, K) of some poses, mm, relative to the root."""
+    nowhere = np.zeros(hypotheses.shape[1:])
+    size = block_length(hypotheses.shape, hypotheses.dtype)
+    centres, widths = [], []
+    for at in range(0, hypotheses.shape[1], size):
+        block = Block(hypotheses[:, at : at + size], nowhere[at : at + size], root=root)
+        centres.append(block.median)
+        widths.append(radii * (joint_deviations(block) if scaled else np.ones(block.where.shape)))
+    return np.concatenate(centres), np.concatenate(widths)

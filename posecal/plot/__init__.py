@@ -1,0 +1,141 @@
+"""How do the numbers look? Reliability diagrams and the rest: ``ax`` in, ``ax`` out.
+
+Everything here draws what a report, a comparison or an array of poses holds, and computes nothing. Pictures that need
+a file go through the functions that begin with ``draw``, which never touch a display, and :func:`posecal.plot.style.save`.
+"""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from posecal.errors import PoseDataError, did_you_mean
+from posecal.plot.battery import deviation, draw_battery
+from posecal.plot.body import draw_poses, frames_of, poses, signed_areas, with_sign
+from posecal.plot.comparison import accuracy_and_calibration, draw_comparison
+from posecal.plot.curves import correct, drawn_definition, errors_by_n, event, guide, reliability
+from posecal.plot.style import STYLE, check_suffix, figure_bytes, save
+from posecal.report import Report
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "KINDS",
+    "accuracy_and_calibration",
+    "check_suffix",
+    "correct",
+    "deviation",
+    "draw",
+    "draw_battery",
+    "draw_comparison",
+    "draw_poses",
+    "errors_by_n",
+    "event",
+    "figure_bytes",
+    "frames_of",
+    "guide",
+    "poses",
+    "reliability",
+    "save",
+    "signed_areas",
+]
+
+KINDS: dict[str, tuple[Callable[..., Axes], str]] = {
+    "reliability": (reliability, "calibration curves against the diagonal"),
+    "joints": (signed_areas, "the signed area of every joint, on a skeleton"),
+    "errors": (errors_by_n, "minMPJPE against the number of hypotheses"),
+    "correct": (correct, "PCK and CPS against the threshold"),
+    "guide": (guide, "the error left when the most uncertain poses are dropped"),
+    "event": (event, "reliability of: the median pose is right at every joint"),
+}
+"""The pictures of one axes that a report can be drawn as; ``battery`` is one of several."""
+
+
+def draw(report: Report, kind: str = "reliability", *, title: str | None = None) -> Figure:
+    """Draw a report as a figure with its caption, without a display.
+
+    Parameters
+    ----------
+    report : Report
+        The numbers.
+    kind : str
+        A key of :data:`KINDS`, or ``battery``.
+    title : str, optional
+        Above the picture.
+
+    Returns
+    -------
+    matplotlib Figure
+        Ready to be saved.
+
+    Raises
+    ------
+    PoseDataError
+        Where the report lacks what the picture shows.
+    """
+    if kind == "battery":
+        return draw_battery(report)
+    if kind not in KINDS:
+        raise PoseDataError(f"picture: {kind!r} is not known. {did_you_mean(kind, [*KINDS, 'battery'])}")
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context(STYLE):
+        square = kind in {"reliability", "joints", "event"}
+        width, height, columns = (3.7, 3.7, 74) if square else (4.4, 3.1, 90)
+        lines = [line for text in (_caption(kind, report), report.signature) for line in textwrap.wrap(text, columns)]
+        below = 0.1 + 0.112 * len(lines)
+        height += below
+        figure = Figure(figsize=(width, height))
+        ax = figure.add_subplot()
+        KINDS[kind][0](report, ax=ax)
+        ax.set_anchor("N")
+        if title:
+            ax.set_title(title)
+        labels = 0.1 if kind == "joints" else 0.45
+        figure.subplots_adjust(
+            left=0.04 if kind == "joints" else 0.15,
+            right=0.96,
+            top=1 - (0.3 if title else 0.1) / height,
+            bottom=(below + labels) / height,
+        )
+        figure.text(0.03, 0.06 / height, "\n".join(lines), fontsize=5.6, va="bottom", linespacing=1.35, color="#444444")
+    return figure
+
+
+def _caption(kind: str, report: Report) -> str:
+    if kind == "reliability":
+        return _reliability_caption(report)
+    if kind == "joints":
+        return (
+            "∫ (ω_k(q) − q) dq of each joint k, exchangeable definition, "
+            f"N={report.totals.subject.n_hypotheses}. A disc grows with the size of its joint's area."
+        )
+    if kind == "errors":
+        return f"{report.curve('errors_by_n')[0].definition}."
+    if kind == "guide":
+        return f"{report.definition('sparsification_area')}: {report.value('sparsification_area'):.3f}."
+    if kind == "event":
+        return f"{report.definition('brier')}. Isotonic regression, equal p pooled."
+    return f"Joints: {report.curve('pck_curve')[0].definition}. Poses: {report.curve('cps_curve')[0].definition}."
+
+
+def _reliability_caption(report: Report) -> str:
+    definition = drawn_definition(report)
+    metric = report.metrics.get("ece" if definition == "exchangeable" else f"ece_{definition}")
+    words = f"{definition.capitalize()} definition."
+    if metric is not None:
+        words = f"{metric.label} {report.value(metric.name):.4f}: {metric.definition}."
+    if "signed_area" in report.metrics:
+        words += f" Signed area {with_sign(report.value('signed_area'), 4)}."
+    words += " Grey: each joint; dashed: a calibrated sampler."
+    if metric is None or definition != "exchangeable" or math.isnan((found := report.null(metric.name)).p):
+        return words
+    return (
+        f"{words} Band: 95 % of calibrated samplers, by sign-flips of {found.sequences} sequences; their mean ECE "
+        f"{found.mean:.4f}, p = {found.p:.3f}."
+    )

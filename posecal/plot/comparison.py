@@ -1,0 +1,79 @@
+"""How do models compare on the two axes that matter? Accuracy against calibration."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from typing import TYPE_CHECKING
+
+from posecal.comparison import Comparison
+from posecal.errors import PoseDataError
+from posecal.plot.style import GREEN, INK, STYLE, given
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["accuracy_and_calibration", "draw_comparison"]
+
+
+def accuracy_and_calibration(comparison: Comparison, *, ax: Axes | None = None) -> Axes:
+    """Draw minMPJPE against the ECE of each model.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        The models.
+    ax : matplotlib Axes, optional
+        Where to draw; the current axes by default.
+
+    Returns
+    -------
+    matplotlib Axes
+        The axes: a point per model, with the interval of its minMPJPE, and the region of the ECEs that a calibrated
+        sampler would show.
+
+    Raises
+    ------
+    PoseDataError
+        Where the models report no minMPJPE or no ECE.
+    """
+    ax = given(ax)
+    for name in ("min_mpjpe", "ece"):
+        if name not in comparison.metrics:
+            raise PoseDataError(f"comparison: no {name}; expected both min_mpjpe and ece.")
+    limit = comparison.feasible()
+    if not math.isnan(limit):
+        ax.axvspan(0, limit, color=GREEN, alpha=0.12, lw=0, gid="feasible")
+        words, at = " ◂ calibrated, but for chance", ax.get_xaxis_transform()
+        ax.text(limit, 0.01, words, transform=at, ha="left", va="bottom", fontsize=7, color=GREEN)
+    markers = "osD^vP*X"
+    for place, name in enumerate(comparison.names):
+        x, y = comparison.value("ece", name), comparison.value("min_mpjpe", name)
+        sure = comparison.interval("min_mpjpe", name)
+        if not math.isnan(sure.low):
+            ax.plot([x, x], [sure.low, sure.high], color=INK, lw=0.8, zorder=1)
+        ax.plot(x, y, marker=markers[place % len(markers)], color=INK, ms=5, ls="", gid=name)
+        ax.annotate(name, (x, y), xytext=(6, 3), textcoords="offset points", fontsize=7.5)
+    most = max(comparison.value("ece", name) for name in comparison.names)
+    ax.set(xlabel="ECE (exchangeable)", ylabel="minMPJPE [mm]")
+    ax.set_xlim(0, 1.35 * max(most, 0.03 if math.isnan(limit) else limit))
+    return ax
+
+
+def draw_comparison(comparison: Comparison) -> Figure:
+    """Draw :func:`accuracy_and_calibration` as a figure with its caption, without a display."""
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(4.4, 3.7))
+        ax = figure.add_subplot()
+        accuracy_and_calibration(comparison, ax=ax)
+        figure.subplots_adjust(left=0.14, right=0.96, top=0.97, bottom=0.27)
+        words = (
+            "Bars: 95 % over sequences. Green: ECEs up to the 95 % quantile of a calibrated sampler's, by sign-flips."
+        )
+        lines = [line for text in (words, comparison.totals[0].signature) for line in textwrap.wrap(text, 92)]
+        figure.text(0.03, 0.02, "\n".join(lines), fontsize=5.6, linespacing=1.35, color="#444444")
+    return figure

@@ -1,0 +1,115 @@
+"""How do posecal's pictures look, and how do they become files?
+
+The colours tell over- from underconfidence for colour-blind readers too. Nothing here touches a display.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from posecal.errors import PoseFileError
+from posecal.io import written_whole
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "FAINT",
+    "GREEN",
+    "INK",
+    "ORANGE",
+    "OVER",
+    "OVER_TEXT",
+    "STYLE",
+    "UNDER",
+    "check_suffix",
+    "figure_bytes",
+    "given",
+    "save",
+]
+
+UNDER, OVER, INK, FAINT = "#0072B2", "#CC79A7", "#222222", "#B8B8B8"
+"""Underconfident, overconfident, text and the main line, what stands behind."""
+
+OVER_TEXT, ORANGE, GREEN = "#9C4A78", "#D55E00", "#009E73"
+"""Overconfident as text, and two more lines."""
+
+SUFFIXES = (".svg", ".png", ".pdf")
+
+STYLE: dict[Any, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 8.5,
+    "axes.labelsize": 9,
+    "axes.titlesize": 9.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "text.color": INK,
+    "legend.frameon": False,
+    "text.parse_math": False,
+    "figure.dpi": 110,
+    "savefig.dpi": 200,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "posecal",
+    "pdf.fonttype": 42,
+}
+
+
+def given(ax: Axes | None) -> Axes:
+    """Give the axes to draw on: those that were passed, or the current ones."""
+    if ax is not None:
+        return ax
+    from matplotlib import pyplot as plt
+
+    return plt.gca()
+
+
+def save(figure: Figure, path: str | os.PathLike[str]) -> None:
+    """Write a figure into a file, whole or not at all.
+
+    Parameters
+    ----------
+    figure : matplotlib Figure
+        What is written.
+    path : path
+        Ends with ``.svg``, ``.png`` or ``.pdf``.
+
+    Raises
+    ------
+    PoseFileError
+        For another ending, or where the file can't be written.
+    """
+    contents = figure_bytes(figure, check_suffix(path))
+    written_whole(path, lambda file: file.write(contents))
+
+
+def figure_bytes(figure: Figure, suffix: str) -> bytes:
+    """Give the contents of a picture file, the same for the same figure."""
+    import matplotlib as mpl
+
+    undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(suffix, {})
+    file = io.BytesIO()
+    with mpl.rc_context(STYLE):
+        figure.savefig(file, format=suffix[1:], metadata=undated)
+    return file.getvalue()
+
+
+def check_suffix(path: str | os.PathLike[str]) -> str:
+    """Give the ending of a picture's name.
+
+    Raises
+    ------
+    PoseFileError
+        Where it is no picture that can be drawn.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in SUFFIXES:
+        raise PoseFileError(f"{path}: {suffix or 'no ending'}; expected a name that ends with .svg, .png or .pdf.")
+    return suffix

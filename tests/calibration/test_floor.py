@@ -1,0 +1,206 @@
+"""Is the floor of a perfect sampler what simulations of perfect samplers show?"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from scipy.stats import ncx2
+
+from posecal.calibration import (
+    DEFINITIONS,
+    LEVELS,
+    OVER_JOINTS,
+    Definition,
+    OverJoints,
+    calibration_curve,
+    ece,
+    expected_curve,
+    perfect_sampler,
+)
+from posecal.errors import PoseDataError
+
+Array = npt.NDArray[np.floating]
+
+TABLE_DRAWS = 400_000
+"""Sets of hypotheses behind each N of the table; see finite_n.json."""
+
+
+# --- the bias at finite N --------------------------------------------------------------------------------------------
+
+
+@cache
+def simulated(N: int, definition: str) -> tuple[Array, Array]:
+    """E ω(q) of a Gaussian sampler in 3D and its standard deviation over draws of the hypotheses.
+
+    Given the hypotheses, the truth's squared distance from their centre follows scipy's noncentral χ² law, so only
+    the hypotheses are drawn.
+    """
+    draws = min(40_000, 1_000_000 // N)
+    x = np.random.default_rng([N, 9]).standard_normal((draws, N, 3))
+    centre = np.median(x, axis=1) if definition == "paper" else np.sort(x, axis=1)[:, (N - 1) // 2]
+    distances = np.sort(np.linalg.norm(x - centre[:, None], axis=-1), axis=1)
+    if definition == "paper":
+        # inside where at most ⌊q N⌋ hypotheses are as near: where the next one is farther than the truth
+        allowed = np.array([i * N // 20 for i in range(21)])
+        beyond = np.concatenate([distances, np.full((draws, 1), np.inf)], axis=1)
+        radii = beyond[:, allowed]
+    else:
+        radii = np.quantile(distances, LEVELS, axis=1).T
+    inside = np.where(np.isinf(radii), 1, ncx2.cdf(np.minimum(radii, 1e3) ** 2, 3, (centre**2).sum(axis=1)[:, None]))
+    return inside.mean(axis=0), inside.std(axis=0) / np.sqrt(draws)
+
+
+@pytest.mark.parametrize("definition", ["paper", "reference"])
+@pytest.mark.parametrize("N", [2, 3, 5, 10, 20, 40])
+def test_the_expected_curve_is_the_simulated_one(N: int, definition: Definition) -> None:
+    mean, error = simulated(N, definition)
+    draws = min(40_000, 1_000_000 // N)
+    # five standard errors of the simulation and of the table, which has six digits
+    allowed = 5 * error * np.sqrt(1 + draws / TABLE_DRAWS) + 1e-6
+    np.testing.assert_array_less(np.abs(expected_curve(N, definition) - mean), allowed)
+
+
+@pytest.mark.parametrize("definition", ["paper", "reference"])
+@pytest.mark.parametrize("N", [21, 33, 50, 90, 200, 300])
+def test_between_tabulated_n_and_ranks_the_curve_is_right_to_the_digits_that_are_printed(
+    N: int, definition: Definition
+) -> None:
+    mean, error = simulated(N, definition)
+    np.testing.assert_array_less(np.abs(expected_curve(N, definition) - mean), 5 * error + 5e-4)
+
+
+@pytest.mark.parametrize("definition", ["paper", "reference"])
+@pytest.mark.parametrize("N", [2000, 10**6])
+def test_beyond_the_table_the_curve_nears_the_diagonal_by_one_over_n(N: int, definition: Definition) -> None:
+    gap = np.abs(expected_curve(N, definition) - LEVELS)
+    assert gap.max() < 3 / N
+    assert gap.max() > 0.1 / N
+
+
+@pytest.mark.parametrize(
+    ("N", "paper", "reference"),
+    [(5, 0.113, 0.152), (10, 0.052, 0.080), (20, 0.018, 0.042), (50, 0.0115, 0.0174), (200, 0.0018, 0.0043)],
+)
+def test_floors_for_endless_test_sets_are_the_known_ones(N: int, paper: float, reference: float) -> None:
+    """Known from simulations to three digits (0.0005); a million ranks each would add 0.0005 at q = 1/2."""
+    for definition, floor in (("paper", paper), ("reference", reference)):
+        found = np.abs(expected_curve(N, definition) - LEVELS).mean()  # type: ignore[arg-type]
+        np.testing.assert_allclose(found, floor, atol=0.0005 + 0.0005)
+
+
+@pytest.mark.parametrize("definition", ["paper", "reference"])
+@pytest.mark.parametrize("N", [5, 10, 20, 50])
+def test_measured_curves_of_a_perfect_sampler_are_the_expected_ones(N: int, definition: Definition) -> None:
+    random = np.random.default_rng([N, 3])
+    M, K = 400_000 // N, 2
+    y = random.standard_normal((M, K, 3))
+    found = calibration_curve(random.standard_normal((N, M, K, 3)), y, definition=definition)
+    expected = expected_curve(N, definition)
+    allowed = 5 * np.sqrt(expected * (1 - expected) / M) + 1e-3 / N
+    np.testing.assert_array_less(np.abs(found.coverage - expected), np.broadcast_to(allowed, (K, 21)))
+
+
+def test_the_exchangeable_curve_is_the_diagonal() -> None:
+    for N in (2, 7, 1000):
+        np.testing.assert_array_equal(expected_curve(N), LEVELS)
+
+
+def test_an_expected_curve_may_be_changed_without_harm() -> None:
+    expected_curve(7)[:] = 0
+    expected_curve(7, "paper")[:] = 0
+    assert expected_curve(7)[20] == 1
+    assert expected_curve(7, "paper")[20] == 1
+    assert LEVELS[20] == 1
+
+
+@pytest.mark.parametrize("definition", ["paper", "reference"])
+def test_expected_curves_rise_between_nothing_and_all(definition: Definition) -> None:
+    for N in (2, 3, 4, 11, 60, 1000):
+        found = expected_curve(N, definition)
+        assert (np.diff(found) >= 0).all()
+        assert found[0] >= 0
+        assert found[-1] <= 1
+
+
+# --- the scatter at finite M -----------------------------------------------------------------------------------------
+
+
+N, M, K, SETS = 10, 60, 5, 150
+
+
+@cache
+def simulated_eces(definition: Definition, over: OverJoints) -> Array:
+    """ECE of test sets of a perfect sampler."""
+    return np.array([ece(curve, over) for curve in simulated_curves(definition)])
+
+
+@cache
+def simulated_curves(definition: Definition) -> list:
+    random = np.random.default_rng(11)
+    shape = (SETS, M, K, 3)
+    y, x = random.standard_normal(shape), random.standard_normal((N, *shape))
+    return [calibration_curve(x[:, i], y[i], definition=definition) for i in range(SETS)]
+
+
+@pytest.mark.parametrize("over", OVER_JOINTS)
+@pytest.mark.parametrize("definition", DEFINITIONS)
+def test_the_expected_ece_is_that_of_simulated_test_sets(definition: Definition, over: OverJoints) -> None:
+    eces, floor = simulated_eces(definition, over), perfect_sampler(N, M, K, definition, over)
+    error = eces.std() * np.sqrt(1 / SETS + 1 / 200)  # of the simulation here and of the 200 draws there
+    np.testing.assert_allclose(floor.mean, eces.mean(), atol=5 * error)
+
+
+@pytest.mark.parametrize("over", OVER_JOINTS)
+@pytest.mark.parametrize("definition", DEFINITIONS)
+def test_nineteen_of_twenty_test_sets_lie_below_the_quantile(definition: Definition, over: OverJoints) -> None:
+    floor = perfect_sampler(N, M, K, definition, over)
+    below = (simulated_eces(definition, over) <= floor.high).mean()
+    error = np.sqrt(0.95 * 0.05 * (1 / SETS + 1 / 200))
+    np.testing.assert_allclose(below, 0.95, atol=5 * error)
+
+
+@pytest.mark.parametrize(("M", "floor", "digit"), [(200, 0.006, 1e-3), (2_000, 0.002, 1e-3), (20_000, 0.0006, 1e-4)])
+def test_floors_of_sixteen_joints_are_the_known_ones(M: int, floor: float, digit: float) -> None:
+    np.testing.assert_allclose(perfect_sampler(200, M, 16).mean, floor, atol=digit / 2)
+
+
+def test_with_endless_poses_only_the_bias_is_left() -> None:
+    for definition in ("paper", "reference"):
+        bias = np.abs(expected_curve(20, definition) - LEVELS).mean()  # type: ignore[arg-type]
+        found = perfect_sampler(20, 10**9, 16, definition)  # type: ignore[arg-type]
+        np.testing.assert_allclose([found.mean, found.high], bias, atol=1e-4)
+    assert perfect_sampler(20, 10**9, 16).mean < 1e-5
+
+
+def test_the_floor_is_the_same_on_every_call() -> None:
+    first = perfect_sampler(7, 40, 3, draws=20)
+    perfect_sampler.cache_clear()
+    assert perfect_sampler(7, 40, 3, draws=20) == first
+
+
+# --- words -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("definition", DEFINITIONS)
+@pytest.mark.parametrize("n", [1, 0, -3])
+def test_calibration_needs_two_hypotheses(n: int, definition: Definition) -> None:
+    with pytest.raises(PoseDataError, match=rf"hypotheses: N = {n}; calibration needs at least 2\."):
+        expected_curve(n, definition)
+    with pytest.raises(PoseDataError, match=rf"hypotheses: N = {n}"):
+        perfect_sampler(n, 10, 3, definition)
+
+
+@pytest.mark.parametrize(("M", "K"), [(0, 3), (3, 0), (-1, 3)])
+def test_a_floor_needs_poses_and_joints(M: int, K: int) -> None:
+    with pytest.raises(PoseDataError, match=rf"poses: M = {M}, K = {K}; expected at least one of each\."):
+        perfect_sampler(10, M, K)
+
+
+def test_unknown_names_are_refused() -> None:
+    with pytest.raises(PoseDataError, match=r"definition: 'papers' is not known\. Did you mean paper\?"):
+        expected_curve(10, "papers")  # type: ignore[arg-type]
+    with pytest.raises(PoseDataError, match=r"over: 'meen' is not known\. Did you mean mean\?"):
+        perfect_sampler(10, 10, 3, over="meen")  # type: ignore[arg-type]

@@ -1,0 +1,250 @@
+"""Are PCK, AUC and CPS what a loop over hypotheses, joints and thresholds gives?"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from posecal.align import Alignment
+from posecal.block import Block
+from posecal.errors import PoseDataError
+from posecal.metrics import auc, cps, pck
+from posecal.metrics.pck import (
+    SELECTIONS,
+    Selection,
+    auc_share,
+    correct_joints,
+    correct_share,
+    cps_area,
+    joint_score,
+    pose_score,
+)
+from tests import oracles
+from tests.drawn import skewed
+
+Array = npt.NDArray[np.floating]
+Mask = npt.NDArray[np.bool_]
+
+N, M, K = 4, 9, 5
+
+
+@pytest.fixture
+def arrays() -> tuple[Array, Array]:
+    return skewed(0, N, M, K)
+
+
+@pytest.fixture
+def where() -> Mask:
+    """Some joints that count; in pose 4, none."""
+    mask = np.random.default_rng(1).random((M, K)) < 0.7
+    mask[4] = False
+    return mask
+
+
+def lattice(seed: int) -> tuple[Array, Array]:
+    """Poses whose errors are whole multiples of 25 mm, so that many lie at a threshold."""
+    random = np.random.default_rng(seed)
+    x = np.zeros((N, M, K, 3))
+    x[..., 1] = 25 * random.integers(0, 14, (N, M, K))
+    return x, np.zeros((M, K, 3))
+
+
+# --- scores of one error ---------------------------------------------------------------------------------------------
+
+
+THRESHOLDS = [5.0 * i for i in range(31)]
+EDGES = [0.0, 1e-150, *(v for t in (1, 5, 145, 150, 299, 300) for v in (t, np.nextafter(t, 0), np.nextafter(t, 999)))]
+
+
+@given(st.floats(0, 400, allow_subnormal=False))
+def test_auc_of_an_error_is_the_share_of_thresholds_above_it(error: float) -> None:
+    strict, loose = (auc_share(np.array(error), strict=flag) for flag in (True, False))
+    np.testing.assert_allclose(strict, sum(error < t for t in THRESHOLDS) / 31)
+    np.testing.assert_allclose(loose, sum(error <= t for t in THRESHOLDS) / 31)
+
+
+@pytest.mark.parametrize("dtype", ["f4", "f8"])
+def test_auc_is_right_at_its_thresholds_and_next_to_them(dtype: str) -> None:
+    at = np.array(THRESHOLDS[1:], dtype=dtype)
+    for errors in (at, np.nextafter(at, at - 1), np.nextafter(at, at + 1)):
+        strict = [sum(float(e) < t for t in THRESHOLDS) / 31 for e in errors]
+        loose = [sum(float(e) <= t for t in THRESHOLDS) / 31 for e in errors]
+        np.testing.assert_allclose(auc_share(errors), strict, rtol=1e-6)
+        np.testing.assert_allclose(auc_share(errors, strict=False), loose, rtol=1e-6)
+
+
+@given(st.floats(0, 400, allow_subnormal=False))
+def test_exact_auc_is_the_area_left_of_150_mm(error: float) -> None:
+    np.testing.assert_allclose(auc_share(np.array(error), exact=True), max(0, 150 - error) / 150)
+
+
+def trapezoid(error: float) -> float:
+    heights = [float(error < t) for t in range(1, 301)]
+    return sum((one + other) / 2 for one, other in itertools.pairwise(heights))
+
+
+@given(st.floats(0, 400, allow_subnormal=False))
+def test_cps_of_an_error_is_the_trapezoid_over_300_thresholds(error: float) -> None:
+    np.testing.assert_allclose(cps_area(np.array(error)), trapezoid(error))
+
+
+@pytest.mark.parametrize("error", EDGES)
+def test_cps_is_right_at_its_thresholds_and_next_to_them(error: float) -> None:
+    np.testing.assert_allclose(cps_area(np.array(error)), trapezoid(error))
+
+
+def test_scores_are_nothing_at_infinity() -> None:
+    for exact in (False, True):
+        for strict in (False, True):
+            assert auc_share(np.array(np.inf), exact=exact, strict=strict) == 0
+    assert cps_area(np.array(np.inf)) == 0
+    assert correct_share(np.array(np.inf), 150.0, strict=False) == 0
+
+
+def test_the_largest_auc_is_30_of_31_thresholds() -> None:
+    y = np.zeros((1, 2, 3))
+    assert auc(y[None], y) == pytest.approx(30 / 31)
+    assert auc(y[None], y, strict=False) == 1
+    assert auc(y[None], y, exact=True) == 1
+
+
+def test_the_largest_cps_is_299_mm() -> None:
+    y = np.random.default_rng(0).normal(0, 300, (1, 5, 3))
+    np.testing.assert_allclose(cps(y[None], y), 299)
+
+
+def test_a_cps_of_190_is_a_worst_joint_of_about_110_mm() -> None:
+    y = np.zeros((1, 2, 3))
+    x = y[None] + [[0, 0, 0], [110.4, 0, 0]]
+    assert cps(x, y, align="none") == 300 - 110 - 0.5
+
+
+# --- of poses --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("strict", [True, False])
+@pytest.mark.parametrize("threshold", [150.0, 75.0, 1e-3])
+@pytest.mark.parametrize("select", SELECTIONS)
+def test_pck_is_the_loop(select: Selection, threshold: float, strict: bool, where: Mask) -> None:
+    for x, y in (skewed(1, N, M, K), lattice(1)):
+        link = oracles.links(oracles.pose_errors(x, y, where))
+        expected = oracles.pck(oracles.joint_errors(x, y), where, threshold, select, link, strict=strict)
+        found = pck(x, y, threshold=threshold, select=select, strict=strict, where=where)
+        np.testing.assert_allclose(found, expected)
+
+
+@pytest.mark.parametrize("strict", [True, False])
+@pytest.mark.parametrize("select", SELECTIONS)
+def test_auc_is_the_loop_over_thresholds(select: Selection, strict: bool, where: Mask) -> None:
+    for x, y in (skewed(2, N, M, K), lattice(2)):
+        link = oracles.links(oracles.pose_errors(x, y, where))
+        expected = oracles.auc(oracles.joint_errors(x, y), where, select, link, strict=strict)
+        np.testing.assert_allclose(auc(x, y, select=select, strict=strict, where=where), expected)
+
+
+@pytest.mark.parametrize("select", SELECTIONS)
+def test_exact_auc_is_the_area_under_the_staircase(select: Selection, where: Mask) -> None:
+    x, y = skewed(3, N, M, K)
+    link = oracles.links(oracles.pose_errors(x, y, where))
+    expected = oracles.auc_integral(oracles.joint_errors(x, y), where, select, link)
+    np.testing.assert_allclose(auc(x, y, exact=True, select=select, where=where), expected)
+
+
+@pytest.mark.parametrize("align", ["none", "similarity", "rigid", "scale"])
+@pytest.mark.parametrize("select", SELECTIONS)
+def test_cps_is_the_loop_over_300_thresholds(select: Selection, align: Alignment, where: Mask) -> None:
+    x, y = skewed(4, N, M, K)
+    link = oracles.links(oracles.pose_errors(x, y, where))
+    moved = oracles.aligned(x, y, where, align)
+    expected = oracles.cps(oracles.joint_errors(moved, y), where, select, link)
+    np.testing.assert_allclose(cps(x, y, select=select, align=align, where=where), expected)
+
+
+def test_a_root_is_subtracted_and_counts(arrays: tuple[Array, Array]) -> None:
+    x, y = (oracles.relative(array, 1) for array in arrays)
+    for metric in (pck, auc, cps):
+        np.testing.assert_allclose(metric(*arrays, root=1), metric(x, y))
+    assert (pck(*arrays, root=1, threshold=1e-6) >= 1 / K).all()
+
+
+def test_pck_and_auc_take_the_best_hypothesis_of_each_threshold() -> None:
+    """Hypothesis 0 has joints at 10 and 200 mm, hypothesis 1 two at 100: up to 100 mm the first is better."""
+    y = np.zeros((1, 2, 3))
+    x = np.zeros((2, 1, 2, 3))
+    x[0, 0, :, 0], x[1, 0, :, 0] = [10, 200], [100, 100]
+    # 31 thresholds: none right to 10, one of two joints at 15 … 100 (18), both at 105 … 150 (10)
+    np.testing.assert_allclose(auc(x, y), (18 / 2 + 10) / 31)
+    np.testing.assert_allclose(pck(x, y, threshold=50), 0.5)
+    np.testing.assert_allclose(pck(x, y, threshold=150), 1)
+
+
+def test_a_pose_without_a_joint_that_counts_has_no_share(arrays: tuple[Array, Array], where: Mask) -> None:
+    for metric in (pck, auc, cps):
+        for select in SELECTIONS:
+            found = metric(*arrays, select=select, where=where)
+            assert np.flatnonzero(np.isnan(found)).tolist() == [4]
+
+
+# --- parts that the registry uses ------------------------------------------------------------------------------------
+
+
+JOINTS, BODY = np.array([True, False, True, True, False]), np.array([True, True, True, True, False])
+
+
+@pytest.mark.parametrize("select", SELECTIONS)
+def test_some_joints_are_scored_while_the_body_is_aligned_and_links(
+    arrays: tuple[Array, Array], where: Mask, select: Selection
+) -> None:
+    x, y = arrays
+    w, body = where & JOINTS, where & BODY
+    link = oracles.links(oracles.pose_errors(x, y, body))
+    d, moved = oracles.joint_errors(x, y), oracles.joint_errors(oracles.aligned(x, y, body, "rigid"), y)
+    block = Block(x, y, where)
+    np.testing.assert_allclose(correct_joints(block, 90.0, select, JOINTS, BODY), oracles.pck(d, w, 90, select, link))
+    shares = joint_score(block, auc_share, select, "rigid", JOINTS, BODY)
+    np.testing.assert_allclose(shares, oracles.auc(moved, w, select, link))
+    areas = pose_score(block, cps_area, select, "rigid", JOINTS, BODY)
+    np.testing.assert_allclose(areas, oracles.cps(moved, w, select, link))
+
+
+def test_two_sets_of_joints_do_not_share_a_result(arrays: tuple[Array, Array]) -> None:
+    block = Block(*arrays)
+    for joints in (JOINTS, BODY, None):
+        fresh = joint_score(Block(*arrays), auc_share, "own", "none", joints)
+        np.testing.assert_allclose(joint_score(block, auc_share, "own", "none", joints), fresh)
+
+
+@pytest.mark.parametrize("select", SELECTIONS)
+def test_a_score_may_add_thresholds_as_a_last_axis(arrays: tuple[Array, Array], where: Mask, select: Selection) -> None:
+    x, y = arrays
+    thresholds = np.array([40.0, 90.0, 250.0])
+    link = oracles.links(oracles.pose_errors(x, y, where))
+    d, block = oracles.joint_errors(x, y), Block(x, y, where)
+
+    def reached(errors: Array) -> Array:
+        return correct_share(errors[..., None], thresholds)
+
+    joints, poses = joint_score(block, reached, select), pose_score(block, reached, select)
+    for place, t in enumerate(thresholds):
+        np.testing.assert_allclose(joints[:, place], oracles.pck(d, where, t, select, link))
+        np.testing.assert_allclose(poses[:, place], oracles.complete(d, where, t, select, link))
+
+
+# --- words -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("metric", [pck, auc, cps])
+def test_an_unknown_selection_is_refused(arrays: tuple[Array, Array], metric: object) -> None:
+    with pytest.raises(PoseDataError, match=r"select: 'link' is not known\. Did you mean linked\?"):
+        metric(*arrays, select="link")  # type: ignore[operator]
+
+
+@pytest.mark.parametrize("threshold", [0, -1, float("inf"), float("nan")])
+def test_a_threshold_is_a_length(arrays: tuple[Array, Array], threshold: float) -> None:
+    with pytest.raises(PoseDataError, match=r"threshold: .*; expected a length above 0\."):
+        pck(*arrays, threshold=threshold)

@@ -1,0 +1,104 @@
+"""Are the metrics that are asked for the ones that are given?"""
+
+from __future__ import annotations
+
+import pytest
+
+from posecal.errors import PoseDataError
+from posecal.metric import Subject
+from posecal.protocol import Protocol
+from posecal.registry import curves_of, known_metrics, metrics_of
+from posecal.skeleton import JOINT_SETS
+
+H36M = JOINT_SETS["h36m-17"]
+PERSON = Subject(7, H36M, 0, ("sequence",), 25.0, True)
+
+
+def test_all_gives_every_metric_that_is_known() -> None:
+    assert list(metrics_of(Protocol(metrics="all"), PERSON)) == list(known_metrics(Protocol(), PERSON))
+
+
+def test_the_default_holds_every_headline_and_both_definitions_of_the_ece_beside_it() -> None:
+    known, default = known_metrics(Protocol(), PERSON), metrics_of(Protocol(), PERSON)
+    assert {name for name, metric in known.items() if metric.headline} <= set(default)
+    assert {"min_mpjpe", "mpjpe", "pa_min_mpjpe", "pck", "auc", "cps", "diversity"} <= set(default)
+    assert {"ece", "ece_paper", "ece_reference", "signed_area", "coverage_90", "radius_50"} <= set(default)
+
+
+def test_a_default_metric_costs_no_statistic_that_no_headline_needs_but_two() -> None:
+    default = metrics_of(Protocol(), PERSON)
+    needed = {metric.statistic.name for metric in default.values() if metric.headline}
+    assert {metric.statistic.name for metric in default.values()} - needed == {"errors_by_n", "inside_reference"}
+
+
+def test_named_metrics_come_in_the_order_of_a_report() -> None:
+    found = metrics_of(Protocol(metrics=" ece,min_mpjpe , pck"), PERSON)
+    assert list(found) == ["min_mpjpe", "pck", "ece"]
+
+
+def test_with_one_hypothesis_there_is_no_calibration_and_no_spread() -> None:
+    one = known_metrics(Protocol(), Subject(1, H36M, 0, ("sequence",), 25.0, True))
+    assert {metric.family for metric in one.values()} == {"accuracy"}
+    assert {"min_mpjpe", "cps", "mpjve", "weighted_pose_mpjpe"} <= set(one)
+
+
+def test_without_sequences_there_are_no_velocities() -> None:
+    assert not [name for name in known_metrics(Protocol(), Subject(7, H36M, 0)) if "mpjve" in name]
+
+
+def test_without_scores_there_is_no_weighted_pose_and_a_mode_only_by_its_index() -> None:
+    unscored = Subject(7, H36M, 0)
+    assert not [name for name in known_metrics(Protocol(), unscored) if "weighted" in name or "mode" in name]
+    assert "pa_mode_mpjpe" in known_metrics(Protocol(mode="6"), unscored)
+
+
+def test_min_mpjpe_is_given_at_round_numbers_up_to_n() -> None:
+    names = [name for name in known_metrics(Protocol(), PERSON) if name.startswith("min_mpjpe_at_")]
+    assert names == ["min_mpjpe_at_1", "min_mpjpe_at_2", "min_mpjpe_at_5"]
+
+
+@pytest.mark.parametrize(
+    ("names", "subject", "words"),
+    [
+        ("min_mpjep", PERSON, r"metrics: min_mpjep is not known\. Did you mean min_mpjpe\?"),
+        (
+            "mpjve",
+            Subject(7, H36M, 0),
+            r"metrics: mpjve needs sequences\. Store a label sequence in the truth's file\.",
+        ),
+        ("mode_mpjpe", Subject(7, H36M, 0), r"mode_mpjpe needs the model's scores\..* or set mode to an index\."),
+        ("n_weighted_pose_mpjpe", Subject(7, H36M, 0), r"n_weighted_pose_mpjpe needs the model's scores\."),
+        ("ece_paper", Subject(1, H36M, 0), r"metrics: ece_paper needs at least 2 hypotheses; there is 1\."),
+        ("coverage_50", Subject(1, H36M, 0), r"coverage_50 needs at least 2 hypotheses"),
+        ("radius_50", Subject(1, H36M, 0), r"radius_50 needs at least 2 hypotheses"),
+        ("a1, pck, b2", PERSON, r"(?s)2 problems:.*metrics: a1 is not known.*metrics: b2 is not known"),
+        ("", PERSON, r"metrics:  is not known"),
+    ],
+)
+def test_metrics_that_can_t_be_given_are_refused_with_what_they_need(names: str, subject: Subject, words: str) -> None:
+    with pytest.raises(PoseDataError, match=words):
+        metrics_of(Protocol(metrics=names), subject)
+
+
+@pytest.mark.parametrize("best", ["sequence", "batch:3"])
+def test_a_best_per_sequence_needs_sequences(best: str) -> None:
+    with pytest.raises(PoseDataError, match=rf"best: {best} needs sequences\. Store a label sequence"):
+        known_metrics(Protocol(best=best), Subject(7, H36M, 0))
+
+
+def test_a_velocity_per_second_needs_the_frames_per_second() -> None:
+    with pytest.raises(PoseDataError, match=r"velocity: second needs the frames per second\. Store fps"):
+        known_metrics(Protocol(velocity="second"), Subject(7, H36M, 0, ("sequence",)))
+
+
+def test_a_mode_is_one_of_the_hypotheses() -> None:
+    with pytest.raises(PoseDataError, match=r"mode: 7; expected score or the index of one of 7 hypotheses\."):
+        known_metrics(Protocol(mode="7"), PERSON)
+
+
+def test_the_curves_are_those_that_pictures_are_drawn_from() -> None:
+    curves = curves_of(Protocol(), PERSON)
+    assert list(curves) == ["errors_by_n", "pck_curve", "cps_curve"]
+    for curve in curves.values():
+        assert curve.definition
+        assert all(curve.axes)
