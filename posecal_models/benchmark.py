@@ -28,7 +28,7 @@ from posecal_models.estimators import ReferenceEstimator, parameter_count
 from posecal_models.sample import POSES_AT_ONCE, draw
 from posecal_models.simple_baseline import SimpleBaseline
 
-__all__ = ["HARD", "Judged", "columns", "energy_score", "held_out_poses", "hypotheses_of", "judge", "markdown"]
+__all__ = ["HARD", "Judged", "columns", "held_out_poses", "hypotheses_of", "judge", "markdown"]
 
 HARD = 4
 """So many hidden keypoints of 16 make a pose hard."""
@@ -47,7 +47,7 @@ columns = {
 }
 """The columns of the table: heading, unit or definition, digits."""
 
-_DEFAULT = Protocol(joints="h36m-17", metrics="min_mpjpe, ece, ece_paper, ece_reference")
+_DEFAULT = Protocol(joints="h36m-17", metrics="min_mpjpe, ece, ece_paper, ece_reference, energy_score")
 _HARD = replace(_DEFAULT, frames="hard", metrics="min_mpjpe")
 _OCCLUDED = replace(preset("cgnf-occluded").protocol, metrics="min_mpjpe, ece")
 _POINT = replace(_DEFAULT, metrics="min_mpjpe")
@@ -136,43 +136,6 @@ def hypotheses_of(
     return np.concatenate(parts, axis=1)
 
 
-def energy_score(hypotheses: npt.NDArray[np.float32], truth: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
-    r"""Give the fair energy score of whole poses: a proper score of the whole distribution.
-
-    .. math:: \frac1N \sum_n \lVert x_n - y \rVert - \frac{1}{2 N (N - 1)} \sum_{i \neq j} \lVert x_i - x_j \rVert
-
-    Parameters
-    ----------
-    hypotheses : ndarray
-        (N, M, K, 3), mm.
-    truth : ndarray
-        (M, K, 3), mm.
-
-    Returns
-    -------
-    ndarray
-        (M,), mm: distances are of vectors of 3 K coordinates, divided by √K; lower is better.
-
-    References
-    ----------
-    Gneiting and Raftery 2007, doi:10.1198/016214506000001437.
-
-    Examples
-    --------
-    >>> two = np.array([[[[3.0, 0, 4]]], [[[-3.0, 0, -4]]]], np.float32)
-    >>> energy_score(two, np.zeros((1, 1, 3), np.float32))  # (5 + 5) / 2 - 10 / 2
-    array([0.])
-    """
-    count, _, joints, _ = hypotheses.shape
-    scores = []
-    for x, y in zip(hypotheses.swapaxes(0, 1), truth, strict=True):
-        flat = torch.from_numpy(np.ascontiguousarray(x.reshape(count, -1))).double()
-        away = (flat - torch.from_numpy(y.reshape(1, -1)).double()).norm(dim=1).mean()
-        apart = torch.pdist(flat).sum() / (count * (count - 1)) if count > 1 else torch.zeros(())
-        scores.append(float(away - apart) / joints**0.5)
-    return np.array(scores)
-
-
 def judge(
     name: str,
     estimator: ReferenceEstimator,
@@ -238,10 +201,9 @@ def judge(
         values["occluded_min_mpjpe"].append(some.value("min_mpjpe"))
         if not point:
             first = first or whole
-            for definition in ("ece", "ece_paper", "ece_reference"):
-                values[definition].append(whole.value(definition))
+            for metric in ("ece", "ece_paper", "ece_reference", "energy_score"):
+                values[metric].append(whole.value(metric))
             values["occluded_ece"].append(some.value("ece"))
-        values["energy_score"].append(float(energy_score(drawn, ordered.poses).mean()))
     values["n"], values["parameters"] = [count], [parameter_count(estimator)]
     return Judged(name, values, first, statistics.mean(seconds))
 

@@ -15,7 +15,8 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from posecal.plot import FAINT, INK, OVER, UNDER, reliability
+from posecal.plot import reliability
+from posecal.plot.style import FAINT, INK, OVER, UNDER
 from posecal.report import Report
 from posecal.skeleton import Skeleton
 

@@ -343,7 +343,7 @@ class Training:
             f"{table}.{name}"
             for table in ("model", "data", "train")
             for name in now[table]
-            if (table, name) != ("train", "epochs") and _plain(before[table].get(name)) != _plain(now[table][name])
+            if _plain(before[table].get(name)) != _plain(now[table][name]) and (table, name) != ("train", "epochs")
         ]
         if changed:
             raise PoseDataError(
