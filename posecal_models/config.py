@@ -125,6 +125,8 @@ class TrainConfig:
         0: as many as it takes to see every pose once.
     clip : float
         Largest norm of the gradient.
+    cuda_graph : bool
+        Whether a GPU records a step once and replays it, see :mod:`posecal_models.cuda_graph`.
     seed : int
         Of everything random.
     checkpoint_seconds : float
@@ -145,6 +147,7 @@ class TrainConfig:
     epochs: int = 200
     steps_per_epoch: int = 0
     clip: float = 1.0
+    cuda_graph: bool = False
     seed: int = 0
     checkpoint_seconds: float = 60.0
 

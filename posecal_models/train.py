@@ -21,6 +21,7 @@ from posecal.io import written_whole
 from posecal_models.checkpoint import read_tensors, save_estimator, write_tensors
 from posecal_models.config import Config
 from posecal_models.contract import Context
+from posecal_models.cuda_graph import Recorded
 from posecal_models.data.masks import SHARES, hide
 from posecal_models.data.training_set import TrainingSet, seeded
 from posecal_models.distributed import Crew
@@ -138,8 +139,10 @@ class Training:
         self.validation = validation
         self.folder = folder
         self.crew = crew or Crew()
-        self.objective: Objective = objective_of(estimator, config.train)
         self.parameters = {name: p for name, p in estimator.named_parameters() if self._learns(name)}
+        self.objective: Objective = objective_of(estimator, config.train)
+        if config.train.cuda_graph:
+            self.objective = Recorded(self.objective, list(self.parameters.values()), data.device)
         self.optimizer = torch.optim.Adam(self.parameters.values(), lr=config.train.learning_rate, fused=True)
         self.steps_per_epoch = config.train.steps_per_epoch or math.ceil(len(data) / config.train.batch)
         self.schedule = Schedule(config.train, self.steps_per_epoch * config.train.epochs)
@@ -339,12 +342,9 @@ class Training:
             raise PoseFileError(f"{path}: holds no training; expected the checkpoint of one.")
         before = about["training"]["config"]
         now = self.config.table()
-        changed = [
-            f"{table}.{name}"
-            for table in ("model", "data", "train")
-            for name in now[table]
-            if _plain(before[table].get(name)) != _plain(now[table][name]) and (table, name) != ("train", "epochs")
-        ]
+        names = [(table, name) for table in ("model", "data", "train") for name in now[table]]
+        names.remove(("train", "epochs"))
+        changed = [f"{t}.{n}" for t, n in names if _plain(before[t].get(n)) != _plain(now[t][n])]
         if changed:
             raise PoseDataError(
                 f"{path}: of another configuration ({', '.join(changed)} differ). "

@@ -76,6 +76,9 @@ class Couplings(nn.Module):
     arXiv:1807.03039.
     """
 
+    kept: Tensor
+    """The D - 1 coordinates that each block reads, (L, D - 1), integer."""
+
     def __init__(
         self,
         graph: PoseGraph,
@@ -111,6 +114,10 @@ class Couplings(nn.Module):
             last=True,
             backward_weights=backward_weights,
         )
+        moved = torch.arange(blocks) % dimensions
+        every = torch.arange(dimensions).expand(blocks, -1)
+        kept = every[every != moved[:, None]].view(blocks, dimensions - 1)
+        self.register_buffer("kept", kept, persistent=False)
         nn.init.zeros_(self.second.pool.weight)
         nn.init.zeros_(self.second.pool.bias)
 
@@ -129,10 +136,7 @@ class Couplings(nn.Module):
         """
         log_scale, shift = self.actnorm_log_scale[:blocks], self.actnorm_shift[:blocks]
         behind_scale, behind_shift = _behind(log_scale, shift)
-        count, dimensions = log_scale.shape
-        every = torch.arange(dimensions, device=shift.device)
-        moved = torch.arange(count, device=shift.device) % dimensions
-        kept = torch.stack([every[every != i] for i in range(dimensions)])[moved]
+        dimensions, kept = log_scale.shape[1], self.kept[:blocks]
 
         weights, biases = (stacked[:blocks] for stacked in self.first.weights_and_biases())
         read = weights * behind_scale[:-1].gather(1, kept)[:, None, None]
