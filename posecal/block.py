@@ -126,6 +126,8 @@ class Block:
         """The model's score of each hypothesis, (B, N)."""
         if self._scores is None:
             raise PoseDataError("hypotheses: no scores given; expected a member scores (N, M) beside them.")
+        if not np.isfinite(self._scores).all():
+            raise PoseDataError("hypotheses: scores that are not finite; expected a number for each hypothesis.")
         return self._scores.T
 
     @cached_property

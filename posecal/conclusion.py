@@ -91,10 +91,11 @@ def _several(joints: list[str], most: int = 6) -> str:
 def _battery(report: Report) -> Iterator[str]:
     tests = report.battery()
     fired = [name for name, (_, p) in tests.items() if p < LEVEL]
-    if fired:
-        missed = " that the ECE does not see" if not report.null("ece").p < LEVEL else ""
+    labels = ", ".join(report.metrics[name].label for name in fired)
+    if fired and report.null("ece").p < LEVEL:
+        yield f"The battery fires as well: {labels}. Mend the spread first, and look again."
+    elif fired:
         meanings = dict.fromkeys(report.metrics[name].fires for name in fired)
-        labels = ", ".join(report.metrics[name].label for name in fired)
-        yield f"The battery fires{missed} ({labels}): {'; '.join(meanings)}."
+        yield f"What the ECE does not see, the battery does ({labels}): {'; '.join(meanings)}."
     elif tests and not any(math.isnan(p) for _, p in tests.values()):
         yield "The battery finds nothing more. A model that ignores the image would pass it too: look at a score."

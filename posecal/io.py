@@ -77,7 +77,10 @@ def read_poses(path: str | os.PathLike[str], role: Role) -> Poses:
         if not start.startswith(b"PK"):
             what = "looks like a pickle" if start.startswith(b"\x80") else "is neither an .npz nor an .npy file"
             raise PoseFileError(f"{path.name} {what}; expected numpy.savez or numpy.save. posecal never unpickles.")
-        return _read_archive(file, path.name, role)
+        found, array = _read_archive(file, path.name, role)
+        if array.file is not file:
+            file.close()
+        return found
 
 
 @contextmanager
@@ -110,7 +113,7 @@ _BROKEN = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, OSError, Va
 """What the standard library raises for a file that is not what its first bytes say."""
 
 
-def _read_archive(file: FileIO, name: str, role: Role) -> Poses:
+def _read_archive(file: FileIO, name: str, role: Role) -> tuple[Poses, FileArray]:
     archive = zipfile.ZipFile(file)
     members = {
         info.filename.removesuffix(".npy"): info for info in archive.infolist() if info.filename.endswith(".npy")
@@ -128,7 +131,7 @@ def _read_archive(file: FileIO, name: str, role: Role) -> Poses:
         if key not in (*_RESERVED, chosen) and len(shape) == 1 and wanted:
             labels[key] = as_labels(cast(npt.NDArray[np.generic], small(key)), f"{name}: {key}")
     joints, frame_id, scores = small("joints"), small("frame_id"), small("scores")
-    return Poses(
+    found = Poses(
         name=name,
         array=array,
         axes=_word(small("axes"), f"{name}: axes"),
@@ -140,6 +143,7 @@ def _read_archive(file: FileIO, name: str, role: Role) -> Poses:
         scores=None if scores is None else as_scores(scores, f"{name}: scores"),
         fps=_number(small("fps"), f"{name}: fps"),
     )
+    return found, array
 
 
 def _choose(arrays: dict[str, tuple[tuple[int, ...], np.dtype[np.generic]]], name: str, role: Role) -> str:

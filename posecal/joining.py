@@ -118,9 +118,7 @@ def join(hypotheses: Poses, truth: Poses, how: Join | None = None) -> PosePairs:
     names, true_names = _names(hypotheses, truth, (shape[2], true_shape[1]), how, problems)
     columns, true_columns = _join_joints(hypotheses, truth, names, true_names, shape[2], how, problems, remarks)
     if shape[3] != true_shape[2]:
-        problems.append(
-            f"{hypotheses.name} has D = {shape[3]} coordinates and {truth.name} {true_shape[2]}; expected as many."
-        )
+        problems.append(f"{hypotheses.name} has D = {shape[3]} and {truth.name} {true_shape[2]}; expected as many.")
     raise_all(problems)
 
     y = in_millimetres(true_layout.read(truth.array, np.arange(true_shape[0])), true_factor)

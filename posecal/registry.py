@@ -84,7 +84,9 @@ def metrics_of(
     """
     known = known_metrics(protocol, subject, preranks)
     words = [word.strip() for word in protocol.metrics.split(",")]
-    raise_all(f"metrics: {word} {_lacks(word, subject, known)}" for word in words if word not in {*known, *GROUPS})
+    families = {metric.family for metric in known.values()}
+    possible = {*known, "default", "all", *families.intersection(GROUPS)}
+    raise_all(f"metrics: {word} {_lacks(word, subject, known)}" for word in words if word not in possible)
     free = {metric.statistic.name for metric in known.values() if metric.headline} | {"errors_by_n", "inside_reference"}
     return {
         name: metric

@@ -84,6 +84,6 @@ def _bones(pairs: PosePairs) -> list[str]:
     if not lengths.size or BONES[0] <= np.median(lengths) <= BONES[1]:
         return []
     return [
-        f"the median bone of {pairs.names[1]} is {np.median(lengths):.3g} mm long; expected {BONES[0]:g} to "
+        f"the median bone of {pairs.names[1]} is {np.median(lengths):,.1f} mm long; expected {BONES[0]:g} to "
         f"{BONES[1]:g}. Is its unit right?"
     ]

@@ -144,7 +144,9 @@ def tables(report: Report, *, joints: bool = False) -> list[Table]:
 
 def _row(report: Report, metric: Metric) -> tuple[str, ...]:
     value = number(report.value(metric.name), metric.unit)
-    return metric.label, value, _sureness(report, metric), ARROWS[metric.direction], metric.brief
+    floors = [row for row in report.rows if row.metric == f"{metric.name}_floor"]
+    brief = metric.brief + "".join(f"; {row.value:.4f} if frames were independent" for row in floors)
+    return metric.label, value, _sureness(report, metric), ARROWS[metric.direction], brief
 
 
 def _sureness(report: Report, metric: Metric) -> str:

@@ -247,6 +247,9 @@ class Totals:
         for name, part in zip(names[1:], parts[1:], strict=True):
             if part.signature != first.signature:
                 problems.append(f"{names[0]} and {name} were not made alike: {difference_of_signatures(first, part)}.")
+            if first.protocol.velocity == "second" and part.subject.fps != first.subject.fps:
+                rates = f"{first.subject.fps:g} and {part.subject.fps:g}"
+                problems.append(f"{names[0]} and {name} have {rates} frames per second; expected the same.")
             held, ours = ({*t.cells, *t.sums, *t.kept} for t in (first, part))
             if held != ours:
                 problems.append(f"{names[0]} and {name} differ in what they hold: {', '.join(sorted(held ^ ours))}.")
@@ -322,7 +325,7 @@ class Totals:
         """
         name = Path(path).name
         try:
-            with np.load(path, allow_pickle=False) as stored:
+            with open(path, "rb") as file, np.load(file, allow_pickle=False) as stored:
                 members: dict[str, Any] = {key: stored[key] for key in stored.files}
             about = json.loads(str(members.pop("about")))
             if about["format"] != FORMAT:

@@ -99,7 +99,7 @@ class World:
         )
 
 
-def world(seed: int = 0, N: int = 5, M: int = 14, *, dtype: str = "f8") -> World:
+def world(seed: int = 0, N: int = 5, M: int = 10, *, dtype: str = "f8") -> World:
     """M poses of five uneven sequences, of which two share an action; each frame has joints that nobody saw."""
     random = np.random.default_rng([seed, 1])
     x, y = skewed(seed, N, M, len(JOINTS))

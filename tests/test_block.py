@@ -103,6 +103,14 @@ def test_scores_that_were_not_given_are_asked_for(arrays: tuple[Array, Array]) -
         _ = Block(*arrays).scores
 
 
+@pytest.mark.parametrize("score", [np.nan, np.inf])
+def test_scores_that_are_not_finite_are_refused(arrays: tuple[Array, Array], score: float) -> None:
+    scores = np.ones((N, M))
+    scores[2, 3] = score
+    with pytest.raises(PoseDataError, match=r"hypotheses: scores that are not finite; expected a number for each"):
+        _ = Block(*arrays, scores=scores).scores
+
+
 def test_scores_stand_by_pose_and_hypothesis(arrays: tuple[Array, Array]) -> None:
     scores = np.arange(N * M).reshape(N, M)
     assert Block(*arrays, scores=scores).scores[3, 2] == scores[2, 3]

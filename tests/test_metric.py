@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 import numpy as np
 import pytest
 
 from posecal.block import Block
 from posecal.errors import PoseDataError
-from posecal.metric import Metric, Scope, Statistic, Subject, item
+from posecal.metric import Direction, Family, Metric, Scope, Statistic, Subject, item
 from posecal.protocol import Protocol
 from posecal.registry import known_metrics
 from posecal.skeleton import JOINT_SETS
@@ -128,8 +130,8 @@ def test_every_metric_can_be_read(protocol: Protocol) -> None:
         assert metric.label
         assert metric.brief
         assert metric.unit in {"", "mm", "mm/frame", "mm/s"}
-        assert metric.direction in {"lower", "higher", "zero", "none"}
-        assert metric.family in {"accuracy", "calibration", "spread"}
+        assert metric.direction in get_args(Direction)
+        assert metric.family in get_args(Family)
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)

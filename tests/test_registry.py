@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
+from posecal.block import Block
 from posecal.errors import PoseDataError
 from posecal.metric import Subject
 from posecal.protocol import Protocol
-from posecal.registry import curves_of, known_metrics, metrics_of
+from posecal.registry import curves_of, known_metrics, metrics_of, sights_of
 from posecal.skeleton import JOINT_SETS
 
 H36M = JOINT_SETS["h36m-17"]
@@ -34,6 +38,58 @@ def test_a_default_metric_costs_no_statistic_that_no_headline_needs_but_two() ->
 def test_named_metrics_come_in_the_order_of_a_report() -> None:
     found = metrics_of(Protocol(metrics=" ece,min_mpjpe , pck"), PERSON)
     assert list(found) == ["min_mpjpe", "pck", "ece"]
+
+
+@pytest.mark.parametrize("group", ["battery", "scores"])
+def test_a_group_s_word_gives_its_family(group: str) -> None:
+    known = known_metrics(Protocol(), PERSON)
+    found = metrics_of(Protocol(metrics=group), PERSON)
+    assert list(found) == [name for name, metric in known.items() if metric.family == group]
+    assert found
+
+
+def test_words_and_names_are_put_together() -> None:
+    found = metrics_of(Protocol(metrics="scores, tarp, mpjpe"), PERSON)
+    assert set(found) == {*metrics_of(Protocol(metrics="scores"), PERSON), "tarp", "mpjpe"}
+    assert set(metrics_of(Protocol(metrics="default, all"), PERSON)) == set(known_metrics(Protocol(), PERSON))
+
+
+def test_a_user_s_pre_rank_is_a_metric_under_its_name() -> None:
+    own = replace(PERSON, preranks=("height",))
+    known = known_metrics(Protocol(), own, {"height": lambda pool: pool[:, 0, 2]})
+    assert known["height"].family == "battery"
+
+
+def test_a_pre_rank_that_is_not_at_hand_can_be_read_but_not_computed() -> None:
+    metric = known_metrics(Protocol(), replace(PERSON, preranks=("height",)))["height"]
+    assert metric.finish(np.full((1, 21), 0.5)) == pytest.approx(np.abs(np.arange(21) / 20 - 0.5).mean())
+    with pytest.raises(PoseDataError, match=r"prerank: 'height' is not at hand; expected its function\."):
+        metric.statistic.compute(Block(np.zeros((7, 1, 17, 3)), np.zeros((1, 17, 3))))
+
+
+def test_against_a_reference_every_proper_score_has_a_skill() -> None:
+    known = known_metrics(Protocol(), replace(PERSON, reference="climatology"))
+    skills = {name: metric for name, metric in known.items() if name.endswith("_skill")}
+    assert set(skills) == {"energy_skill", "joint_energy_skill", "crps_skill", "variogram_skill", "brier_skill"}
+    # the mean of our score is 3, of the reference's 4: a quarter better
+    assert skills["variogram_skill"].finish(np.array([3.0, 4.0])) == pytest.approx(0.25)
+    assert np.isnan(skills["variogram_skill"].finish(np.array([3.0, 0.0])))
+
+
+def test_numbers_by_sight_bear_the_names_of_those_over_all_joints() -> None:
+    marked = replace(PERSON, marked=True)
+    sights = sights_of(Protocol(), marked)
+    assert list(sights) == ["occluded", "visible"]
+    for sight, metrics in sights.items():
+        assert set(metrics) <= set(known_metrics(Protocol(), marked))
+        assert all(sight in metric.definition for metric in metrics.values())
+
+
+def test_numbers_by_sight_need_marks_and_two_hypotheses() -> None:
+    with pytest.raises(PoseDataError, match=r"by: sight needs to know which joints are occluded; expected a member"):
+        sights_of(Protocol(), PERSON)
+    with pytest.raises(PoseDataError, match=r"by: sight needs at least 2 hypotheses; there is 1\."):
+        sights_of(Protocol(), replace(PERSON, marked=True, n_hypotheses=1))
 
 
 def test_with_one_hypothesis_there_is_no_calibration_and_no_spread() -> None:
@@ -71,6 +127,7 @@ def test_min_mpjpe_is_given_at_round_numbers_up_to_n() -> None:
         ("ece_paper", Subject(1, H36M, 0), r"metrics: ece_paper needs at least 2 hypotheses; there is 1\."),
         ("coverage_50", Subject(1, H36M, 0), r"coverage_50 needs at least 2 hypotheses"),
         ("radius_50", Subject(1, H36M, 0), r"radius_50 needs at least 2 hypotheses"),
+        ("battery", Subject(1, H36M, 0), r"metrics: battery needs at least 2 hypotheses"),
         ("a1, pck, b2", PERSON, r"(?s)2 problems:.*metrics: a1 is not known.*metrics: b2 is not known"),
         ("", PERSON, r"metrics:  is not known"),
     ],

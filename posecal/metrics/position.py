@@ -59,6 +59,11 @@ def pose_of(block: Block, of: OfPoses, mode: int | None = None) -> FloatArray:
     -------
     array (B, K, D, 1)
         Its offset from the truth, mm.
+
+    Raises
+    ------
+    PoseDataError
+        For scores that are not finite, or can't be weights where weights are needed.
     """
     x = block.offsets
     if of == "mean_pose":
@@ -67,8 +72,14 @@ def pose_of(block: Block, of: OfPoses, mode: int | None = None) -> FloatArray:
     if of == "median_pose":
         return block.median[..., None]
     if of == "weighted_pose":
-        shares = block.scores / block.scores.sum(axis=-1, keepdims=True)
-        weighted: FloatArray = np.einsum("bkdn,bn->bkd", x, shares.astype(x.dtype))
+        total = block.scores.sum(axis=-1, keepdims=True)
+        if (block.scores < 0).any() or not total.all():
+            raise PoseDataError(
+                "hypotheses: scores below 0, or all 0 for a pose; expected weights to take a mean of the hypotheses "
+                "with. Store probabilities, or leave the weighted_pose metrics out."
+            )
+        shares = (block.scores / total).astype(x.dtype)
+        weighted: FloatArray = np.einsum("bkdn,bn->bkd", x, shares)
         return weighted[..., None]
     chosen = block.scores.argmax(axis=-1) if mode is None else np.full(x.shape[0], mode)
     return np.take_along_axis(x, chosen[:, None, None, None], axis=-1)

@@ -1,7 +1,8 @@
 """How do the numbers look? Reliability diagrams and the rest: ``ax`` in, ``ax`` out.
 
 Everything here draws what a report, a comparison or an array of poses holds, and computes nothing. Pictures that need
-a file go through the functions that begin with ``draw``, which never touch a display, and :func:`posecal.plot.style.save`.
+a file go through the functions that begin with ``draw``, which never touch a display, and
+:func:`posecal.plot.style.save`.
 """
 
 from __future__ import annotations

@@ -46,7 +46,7 @@ def signed_areas(report: Report, *, ax: Axes | None = None) -> Axes:
     report.value("signed_area")
     joints = report.totals.subject.joints
     skeleton = Skeleton(joints)
-    at = skeleton.rest_pose[:, [0, 2]] * [2.4, 1.0]  # from the front, and broad, so that the numbers have room
+    at = skeleton.rest_pose[:, [0, 2]] * [2.0, 1.0]  # from the front, and broad, so that the numbers have room
     for parent, child in skeleton.bones:
         ax.plot(*at[[parent, child]].T, color=FAINT, lw=3, solid_capstyle="round", zorder=1)
     values = {row.joint: row.value for row in report.rows if row.metric == "signed_area" and row.joint is not None}
@@ -61,7 +61,7 @@ def signed_areas(report: Report, *, ax: Axes | None = None) -> Axes:
         ax.annotate(
             with_sign(value, 3),
             (x, y),
-            xytext=(side * (3 + np.sqrt(area / np.pi)), -9 if joint == "Thorax" else 0),  # off the shoulder bone
+            xytext=(side * (3 + np.sqrt(area / np.pi)), 5 if x == 0 else 0),  # off the shoulder bone
             textcoords="offset points",
             ha="left" if side > 0 else "right",
             va="center",

@@ -141,6 +141,13 @@ def test_a_weighted_pose_takes_the_scores_as_weights(arrays: tuple[Array, Array]
     np.testing.assert_allclose(found[..., 0] + y, oracles.one_pose(x, "weighted_pose", scores)[0])
 
 
+@pytest.mark.parametrize("scores", [np.linspace(-1, 1, N), np.zeros(N)])
+def test_a_weighted_pose_needs_weights(arrays: tuple[Array, Array], scores: Array) -> None:
+    block = Block(*arrays, scores=np.tile(scores[:, None], (1, M)))
+    with pytest.raises(PoseDataError, match=r"scores below 0, or all 0 for a pose; expected weights"):
+        pose_of(block, "weighted_pose")
+
+
 def test_the_mode_is_the_hypothesis_of_the_highest_score(arrays: tuple[Array, Array]) -> None:
     x, y = arrays
     scores = np.random.default_rng(2).gamma(1, 1, (N, M))

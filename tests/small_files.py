@@ -1,0 +1,72 @@
+"""A few poses in whole millimetres, and the files that hold them: every type of number represents them exactly."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from posecal.io import read_poses
+from posecal.joining import Join, join
+from posecal.pairs import PosePairs
+from posecal.skeleton import JOINT_SETS
+
+Array = npt.NDArray[Any]
+
+N, M, K = 5, 7, 17
+JOINTS = JOINT_SETS["h36m-17"]
+FRAMES = [f"S9/walk/{frame:03d}" for frame in (5, 3, 9, 1, 0, 12, 7)]
+
+
+def truth() -> Array:
+    """True poses (7, 17, 3): a standing person who sways, hip at the origin, in whole mm."""
+    random = np.random.default_rng(20)
+    from posecal.skeleton import Skeleton
+
+    poses = Skeleton(JOINTS).rest_pose + random.integers(-90, 91, (M, K, 3))
+    poses[:, 0] = 0
+    return poses.astype(np.float32)
+
+
+def hypotheses() -> Array:
+    """Hypotheses (5, 7, 17, 3) about them, hip at the origin, in whole mm."""
+    random = np.random.default_rng(21)
+    found = truth() + random.integers(-120, 121, (N, M, K, 3))
+    found[:, :, 0] = 0
+    return found.astype(np.float32)
+
+
+def save(path: Path, **members: Any) -> Path:
+    """Write an .npz file."""
+    np.savez(path, allow_pickle=False, **members)
+    return path
+
+
+def hypotheses_file(folder: Path, **members: Any) -> Path:
+    """Write the hypotheses, with more members or others."""
+    return save(folder / "hyps.npz", **{"hypotheses": hypotheses(), **members})
+
+
+def truth_file(folder: Path, **members: Any) -> Path:
+    """Write the truth with the names of its joints, with more members or others."""
+    return save(folder / "gt.npz", **{"truth": truth(), "joints": JOINTS, **members})
+
+
+def member(path: Path, name: str, contents: bytes, method: int = zipfile.ZIP_STORED) -> Path:
+    """Write a zip file of one member."""
+    with zipfile.ZipFile(path, "w", method) as archive:
+        archive.writestr(name, contents)
+    return path
+
+
+def opened(ours: Path, theirs: Path, how: Join | None = None) -> PosePairs:
+    """Read and join two files."""
+    return join(read_poses(ours, "hypotheses"), read_poses(theirs, "truth"), how)
+
+
+def coordinates(pairs: PosePairs) -> Array:
+    """All hypotheses of some pairs, (N, M, K, 3)."""
+    return pairs.hypotheses.read(0, len(pairs.truth))

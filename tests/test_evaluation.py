@@ -1,0 +1,325 @@
+"""Does the walk from arrays to sums visit every pose once, score what it should, and refuse what it can't?"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from posecal import block as block_module
+from posecal import evaluation
+from posecal.errors import PoseDataError
+from posecal.evaluation import add_up, evaluate, walk
+from posecal.metrics import diversity, min_mpjpe, mpjpe, mpjve, radius
+from posecal.protocol import Protocol
+from tests import oracles
+from tests.drawn import JOINTS, World, skewed, world
+
+Array = npt.NDArray[np.floating]
+
+N, M, K = 5, 12, 4
+
+
+@pytest.fixture
+def arrays() -> tuple[Array, Array]:
+    return skewed(0, N, M, K)
+
+
+@pytest.fixture
+def some() -> World:
+    return world(2, M=M)
+
+
+# --- of arrays -------------------------------------------------------------------------------------------------------
+
+
+def test_the_report_s_numbers_are_the_means_of_the_functions_of_arrays(arrays: tuple[Array, Array]) -> None:
+    report = evaluate(*arrays, root_joint="none")
+    np.testing.assert_allclose(report.value("min_mpjpe"), min_mpjpe(*arrays).mean())
+    np.testing.assert_allclose(report.value("mpjpe"), mpjpe(*arrays).mean())
+    np.testing.assert_allclose(report.value("pa_min_mpjpe"), min_mpjpe(*arrays, align="similarity").mean())
+    np.testing.assert_allclose(report.value("diversity"), diversity(*arrays).mean())
+    np.testing.assert_allclose(report.value("radius_50"), radius(*arrays).mean())
+
+
+def test_a_mask_says_which_joints_count(arrays: tuple[Array, Array]) -> None:
+    where = np.random.default_rng(1).random((M, K)) < 0.7
+    where[3] = False
+    report = evaluate(*arrays, where=where, root_joint="none")
+    np.testing.assert_allclose(report.value("min_mpjpe"), np.nanmean(min_mpjpe(*arrays, where=where)))
+    row = next(row for row in report.rows if row.metric == "min_mpjpe")
+    assert row.poses == M - 1
+
+
+def test_named_joints_make_the_hip_the_root(some: World) -> None:
+    report = evaluate(some.x, some.y, joints=JOINTS)
+    np.testing.assert_allclose(report.value("min_mpjpe"), min_mpjpe(some.x, some.y, root=JOINTS.index("Hip")).mean())
+    assert "origin=Hip" in report.signature
+
+
+@pytest.mark.parametrize(("root_joint", "root"), [("Head", JOINTS.index("Head")), ("5", 5), ("none", None)])
+def test_another_root_may_be_named(some: World, root_joint: str, root: int | None) -> None:
+    report = evaluate(some.x, some.y, joints=JOINTS, root_joint=root_joint)
+    np.testing.assert_allclose(report.value("min_mpjpe"), min_mpjpe(some.x, some.y, root=root).mean())
+
+
+def test_the_one_unnamed_joint_that_rests_at_the_origin_is_the_root(arrays: tuple[Array, Array]) -> None:
+    x, y = arrays
+    y[:, 2] = 0
+    assert "origin=joint_2" in evaluate(x, y).signature
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("m", 1000), ("cm", 10), ("1/0.0036", 1 / 0.0036)])
+def test_lengths_are_turned_into_millimetres(arrays: tuple[Array, Array], unit: str, factor: float) -> None:
+    x, y = arrays
+    report = evaluate(x / factor, y / factor, unit=unit, root_joint="none")
+    np.testing.assert_allclose(report.value("min_mpjpe"), min_mpjpe(x, y).mean())
+
+
+def test_other_layouts_are_declared(arrays: tuple[Array, Array]) -> None:
+    x, y = arrays
+    report = evaluate(x.transpose(1, 0, 3, 2), y, axes="MNDK", root_joint="none")
+    np.testing.assert_allclose(report.value("min_mpjpe"), min_mpjpe(x, y).mean())
+
+
+def test_whole_numbers_are_lengths_too(arrays: tuple[Array, Array]) -> None:
+    x, y = (array.astype(np.int16) for array in arrays)
+    np.testing.assert_allclose(evaluate(x, y, root_joint="none").value("mpjpe"), mpjpe(x, y).mean())
+
+
+def test_a_protocol_may_be_a_preset_s_name(some: World) -> None:
+    report = evaluate(some.x, some.y, joints=JOINTS, protocol="gfpose", labels={"action": some.action})
+    assert {row.metric for row in report.rows if row.joint is None} == {"min_mpjpe", "pa_min_mpjpe", "diversity"}
+    assert "align=reflection" in report.signature
+
+
+def test_groups_are_over_their_poses(some: World) -> None:
+    report = evaluate(some.x, some.y, labels={"action": some.action}, by=["action"], root_joint="none")
+    for action in np.unique(some.action):
+        kept = some.action == action
+        expected = min_mpjpe(some.x[:, kept], some.y[kept]).mean()
+        np.testing.assert_allclose(report.value("min_mpjpe", group=f"action={action}"), expected)
+
+
+def test_scores_and_frames_per_second_reach_their_metrics(some: World) -> None:
+    names = "weighted_pose_mpjpe, mode_mpjpe, mpjve"
+    report = evaluate(
+        some.x,
+        some.y,
+        labels={"sequence": some.sequence},
+        scores=some.scores,
+        fps=50,
+        protocol=Protocol(metrics=names, velocity="second"),
+        root_joint="none",
+    )
+    everywhere = np.ones(some.y.shape[:2], dtype=bool)
+    for of in ("weighted_pose", "mode"):
+        expected = oracles.pose_errors(oracles.one_pose(some.x, of, some.scores), some.y, everywhere).mean()
+        np.testing.assert_allclose(report.value(f"{of}_mpjpe"), expected)
+    velocity = mpjve(some.x, some.y, sequence=some.sequence, fps=50)
+    np.testing.assert_allclose(report.value("mpjve"), np.nanmean(velocity))
+
+
+def test_one_hypothesis_has_an_accuracy(arrays: tuple[Array, Array]) -> None:
+    x, y = arrays
+    report = evaluate(x[:1], y, root_joint="none")
+    np.testing.assert_allclose(report.value("min_mpjpe"), mpjpe(x[:1], y).mean())
+    assert "ece" not in {row.metric for row in report.rows}
+
+
+def test_occluded_joints_are_scored_by_themselves(some: World) -> None:
+    report = evaluate(some.x, some.y, occluded=some.occluded, protocol=Protocol(where="occluded"), root_joint="none")
+    expected = np.nanmean(min_mpjpe(some.x, some.y, where=some.occluded))
+    np.testing.assert_allclose(report.value("min_mpjpe"), expected)
+
+
+# --- which poses -----------------------------------------------------------------------------------------------------
+
+
+def with_label(some: World, **labels: npt.ArrayLike) -> evaluation.PosePairs:
+    pairs = some.pairs
+    return replace(pairs, labels={**pairs.labels, **{name: np.array(v).astype(str) for name, v in labels.items()}})
+
+
+@pytest.mark.parametrize("yes", ["yes", "1", "True", "true", "YES"])
+def test_only_the_frames_of_a_label_are_scored(some: World, yes: str) -> None:
+    hard = np.arange(M) % 3 == 0
+    totals = add_up(with_label(some, hard=np.where(hard, yes, "no")), Protocol(frames="hard"))
+    expected = some.taken(np.flatnonzero(hard)).totals(Protocol())
+    assert totals.poses.sum() == hard.sum()
+    np.testing.assert_allclose(totals.sums["errors"].sum(axis=0), expected.sums["errors"].sum(axis=0))
+
+
+def test_a_step_over_frames_that_are_left_out_is_no_velocity(some: World) -> None:
+    one = replace(some, sequence=np.full(M, "one"))
+    hard = np.array([1, 1, 0, 1, 0, 0, 1, 1, 1, 0, 1, 1], dtype=bool)
+    protocol = Protocol(frames="hard", metrics="mpjve")
+    totals = add_up(with_label(one, hard=np.where(hard, "yes", "no")), protocol)
+    known = hard & np.concatenate([[False], hard[:-1]])
+    expected = mpjve(one.x, one.y, root=one.root)[known]
+    assert totals.counts["mpjve"].sum() == known.sum() == 4
+    np.testing.assert_allclose(totals.sums["mpjve"].sum(), expected.sum())
+
+
+@pytest.mark.parametrize("window", [1, 4000, 10**9])
+@pytest.mark.parametrize("block", [1, 3000, 10**9])
+def test_every_pose_is_in_one_block_in_the_order_of_the_poses(
+    some: World, window: int, block: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(evaluation, "WINDOW_BYTES", window)
+    monkeypatch.setattr(block_module, "BLOCK_BYTES", block)
+    blocks = [(poses, lay_out()) for poses, lay_out in walk(some.pairs)]
+    assert np.concatenate([np.arange(M)[poses] for poses, _ in blocks]).tolist() == list(range(M))
+    whole = block_module.Block(some.x, some.y, root=some.root)
+    for name in ("offsets", "truth"):
+        joined = np.concatenate([getattr(one, name) for _, one in blocks])
+        np.testing.assert_array_equal(joined, getattr(whole, name))
+    scores = np.concatenate([one.scores for _, one in blocks])
+    np.testing.assert_array_equal(scores, some.scores.T)
+
+
+def test_a_velocity_is_of_both_poses_across_windows(some: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    where = np.random.default_rng(5).random(some.y.shape[:2]) < 0.7
+    where[:, some.joints.index("Hip")] = True
+    expected = oracles.velocity_errors(
+        oracles.relative(some.x, some.root), oracles.relative(some.y, some.root), where, list(some.sequence)
+    )
+    monkeypatch.setattr(evaluation, "WINDOW_BYTES", 1)
+    totals = add_up(replace(some.pairs, where=where), Protocol(metrics="mpjve"))
+    np.testing.assert_allclose(totals.sums["mpjve"].sum(), np.nansum(expected))
+    assert totals.counts["mpjve"].sum() == (~np.isnan(expected)).sum()
+
+
+def test_sums_are_kept_per_sequence(some: World) -> None:
+    totals = add_up(some.pairs, Protocol(metrics="mpjpe"))
+    errors = mpjpe(some.x, some.y, root=some.root)
+    for sequence, sums, poses in zip(totals.cells["sequence"], totals.sums["errors"], totals.poses, strict=True):
+        kept = some.sequence == sequence
+        assert poses == kept.sum()
+        np.testing.assert_allclose(sums[1], errors[kept].sum())
+
+
+def test_a_sequence_that_comes_again_is_one_cell() -> None:
+    some = world(3, M=M)
+    again = replace(some, sequence=np.array((["a"] * 3 + ["b"] * 3) * 2))
+    totals = add_up(again.pairs, Protocol(metrics="mpjpe"))
+    assert totals.cells["sequence"].tolist() == ["a", "b"]
+    assert totals.poses.tolist() == [6, 6]
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_progress_counts_the_poses_that_are_done(some: World, threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(block_module, "BLOCK_BYTES", 1)
+    seen: list[int] = []
+    add_up(some.pairs, threads=threads, progress=seen.append)
+    assert seen == list(range(1, M + 1))
+
+
+def test_only_statistics_that_are_asked_for_are_added_up(some: World) -> None:
+    assert set(add_up(some.pairs, Protocol(metrics="pck")).sums) == {"truth", "pck"}
+    assert {"errors_by_n", "pck_curve", "cps_curve"} <= set(add_up(some.pairs).sums)
+
+
+def test_poses_are_grouped_by_their_predicted_spread(some: World) -> None:
+    totals = add_up(some.pairs, Protocol(metrics="mpjpe"), by=["spread:2"])
+    x, moving = oracles.relative(some.x, some.root), np.arange(len(JOINTS)) != some.root
+    spread = oracles.deviations(x, 1)[:, moving].mean(axis=1)
+    wide = spread >= np.median(spread)
+    errors = mpjpe(some.x, some.y, root=some.root)
+    for name, cells in totals.groups("spread"):
+        kept = wide if name.startswith("2") else ~wide
+        np.testing.assert_allclose(totals.sums["errors"][cells].sum(axis=0)[1], errors[kept].sum())
+
+
+def test_a_pre_rank_of_one_s_own_is_ranked(some: World) -> None:
+    """Of the height of the second joint, as its coordinate's own rank."""
+    own = {"height": lambda pool: pool[:, 0, 2]}
+    totals = add_up(some.pairs, Protocol(metrics="height, coordinate_pit"), preranks=own)
+    joint = next(k for k in range(len(JOINTS)) if k != some.root)
+    np.testing.assert_allclose(totals.sums["height"][:, 0], totals.sums["coordinate_pit"][:, joint, 2])
+
+
+def test_a_pre_rank_that_gives_something_else_is_refused(some: World) -> None:
+    with pytest.raises(PoseDataError, match=r"prerank: gave \(3,\) for a pool of 6 poses; expected one finite number"):
+        add_up(some.pairs, Protocol(metrics="odd"), preranks={"odd": lambda pool: pool[0, 0]})
+
+
+# --- what is refused -------------------------------------------------------------------------------------------------
+
+
+def test_frames_of_a_label_that_is_not_there_are_refused(some: World) -> None:
+    with pytest.raises(PoseDataError, match=r"frames: truth has no label 'hard'; expected a yes/no member \(M,\)"):
+        add_up(some.pairs, Protocol(frames="hard"))
+
+
+def test_frames_of_which_there_is_none_are_refused(some: World) -> None:
+    with pytest.raises(PoseDataError, match=r"frames: no pose of truth has the label hard; expected some\."):
+        add_up(with_label(some, hard=["no"] * M), Protocol(frames="hard"))
+
+
+def test_occluded_joints_that_nobody_marked_are_refused(some: World) -> None:
+    with pytest.raises(PoseDataError, match=r"where: truth does not say which joints are occluded; expected a member"):
+        add_up(replace(some.pairs, occluded=None), Protocol(where="occluded"))
+
+
+def test_no_joint_to_score_is_refused(some: World) -> None:
+    with pytest.raises(PoseDataError, match=r"where: no joint of truth is visible; expected some to score\."):
+        add_up(replace(some, occluded=np.ones_like(some.occluded)).pairs, Protocol(where="visible"))
+
+
+@pytest.mark.parametrize("side", ["truth", "hypotheses"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_what_is_not_finite_is_refused_with_its_frames_and_joint(some: World, side: str, value: float) -> None:
+    x, y = some.x.copy(), some.y.copy()
+    for m in (3, 7):
+        if side == "truth":
+            y[m, 5, 1] = value
+        else:
+            x[2, m, 5, 1] = value
+    words = rf"{side} has non-finite coordinates in 2 of 12 frames \(first: frame 3, joint LWrist\)\. Mask those joints"
+    with pytest.raises(PoseDataError, match=words):
+        add_up(replace(some, x=x, y=y).pairs)
+
+
+def test_what_is_not_finite_is_passed_over_where_it_does_not_count(some: World) -> None:
+    where = np.ones((M, len(JOINTS)), dtype=bool)
+    where[3, 5] = False
+    y = some.y.copy()
+    y[3, 5] = np.nan
+    masked = replace(some, where=where)
+    expected = add_up(masked.pairs).sums
+    for name, sums in add_up(replace(masked, y=y).pairs).sums.items():
+        np.testing.assert_array_equal(sums, expected[name])
+
+
+@pytest.mark.parametrize("where", [np.ones((M, K)), np.ones((K, M), dtype=bool)])
+def test_a_mask_of_another_type_or_shape_is_refused(arrays: tuple[Array, Array], where: npt.ArrayLike) -> None:
+    with pytest.raises(PoseDataError, match=r"where: .*; expected bool \(M, K\) = \(12, 4\)\."):
+        evaluate(*arrays, where=where)
+
+
+def test_arrays_of_no_real_numbers_are_refused(arrays: tuple[Array, Array]) -> None:
+    with pytest.raises(PoseDataError, match=r"truth: dtype complex128; expected real numbers such as float32\."):
+        evaluate(arrays[0], arrays[1].astype(complex))
+
+
+def test_an_unknown_preset_is_refused(arrays: tuple[Array, Array]) -> None:
+    with pytest.raises(PoseDataError, match=r"preset: 'gfpos' is not known\. Did you mean gfpose\?"):
+        evaluate(*arrays, protocol="gfpos")
+
+
+def test_a_label_to_group_by_that_is_not_there_is_refused(some: World) -> None:
+    with pytest.raises(PoseDataError, match=r"by: 'camera' is not a label of these poses\. Known: "):
+        add_up(some.pairs, by=["camera"])
+
+
+def test_an_average_over_a_label_that_is_not_there_is_refused(arrays: tuple[Array, Array]) -> None:
+    with pytest.raises(PoseDataError, match=r"by: 'action' is not a label of these poses\."):
+        evaluate(*arrays, protocol=Protocol(average="action"))
+
+
+def test_an_average_over_runs_of_frames_is_refused(arrays: tuple[Array, Array]) -> None:
+    with pytest.raises(PoseDataError, match=r"'sequence' is not a label of these poses\."):
+        evaluate(*arrays, protocol=Protocol(average="sequence"))

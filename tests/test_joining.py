@@ -1,0 +1,437 @@
+"""Frames join by id, joints by name, lengths in mm; everything that does not fit is said, all at once."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from posecal.errors import PoseDataError
+from posecal.joining import Join, alone, join
+from posecal.layout import MemoryArray
+from posecal.pairs import PosePairs, Poses
+from tests.small_files import (
+    FRAMES,
+    JOINTS,
+    K,
+    M,
+    N,
+    coordinates,
+    hypotheses,
+    hypotheses_file,
+    opened,
+    save,
+    truth,
+    truth_file,
+)
+
+
+def ours(array: Any = None, **declared: Any) -> Poses:
+    return Poses("hyps.npz", MemoryArray(np.asarray(hypotheses() if array is None else array)), **declared)
+
+
+def theirs(array: Any = None, **declared: Any) -> Poses:
+    return Poses("gt.npz", MemoryArray(np.asarray(truth() if array is None else array)), **declared)
+
+
+def ids(*names: object) -> Any:
+    return np.array([str(name) for name in names])
+
+
+# --- axes -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "words"),
+    [
+        ((7, 17, 3), (5, 7, 17, 3), r"hyps\.npz \(7, 17, 3\) and gt\.npz \(5, 7, 17, 3\): expected \(N, M, K, D\) and "
+         r"\(M, K, D\)\. The two look swapped\."),
+        ((7, 17, 3), (7, 17, 3), r".*: expected \(N, M, K, D\) and \(M, K, D\)\. Declare another layout of hyps\.npz "
+         r"with --axes\."),
+        ((5, 7, 17, 3), (5, 7, 17, 3), r".*\. Declare another layout of gt\.npz with --truth-axes\."),
+        ((7, 7, 17, 3), (7, 17, 3), r".*, but the shapes don't tell which axis is the hypotheses \(N = M = 7\)\. Pass "
+         r"--axes NMKD or --axes MNKD\."),
+        ((7, 5, 17, 3), (7, 17, 3), r".*\. The shapes fit --axes MNKD\."),
+        ((7, 17, 5, 3), (7, 17, 3), r".*\. The shapes fit --axes MKND\."),
+        ((5, 7, 3, 17), (7, 17, 3), r".*\. The shapes fit --axes NMDK\."),
+        ((7, 5, 3, 17), (7, 17, 3), r".*\. The shapes fit --axes MNDK\."),
+        ((7, 17, 3, 5), (7, 17, 3), r".*\. The shapes fit --axes MKDN\."),
+        ((7, 3, 17, 5), (7, 17, 3), r".*\. The shapes fit --axes MDKN\."),
+        ((5, 7, 17, 3), (7, 3, 17), r".*, coordinates last\. Pass --truth-axes MDK\."),
+    ],
+    ids=[
+        *("swapped", "two truths", "two hypotheses", "N = M", "hypotheses second", "hypotheses third"),
+        *("coordinates first", "both", "hypotheses last", "hypotheses last, coordinates first", "truth's coordinates"),
+    ],
+)  # fmt: skip
+def test_an_undeclared_order_of_axes_is_refused_with_the_flag_that_fits(
+    x: tuple[int, ...], y: tuple[int, ...], words: str
+) -> None:
+    with pytest.raises(PoseDataError, match=f"^{words}$"):
+        join(ours(np.ones(x)), theirs(np.ones(y)))
+
+
+def test_as_many_hypotheses_as_poses_are_read_where_the_axes_are_declared() -> None:
+    seven = np.concatenate([hypotheses(), hypotheses()[:2] + 1])
+    for axes, stored in (("NMKD", seven), ("MNKD", seven.transpose(1, 0, 2, 3))):
+        np.testing.assert_array_equal(coordinates(join(ours(stored), theirs(), Join(axes=axes))), seven)
+        np.testing.assert_array_equal(coordinates(join(ours(stored, axes=axes), theirs())), seven)
+
+
+def test_swapped_arrays_are_known_by_any_declared_layout() -> None:
+    with pytest.raises(PoseDataError, match=r"The two look swapped\.$"):
+        join(ours(truth(), axes="NMKD"), theirs(hypotheses(), axes="MKD"))
+
+
+def test_a_flag_that_contradicts_the_file_is_refused() -> None:
+    with pytest.raises(PoseDataError, match=r"^hyps\.npz declares 'NMKD' itself, and --axes says 'MNKD'\. Drop the f"):
+        join(ours(axes="NMKD"), theirs(), Join(axes="MNKD"))
+    assert join(ours(axes="NMKD"), theirs(), Join(axes="NMKD")).shape == (N, M, K, 3)
+
+
+def test_a_layout_that_the_array_does_not_have_is_refused_by_file() -> None:
+    with pytest.raises(PoseDataError, match=r"^gt\.npz: axes: \(KD\) has length 50; expected a multiple of 3"):
+        join(ours(), theirs(np.ones((7, 50)), axes="M(KD)"))
+    with pytest.raises(PoseDataError, match=r"^hyps\.npz: axes: 'QRS' lacks N, M, K, D; expected"):
+        join(ours(axes="QRS"), theirs())
+
+
+@pytest.mark.parametrize("axes", ["NMDK", "MNDK", "NMKD"])
+def test_a_truth_with_coordinates_last_is_known_beside_any_hypotheses(axes: str) -> None:
+    stored = hypotheses().transpose(["NMKD".index(letter) for letter in axes])
+    fewer = theirs(truth()[:4], frame_id=ids(*FRAMES[:4]))  # its M is another one
+    pairs = join(ours(stored, axes=axes, frame_id=ids(*FRAMES)), fewer, Join(missing="skip"))
+    np.testing.assert_array_equal(pairs.truth, truth()[:4])
+
+
+def test_a_truth_stored_as_the_hypotheses_are_is_known() -> None:
+    stored = hypotheses().transpose(1, 0, 3, 2)
+    pairs = join(ours(stored, axes="MNDK"), theirs(truth().transpose(0, 2, 1)))
+    np.testing.assert_array_equal(pairs.truth, truth())
+
+
+def test_three_joints_tell_no_layout_of_the_truth() -> None:
+    stored = hypotheses()[:, :, :3].transpose(0, 1, 3, 2)
+    with pytest.raises(PoseDataError, match=r"but K = D = 3 tells no layout\. Pass --truth-axes MKD or --truth-axes M"):
+        join(ours(stored, axes="NMDK"), theirs(truth()[:, :3]))
+    np.testing.assert_array_equal(
+        join(ours(stored, axes="NMDK"), theirs(truth()[:, :3]), Join(truth_axes="MKD")).truth, truth()[:, :3]
+    )
+
+
+@pytest.mark.parametrize("x", [(0, 7, 17, 3), (5, 0, 17, 3), (5, 7, 0, 3)])
+def test_an_axis_of_nothing_is_refused(x: tuple[int, ...]) -> None:
+    with pytest.raises(PoseDataError, match=r"hyps\.npz: nothing in it; its shape is \("):
+        join(ours(np.ones(x)), theirs(np.ones(x[1:])))
+
+
+def test_numbers_of_coordinates_that_differ_are_said() -> None:
+    with pytest.raises(PoseDataError, match=r"^hyps\.npz has D = 2 and gt\.npz 3; expected as many\.$"):
+        join(ours(hypotheses()[..., :2]), theirs())
+
+
+# --- units ----------------------------------------------------------------------------------------------------
+
+
+def test_a_unit_that_is_none_is_named_with_its_file() -> None:
+    with pytest.raises(PoseDataError, match=r"^gt\.npz: unit: 'inch'; expected mm, cm, m, or the millimetres in one"):
+        join(ours(), theirs(unit="inch"))
+
+
+def test_a_unit_by_flag_must_not_contradict_the_file() -> None:
+    with pytest.raises(PoseDataError, match=r"^gt\.npz declares 'mm' itself, and --truth-unit says 'm'\. Drop the fl"):
+        join(ours(), theirs(unit="mm"), Join(truth_unit="m"))
+
+
+def test_flags_that_can_not_be_are_refused_before_any_file_is_read() -> None:
+    with pytest.raises(PoseDataError, match=r"^5 problems:") as refused:
+        Join(axes="NMK", truth_axes="MK", unit="inch", truth_unit="yard", joint_names="h37m")
+    for words in ("'NMK' lacks D", "'MK' lacks D", "'inch'", "'yard'", "'h37m' is not known"):
+        assert words in str(refused.value)
+
+
+# --- frames ---------------------------------------------------------------------------------------------------
+
+
+def test_numbers_of_frames_that_differ_are_said_with_the_way_to_join_them() -> None:
+    with pytest.raises(PoseDataError, match=r"^hyps\.npz has M = 6 poses and gt\.npz 7; expected as many\. Store a"):
+        join(ours(hypotheses()[:, :6]), theirs())
+    with pytest.raises(PoseDataError, match=r"to join them \(hyps\.npz and gt\.npz without\)\.$"):
+        join(ours(hypotheses()[:, :6]), theirs())
+    with pytest.raises(PoseDataError, match=r"to join them \(gt\.npz without\)\.$"):
+        join(ours(hypotheses()[:, :6], frame_id=ids(*FRAMES[:6])), theirs())
+
+
+def test_a_declared_layout_that_fits_worse_than_another_is_hinted_at() -> None:
+    with pytest.raises(
+        PoseDataError, match=r"M = 5 poses and gt\.npz 7; expected as many\. The shapes fit the axes NM"
+    ):
+        join(ours(axes="MNKD"), theirs())
+
+
+def test_missing_frames_are_counted_and_the_first_are_named() -> None:
+    first = r"\(first: S9/walk/009, S9/walk/001, S9/walk/000 and 2 more\)"
+    words = rf"^hyps\.npz lacks 5 of the 7 frames of gt\.npz {first}\. Pass --missing skip to score the rest\.$"
+    with pytest.raises(PoseDataError, match=words):
+        join(ours(hypotheses()[:, :2], frame_id=ids(*FRAMES[:2])), theirs(frame_id=ids(*FRAMES)))
+
+
+def test_skipping_scores_the_frames_that_both_have_and_says_how_many_are_left_out() -> None:
+    other = ["x", *FRAMES[4:1:-1]]
+    found = join(
+        ours(hypotheses()[:, [0, 4, 3, 2]], frame_id=ids(*other)), theirs(frame_id=ids(*FRAMES)), Join(missing="skip")
+    )
+    np.testing.assert_array_equal(coordinates(found), hypotheses()[:, 2:5])
+    np.testing.assert_array_equal(found.truth, truth()[2:5])
+    assert found.frame_id.tolist() == FRAMES[2:5]
+    assert "hyps.npz lacks 4 of the 7 frames of gt.npz: skipped." in found.remarks
+    assert "gt.npz lacks 1 of the 4 frames of hyps.npz: skipped." in found.remarks
+
+
+def test_frames_of_no_name_in_common_are_refused_even_where_missing_ones_are_skipped() -> None:
+    with pytest.raises(PoseDataError, match=r"^hyps\.npz and gt\.npz have no frame_id in common; expected the same"):
+        join(ours(frame_id=ids(*range(M))), theirs(frame_id=ids(*FRAMES)), Join(missing="skip"))
+
+
+@pytest.mark.parametrize("missing", ["error", "skip"])
+def test_duplicate_frames_are_counted_and_named_whatever_happens_to_missing_ones(missing: Any) -> None:
+    twice = ids(*FRAMES[:5], FRAMES[0], FRAMES[1])
+    with pytest.raises(PoseDataError, match=r"hyps\.npz has 2 of 7 frame_id more than once \(first: S9/walk/005, S9/w"):
+        join(ours(frame_id=twice), theirs(frame_id=ids(*FRAMES)), Join(missing=missing))
+    with pytest.raises(PoseDataError, match=r"gt\.npz has 2 of 7 frame_id more than once .*\. Store each frame once\."):
+        join(ours(frame_id=ids(*FRAMES)), theirs(frame_id=twice), Join(missing=missing))
+
+
+@pytest.mark.parametrize("beside", [None, ids(*FRAMES)])
+def test_ids_for_another_number_of_poses_are_refused(beside: Any) -> None:
+    with pytest.raises(PoseDataError, match=r"gt\.npz: 3 frame_id for 7 poses; expected one each\."):
+        join(ours(frame_id=beside), theirs(frame_id=ids(*FRAMES[:3])))
+
+
+def test_poses_without_ids_are_called_by_their_number() -> None:
+    assert join(ours(), theirs()).frame_id.tolist() == ["0", "1", "2", "3", "4", "5", "6"]
+
+
+# --- joints ---------------------------------------------------------------------------------------------------
+
+
+def test_numbers_of_joints_that_differ_are_said_with_the_way_out() -> None:
+    words = r"^hyps\.npz has K = 16 joints and gt\.npz 17; expected as many, or joints named in both and --joints com"
+    with pytest.raises(PoseDataError, match=words):
+        join(ours(hypotheses()[:, :, 1:]), theirs(joints=JOINTS))
+
+
+def test_joints_that_one_file_lacks_are_named_with_the_way_out() -> None:
+    kept = [k for k, name in enumerate(JOINTS) if name not in {"LElbow", "LWrist"}]
+    with pytest.raises(PoseDataError, match=r"^hyps\.npz lacks 1 of the other's joints \(Hip\)\. Pass --joints common"):
+        join(ours(hypotheses()[:, :, 1:], joints=JOINTS[1:]), theirs(joints=JOINTS))
+    with pytest.raises(PoseDataError, match=r"^gt\.npz lacks 2 of the other's joints \(LElbow, LWrist\)\. Pass --joi"):
+        join(ours(joints=JOINTS), theirs(truth()[:, kept], joints=tuple(JOINTS[k] for k in kept)))
+
+
+def test_common_joints_are_scored_in_the_truths_order_and_the_rest_is_named() -> None:
+    few = ("RWrist", "Head", "antenna", "LHip")
+    x = np.stack([hypotheses()[:, :, JOINTS.index(name) if name in JOINTS else 0] for name in few], axis=2)
+    pairs = join(ours(x, joints=few), theirs(joints=JOINTS), Join(joints="common"))
+    assert pairs.joints == ("LHip", "Head", "RWrist")
+    np.testing.assert_array_equal(coordinates(pairs), hypotheses()[:, :, [JOINTS.index(name) for name in pairs.joints]])
+    assert "3 joints are in both; left out: Hip, RHip, RKnee, RFoot, LKnee and 10 more." in pairs.remarks
+
+
+def test_no_joint_in_common_is_refused() -> None:
+    with pytest.raises(PoseDataError, match=r"^hyps\.npz and gt\.npz have no joint in common\.$"):
+        join(
+            ours(joints=tuple(f"a{k}" for k in range(K))),
+            theirs(joints=tuple(f"b{k}" for k in range(K))),
+            Join(joints="common"),
+        )
+
+
+def test_names_for_another_number_of_joints_are_refused() -> None:
+    with pytest.raises(PoseDataError, match=r"^gt\.npz: 2 joints named for K = 17; expected one name each\.$"):
+        join(ours(), theirs(joints=("Hip", "Head")))
+
+
+def test_two_names_of_one_joint_are_refused() -> None:
+    twice = ("Hip", "pelvis", *JOINTS[2:])
+    with pytest.raises(PoseDataError, match=r"^gt\.npz names joints more than once: Hip\.$"):
+        join(ours(), theirs(joints=twice))
+
+
+def test_a_joint_set_names_unnamed_joints() -> None:
+    pairs = join(ours(hypotheses()[:, :, 1:]), theirs(truth()[:, 1:]), Join(joint_names="h36m-16"))
+    assert pairs.joints == JOINTS[1:]
+
+
+def test_a_joint_set_of_another_size_is_refused() -> None:
+    with pytest.raises(PoseDataError, match=r"hyps\.npz: h36m-16 has 16 joints for K = 17; expected one name each\."):
+        join(ours(), theirs(), Join(joint_names="h36m-16"))
+
+
+def test_names_in_one_file_name_the_joints_of_both() -> None:
+    assert join(ours(joints=JOINTS), theirs()).joints == JOINTS
+    assert join(ours(), theirs(joints=JOINTS)).joints == JOINTS
+
+
+# --- the root -------------------------------------------------------------------------------------------------
+
+
+def moved(pairs: PosePairs) -> tuple[int | None, bool]:
+    return pairs.root, any("no root joint is known" in remark for remark in pairs.remarks)
+
+
+def test_the_hip_is_the_root_by_name() -> None:
+    assert moved(join(ours(), theirs(truth() + 5, joints=JOINTS))) == (0, False)
+
+
+def test_the_one_unnamed_joint_that_stays_at_zero_is_the_root() -> None:
+    order = np.r_[1:K, 0]
+    assert moved(join(ours(hypotheses()[:, :, order]), theirs(truth()[:, order]))) == (K - 1, False)
+
+
+def test_without_a_root_positions_are_taken_as_they_stand_and_that_is_said() -> None:
+    assert moved(join(ours(), theirs(truth() + 5))) == (None, True)
+    two = truth()
+    two[:, 3] = 0
+    assert moved(join(ours(), theirs(two))) == (None, True)
+
+
+@pytest.mark.parametrize(
+    ("said", "root"),
+    [("none", None), ("3", 3), ("right_ankle", 3), ("Hip", 0)],
+)
+def test_a_root_by_flag_is_a_name_an_index_or_none(said: str, root: int | None) -> None:
+    pairs = join(ours(), theirs(joints=JOINTS), Join(root_joint=said))
+    assert moved(pairs) == (root, False)
+
+
+@pytest.mark.parametrize("said", ["17", "-1", "antenna", ""])
+def test_a_root_that_is_no_joint_is_refused(said: str) -> None:
+    with pytest.raises(PoseDataError, match=f"^root joint: '{said}' is not among the joints"):
+        join(ours(), theirs(joints=JOINTS), Join(root_joint=said))
+
+
+def test_a_root_that_the_hypotheses_lack_is_subtracted_from_the_truth_alone() -> None:
+    far = truth() + np.float32([100, 200, 300])
+    pairs = join(ours(hypotheses()[:, :, 1:], joints=JOINTS[1:]), theirs(far, joints=JOINTS), Join(joints="common"))
+    np.testing.assert_array_equal(pairs.truth, truth()[:, 1:])
+    assert pairs.root is None
+    assert "hyps.npz lacks the root Hip; taken as relative to it." in pairs.remarks
+
+
+# --- labels, marks and scores ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["sequence", "subject", "action", "camera"])
+def test_a_common_label_for_another_number_of_poses_is_refused(tmp_path: Path, name: str) -> None:
+    theirs = truth_file(tmp_path, **{name: ["a"] * 8})
+    with pytest.raises(PoseDataError, match=rf"^gt\.npz: {name} has 8 values for 7 poses; expected one each\.$"):
+        opened(hypotheses_file(tmp_path), theirs)
+
+
+def test_another_list_of_words_is_no_label(tmp_path: Path) -> None:
+    assert "axis_names" not in opened(hypotheses_file(tmp_path), truth_file(tmp_path, axis_names=list("xyz"))).labels
+
+
+def test_labels_that_contradict_each_other_are_counted() -> None:
+    with pytest.raises(PoseDataError, match=r"^hyps\.npz and gt\.npz differ in action of 2 of 7 frames\. Are they in"):
+        join(ours(labels={"action": ids(*"aabbbcc")}), theirs(labels={"action": ids(*"aaabbbc")}))
+
+
+def test_labels_follow_their_frames() -> None:
+    back = slice(None, None, -1)
+    pairs = join(
+        ours(hypotheses()[:, back], frame_id=ids(*FRAMES[back]), labels={"camera": ids(*"abcdefg")}),
+        theirs(frame_id=ids(*FRAMES), labels={"action": ids(*"tuvwxyz")}),
+    )
+    assert "".join(pairs.labels["camera"]) == "gfedcba"
+    assert "".join(pairs.labels["action"]) == "tuvwxyz"
+
+
+def test_a_sequence_label_is_kept_before_the_clips_of_the_array() -> None:
+    clips = theirs(truth()[:6].reshape(2, 3, K, 3), axes="MTKD", labels={"sequence": ids(*"aabbbb")})
+    assert "".join(join(ours(hypotheses()[:, :6]), clips).labels["sequence"]) == "aabbbb"
+
+
+def test_marks_of_another_shape_are_refused() -> None:
+    with pytest.raises(PoseDataError, match=r"^gt\.npz: occluded \(7, 3\); expected \(M, K\) = \(7, 17\)\.$"):
+        join(ours(), theirs(marks={"occluded": np.zeros((M, 3), dtype=bool)}))
+
+
+def test_both_kinds_of_marks_are_refused() -> None:
+    both = {name: np.zeros((M, K), dtype=bool) for name in ("occluded", "visible")}
+    with pytest.raises(PoseDataError, match=r"^gt\.npz has both occluded and visible; expected one of them\.$"):
+        join(ours(), theirs(marks=both))
+
+
+def test_marks_of_the_hypotheses_serve_where_the_truth_has_none() -> None:
+    marks = np.arange(M * K).reshape(M, K) % 5 == 0
+    np.testing.assert_array_equal(join(ours(marks={"occluded": marks}), theirs()).occluded, marks)
+    both = join(ours(marks={"occluded": ~marks}), theirs(marks={"occluded": marks}))
+    np.testing.assert_array_equal(both.occluded, marks)
+
+
+def test_marks_follow_their_joints() -> None:
+    marks, order = np.arange(M * K).reshape(M, K) % 5 == 0, np.arange(K)[::-1]
+    pairs = join(
+        ours(hypotheses()[:, :, order], joints=tuple(JOINTS[k] for k in order), marks={"visible": ~marks[:, order]}),
+        theirs(joints=JOINTS),
+    )
+    np.testing.assert_array_equal(pairs.occluded, marks)
+
+
+def test_scores_of_another_shape_are_refused() -> None:
+    with pytest.raises(PoseDataError, match=r"^hyps\.npz: scores \(7, 5\); expected \(N, M\) = \(5, 7\)\.$"):
+        join(ours(scores=np.zeros((M, N))), theirs())
+
+
+@pytest.mark.parametrize("rate", [0.0, -25.0, np.nan, np.inf])
+def test_frames_per_second_that_can_not_be_are_refused(rate: float) -> None:
+    with pytest.raises(PoseDataError, match=r"^fps: .*; expected frames per second, above 0\.$"):
+        join(ours(), theirs(fps=rate))
+
+
+def test_the_truths_frames_per_second_come_first() -> None:
+    assert join(ours(fps=25), theirs(fps=50)).fps == 50
+    assert join(ours(fps=25), theirs()).fps == 25
+
+
+# --- all at once, and what the pairs do -----------------------------------------------------------------------
+
+
+def test_everything_that_is_wrong_is_said_at_once() -> None:
+    with pytest.raises(PoseDataError, match=r"^4 problems:") as refused:
+        join(ours(hypotheses()[:, :6, :16], unit="inch"), theirs(joints=JOINTS, unit="yard"))
+    for words in ("hyps.npz: unit: 'inch'", "gt.npz: unit: 'yard'", "M = 6 poses", "K = 16 joints"):
+        assert words in str(refused.value)
+
+
+def test_some_poses_of_the_pairs_are_those_of_everything_in_them() -> None:
+    marks, scores = np.arange(M * K).reshape(M, K) % 5 == 0, np.arange(N * M, dtype=float).reshape(N, M)
+    pairs = join(
+        ours(scores=scores), theirs(frame_id=None, labels={"action": ids(*"tuvwxyz")}, marks={"occluded": marks})
+    )
+    some = pairs.taken(np.array([5, 1]))
+    np.testing.assert_array_equal(coordinates(some), hypotheses()[:, [5, 1]])
+    np.testing.assert_array_equal(some.truth, truth()[[5, 1]])
+    np.testing.assert_array_equal(some.occluded, marks[[5, 1]])
+    np.testing.assert_array_equal(some.scores, scores[:, [5, 1]])
+    assert some.labels["action"].tolist() == ["y", "u"]
+    assert some.frame_id.tolist() == ["5", "1"]
+
+
+def test_the_first_hypotheses_are_taken_where_fewer_are_asked_for() -> None:
+    pairs = join(ours(), theirs()).with_hypotheses(2)
+    assert pairs.shape == (2, M, K, 3)
+    np.testing.assert_array_equal(coordinates(pairs), hypotheses()[:2])
+    with pytest.raises(PoseDataError, match=r"^hypotheses: 6; expected 1 to N = 5, the hypotheses of hyps\.npz\.$"):
+        join(ours(), theirs()).with_hypotheses(6)
+
+
+def test_hypotheses_alone_need_no_truth(tmp_path: Path) -> None:
+    stored, joints, root = alone(ours(hypotheses() / 1000, unit="m", joints=JOINTS))
+    np.testing.assert_allclose(stored.read(0, M), hypotheses(), atol=1e-3)
+    assert (joints, root) == (JOINTS, 0)
+    with pytest.raises(PoseDataError, match=r"^hyps\.npz: nothing in it; its shape is \(5, 0, 17, 3\)\.$"):
+        alone(ours(np.ones((5, 0, 17, 3))))
+    assert save(tmp_path / "x.npz", a=1).exists()
