@@ -12,13 +12,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from posecal_models.train import Progress as Standing
 from posecal_models.train import Training
 
-__all__ = ["shown"]
+__all__ = ["counted", "shown"]
 
 
-def _words(standing: Standing) -> str:
+def _words(standing: Standing, epoch: int) -> str:
     losses = ", ".join(f"{name} {value:.4g}" for name, value in standing.losses.items())
     validation = "" if standing.validation != standing.validation else f", validation {standing.validation:.4g}"
-    return f"epoch {standing.epoch + 1}: {losses}{validation}, learning rate {standing.learning_rate:.2g}"
+    return f"epoch {epoch}: {losses}{validation}, learning rate {standing.learning_rate:.2g}"
 
 
 @contextmanager
@@ -47,14 +47,18 @@ def shown(run: Training) -> Iterator[Callable[[Standing], None]]:
         )
         with Progress(*columns, console=Console(stderr=True)) as bar:
             task = bar.add_task("", total=run.schedule.total_steps, completed=run.step)
-            yield lambda s: bar.update(task, completed=s.step, description=_words(s))
+            yield lambda s: bar.update(task, completed=s.step, description=_words(s, s.epoch + 1))
         return
     told = [run.epoch]
 
     def tell(standing: Standing) -> None:
         if standing.epoch > told[0]:
             told[0] = standing.epoch
-            print(f"step {standing.step:,} of {standing.steps:,}, {_words(standing)}", file=sys.stderr, flush=True)  # noqa: T201
+            print(
+                f"step {standing.step:,} of {standing.steps:,}, {_words(standing, standing.epoch)}",
+                file=sys.stderr,
+                flush=True,
+            )  # noqa: T201
 
     yield tell
 

@@ -327,7 +327,7 @@ class Training:
     def resume(self) -> None:
         """Go back to the last checkpoint in the folder.
 
-        The number of epochs may differ from the one that the training was started with; a cosine then changes its slope.
+        The number of epochs may differ from that of the start; a cosine then changes its slope.
 
         Raises
         ------

@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from posecal_models.cli import app, main
+
 ROOT = Path(__file__).parents[2]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
 
@@ -52,7 +54,7 @@ def test_a_line_an_epoch_is_told_where_there_is_no_terminal(folder):
         "train", "cgnf-tiny", "--data", "motion.npz", "-o", "told", "--set", "train.epochs=2", "--set", "data.every=10",
         cwd=folder,
     )  # fmt: skip
-    assert [line.split(",")[0] for line in done.stderr.splitlines()] == ["step 2 of 4", "step 4 of 4"]
+    assert [line.split(":")[0] for line in done.stderr.splitlines()] == ["step 2 of 4, epoch 1", "step 4 of 4, epoch 2"]
     assert "learning rate" in done.stderr
 
 
@@ -88,14 +90,25 @@ def test_help_is_quick_and_needs_no_torch():
         (("convert", "motion.npz", "-o", "w.safetensors"), "motion.npz: "),
     ],
 )  # fmt: skip
-def test_bad_input_gives_one_message_exit_3_and_no_file(folder, arguments, words):
+def test_bad_input_gives_one_message_exit_3_and_no_file(folder, monkeypatch, capsys, arguments, words):
     before = sorted(path.name for path in folder.iterdir())
-    done = posecal_models(*arguments, cwd=folder)
-    assert done.returncode == 3, done.stderr
-    assert words in done.stderr
-    assert "Traceback" not in done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(sys, "argv", ["posecal-models", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    said = capsys.readouterr()
+    assert ended.value.code == 3
+    assert words in said.err
+    assert len(said.err.strip().splitlines()) == 1
+    assert said.out == ""
     assert sorted(path.name for path in folder.iterdir()) == before
+
+
+def test_bad_input_shows_no_traceback_in_a_process_of_its_own(folder):
+    done = posecal_models("sample", "none.safetensors", "test.npz", "-o", "h.npz", cwd=folder)
+    assert (done.returncode, done.stdout) == (3, "")
+    assert done.stderr.startswith("posecal-models: none.safetensors: no such weights.")
+    assert len(done.stderr.splitlines()) == 1
 
 
 @pytest.mark.parametrize(
@@ -103,8 +116,6 @@ def test_bad_input_gives_one_message_exit_3_and_no_file(folder, arguments, words
     [("trian",), ("sample", "a"), ("sample", "a", "b", "-o", "c", "--n", "0"), ("import", "bvh", "a", "-o", "b")],
 )
 def test_a_wrong_call_exits_with_2(arguments):
-    from posecal_models.cli import app
-
     assert CliRunner().invoke(app, list(arguments)).exit_code == 2
 
 
