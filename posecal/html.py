@@ -12,7 +12,7 @@ from posecal.errors import PoseDataError
 from posecal.io import written_whole
 from posecal.plot import KINDS, draw, figure_bytes
 from posecal.report import Report
-from posecal.sheets import report_sheet
+from posecal.sheets.report import report_sheet
 
 __all__ = ["as_html", "write_html"]
 

@@ -11,9 +11,10 @@ import pytest
 from posecal import block as block_module
 from posecal import evaluation
 from posecal.errors import PoseDataError
-from posecal.evaluation import add_up, evaluate, walk
+from posecal.evaluation import evaluate
 from posecal.metrics import diversity, min_mpjpe, mpjpe, mpjve, radius
 from posecal.protocol import Protocol
+from posecal.summation import add_up, walk
 from tests import oracles
 from tests.drawn import JOINTS, World, skewed, world
 

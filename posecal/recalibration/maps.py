@@ -22,7 +22,8 @@ from posecal.errors import PoseDataError, PoseFileError
 from posecal.io import written_whole
 from posecal.metrics.spread import joint_deviations
 from posecal.pairs import Hypotheses
-from posecal.recalibration import RadiusMap, SpreadMap, stretched
+from posecal.recalibration.radius import RadiusMap
+from posecal.recalibration.spread import SpreadMap, stretched
 
 __all__ = ["apply_map", "read_map", "write_map"]
 
