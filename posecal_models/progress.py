@@ -54,11 +54,8 @@ def shown(run: Training) -> Iterator[Callable[[Standing], None]]:
     def tell(standing: Standing) -> None:
         if standing.epoch > told[0]:
             told[0] = standing.epoch
-            print(
-                f"step {standing.step:,} of {standing.steps:,}, {_words(standing, standing.epoch)}",
-                file=sys.stderr,
-                flush=True,
-            )  # noqa: T201
+            line = f"step {standing.step:,} of {standing.steps:,}, {_words(standing, standing.epoch)}"
+            print(line, file=sys.stderr, flush=True)  # noqa: T201
 
     yield tell
 
