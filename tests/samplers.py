@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from posecal.evaluation import add_up
 from posecal.joining import Join, join
 from posecal.layout import MemoryArray
 from posecal.pairs import PosePairs, Poses
 from posecal.protocol import Protocol
 from posecal.report import Report
+from posecal.summation import add_up
 
 Array = npt.NDArray[np.floating]
 
