@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -109,6 +110,32 @@ def test_bad_input_shows_no_traceback_in_a_process_of_its_own(folder):
     assert (done.returncode, done.stdout) == (3, "")
     assert done.stderr.startswith("posecal-models: none.safetensors: no such weights.")
     assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "left"),
+    [
+        ("sample tiny/weights.safetensors test.npz -o full/hyps.npz", []),
+        ("train cgnf-tiny --data motion.npz -o full/run --set train.epochs=1 --set data.every=10", ["run"]),
+    ],
+)
+def test_a_full_disk_gives_one_message_and_nothing_half_written(folder, arguments, left):
+    """In a process of its own whose files may not grow beyond 20 kB, as on a disk without space."""
+    (folder / "full").mkdir(exist_ok=True)
+    script = """
+import resource, signal
+from posecal_models.cli import main
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+main()
+"""
+    command = [sys.executable, "-c", script, *arguments.split()]
+    done = subprocess.run(command, cwd=folder, env=ENVIRONMENT, capture_output=True, text=True)
+    assert done.returncode == 3
+    assert done.stderr.endswith("can't be written (File too large).\n")
+    assert len(done.stderr.splitlines()) == 1
+    assert sorted(path.name for path in (folder / "full").rglob("*")) == left
+    shutil.rmtree(folder / "full")
 
 
 @pytest.mark.parametrize(
