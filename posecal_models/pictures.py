@@ -168,33 +168,30 @@ def prior(poses: Floats, joints: Sequence[str]) -> Figure:
     return figure
 
 
-def losses(curves: Mapping[str, npt.NDArray[np.void]], *, label: str) -> Figure:
+def losses(curves: Mapping[str, npt.NDArray[np.void]]) -> Figure:
     """Draw how the losses of trainings fell.
 
     Parameters
     ----------
     curves : mapping of str to structured ndarray
         For each training its ``losses.csv``.
-    label : str
-        What the loss is, with its unit.
 
     Returns
     -------
     Figure
-        Training loss of each epoch (thin) and validation loss (thick).
+        Training and validation loss of each epoch; the first, high ones are cut off.
     """
     with _style():
-        figure = Figure(figsize=(2.4 * len(curves), 2.3), layout="constrained")
+        figure = Figure(figsize=(2.6 * len(curves) + 0.4, 2.3), layout="constrained")
         axes = figure.subplots(1, len(curves), squeeze=False)[0]
         for ax, (name, curve) in zip(axes, curves.items(), strict=True):
             ax.plot(curve["step"], curve["training_loss"], color=FAINT, linewidth=1.5, label="training")
             ax.plot(curve["step"], curve["validation_loss"], color=INK, linewidth=1.2, label="validation")
             ax.set_title(name, loc="left")
             ax.set_xlabel("step")
-            low = min(curve["training_loss"].min(), np.nanmin(curve["validation_loss"]))
-            high = np.nanquantile(curve["validation_loss"], 0.9)
+            low, high = np.nanquantile([curve["training_loss"], curve["validation_loss"]], (0, 0.9))
             ax.set_ylim(low - 0.1 * (high - low), high + 0.6 * (high - low))
-        axes[0].set_ylabel(label)
+        axes[0].set_ylabel("loss")
         axes[0].legend()
     return figure
 

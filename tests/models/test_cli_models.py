@@ -59,6 +59,12 @@ def test_a_line_an_epoch_is_told_where_there_is_no_terminal(folder):
     assert "learning rate" in done.stderr
 
 
+def test_losses_are_drawn(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    assert CliRunner().invoke(app, ["losses", "tiny=tiny", "-o", "losses.png"]).exit_code == 0
+    assert (folder / "losses.png").read_bytes().startswith(b"\x89PNG")
+
+
 def test_describing_weights_gives_json(folder):
     about = json.loads(posecal_models("describe", "tiny/weights.safetensors", cwd=folder).stdout)
     assert about["estimator"]["kind"] == "cgnf"
@@ -86,6 +92,7 @@ def test_help_is_quick_and_needs_no_torch():
         (("sample", "tiny/checkpoint.safetensors", "test.npz", "-o", "h.npz"), "holds the state of a training"),
         (("sample", "tiny/weights.safetensors", "motion.npz", "-o", "h.npz"), "motion.npz: lacks keypoints_2d"),
         (("sample", "tiny/weights.safetensors", "test.npz", "-o", "no/h.npz"), "no"),
+        (("losses", "a=nowhere", "-o", "l.png"), "losses.csv: can't be read"),
         (("project", "motion.npz", "-o", "t.npz", "--subject", "S9"), "subjects: S9 not there"),
         (("import", "prohpe", "motion.npz", "-o", "p.npz"), "motion.npz"),
         (("convert", "motion.npz", "-o", "w.safetensors"), "motion.npz: "),
