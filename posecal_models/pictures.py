@@ -13,6 +13,7 @@ import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from posecal.plot import reliability
@@ -77,9 +78,8 @@ def reliability_grid(reports: Mapping[str, Report], *, across: int = 4) -> Figur
 
 
 def _bones(ax: Axes, pose: Floats, skeleton: Skeleton, axis: int, **look: Any) -> None:
-    lines = np.array([[pose[parent], pose[child]] for parent, child in skeleton.bones])
-    for line in lines:
-        ax.plot(line[:, axis], -line[:, 1], solid_capstyle="round", **look)
+    ends = pose[np.array(skeleton.bones)][..., [axis, 1]] * (1, -1)
+    ax.add_collection(LineCollection(list(ends), capstyle="round", **look))
 
 
 def hypotheses(
@@ -111,8 +111,8 @@ def hypotheses(
             for row, axis in enumerate((0, 2)):
                 ax = axes[row, index]
                 for pose in poses[:drawn]:
-                    _bones(ax, pose, skeleton, axis, color=FAINT, linewidth=0.4, alpha=0.5)
-                _bones(ax, truth, skeleton, axis, color=UNDER, linewidth=1.6)
+                    _bones(ax, pose, skeleton, axis, color=FAINT, linewidth=0.4, alpha=0.5, zorder=1)
+                _bones(ax, truth, skeleton, axis, color=UNDER, linewidth=1.6, zorder=2)
                 ax.plot(poses[:drawn, spot, axis], -poses[:drawn, spot, 1], ".", color=OVER, markersize=2.5, alpha=0.8)
                 _empty(ax)
             axes[0, index].set_title(title, fontsize=6.5)
