@@ -152,7 +152,7 @@ def _digest(tensors: Mapping[str, Tensor]) -> str:
     """Give the SHA-256 of the numbers, which tells of a single flipped bit."""
     whole = hashlib.sha256()
     for name in sorted(tensors):
-        whole.update(tensors[name].reshape(-1).view(torch.uint8).numpy())
+        whole.update(tensors[name].reshape(-1).view(torch.uint8).numpy().data)
     return whole.hexdigest()
 
 
