@@ -126,7 +126,10 @@ def _procrustes(
 ) -> FloatArray:
     B, K, D, n = points.shape
     if D != 3:
-        raise PoseDataError(f"align: points with {D} coordinates; expected 3 to rotate.")
+        raise PoseDataError(
+            f"align: points with {D} coordinates; expected 3 to rotate. "
+            "Ask for metrics that don't align, such as min_mpjpe."
+        )
     wide = points.astype(np.float64).reshape(B, K, 3 * n)
     shares = weights.astype(np.float64)
     target = np.einsum("bk,bkd->bd", shares, truth.astype(np.float64))

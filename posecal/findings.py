@@ -247,8 +247,10 @@ class Findings:
         PoseDataError
             Where the report has no such curve.
         """
-        if name not in self._curves or name not in self.totals.sums:
-            raise PoseDataError(f"curve: {name!r} is not in the report; it holds {', '.join(self.totals.sums)}.")
+        if name not in self._curves:
+            raise PoseDataError(f"curve: {name!r} is not known. {did_you_mean(name, self._curves)}")
+        if name not in self.totals.sums:
+            raise PoseDataError(f"curve: the report has no {name}; it is among the default metrics.")
         curve = self._curves[name]
         return curve, self.totals.mean(curve.statistic)
 

@@ -6,13 +6,14 @@ Everything that comes from files is escaped; pictures are inline vector graphics
 from __future__ import annotations
 
 import os
+import re
 from importlib.resources import files
 
 from posecal.errors import PoseDataError
 from posecal.io import written_whole
 from posecal.plot import KINDS, draw, figure_bytes
 from posecal.report import Report
-from posecal.sheets.report import report_sheet
+from posecal.sheets import report_sheet
 
 __all__ = ["as_html", "write_html"]
 
@@ -40,11 +41,18 @@ def as_html(report: Report, name: str) -> str:
             svg = figure_bytes(draw(report, kind), ".svg").decode()
         except PoseDataError:
             continue  # the report lacks what the picture shows
-        pictures.append((about, svg[svg.index("<svg") :], kind == "battery"))
+        pictures.append((about, _named_apart(svg[svg.index("<svg") :], kind), kind == "battery"))
     template = files("posecal").joinpath("page.html").read_text(encoding="utf-8")
     page = Environment(autoescape=True, trim_blocks=True).from_string(template)
     sheet = report_sheet(report, joints=True, definitions=True)
     return page.render(name=name, sheet=sheet, remarks=report.remarks, pictures=pictures)
+
+
+def _named_apart(svg: str, kind: str) -> str:
+    """Leave names only to the parts that a picture refers to, and none that another picture of the page has."""
+    used = set(re.findall(r'(?:href="|url\()#([^")]+)', svg))
+    named = re.sub(r' id="([^"]*)"', lambda found: f' id="{kind}-{found[1]}"' if found[1] in used else "", svg)
+    return re.sub(r'(href="|url\()#', rf"\g<1>#{kind}-", named)
 
 
 def write_html(report: Report, path: str | os.PathLike[str], name: str) -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -214,7 +214,8 @@ def _join_frames(
     before = len(problems)
     for poses, number in zip((hypotheses, truth), sizes, strict=True):
         if poses.frame_id is not None and len(poses.frame_id) != number:
-            problems.append(f"{poses.name}: {len(poses.frame_id):,} frame_id for {number:,} poses; expected one each.")
+            said = f"{poses.name}: {len(poses.frame_id):,} frame_id for {number:,} poses; expected one each. {hint}"
+            problems.append(said.strip())
     if hypotheses.frame_id is None or truth.frame_id is None:
         if sizes[0] != sizes[1]:
             without = [poses.name for poses in (hypotheses, truth) if poses.frame_id is None]
@@ -233,21 +234,28 @@ def _join_frames(
             )
     row = {name: place for place, name in enumerate(ids)}
     asked = set(wanted)
+    kept = [place for place, name in enumerate(wanted) if name in row]
+    if not kept and len(problems) == before:
+        problems.append(_nothing_shared(hypotheses, truth, "frame_id", ids, wanted))
     for poses, other, names, number in (
         (hypotheses, truth, [name for name in wanted if name not in row], len(wanted)),
         (truth, hypotheses, [name for name in ids if name not in asked], len(ids)),
     ):
         if names and how.missing == "skip":
             remarks.append(f"{poses.name} lacks {len(names):,} of the {number:,} frames of {other.name}: skipped.")
-        elif names:
+        elif names and kept:
             problems.append(
                 f"{poses.name} lacks {len(names):,} of the {number:,} frames of {other.name} "
                 f"(first: {first_few(names)}). Pass --missing skip to score the rest."
             )
-    kept = [place for place, name in enumerate(wanted) if name in row]
-    if not kept and len(problems) == before:
-        problems.append(f"{hypotheses.name} and {truth.name} have no frame_id in common; expected the same names.")
     return np.array([row[wanted[place]] for place in kept], dtype=np.intp), np.array(kept, dtype=np.intp)
+
+
+def _nothing_shared(hypotheses: Poses, truth: Poses, what: str, ours: Sequence[str], theirs: Sequence[str]) -> str:
+    return (
+        f"{hypotheses.name} and {truth.name} have no {what} in common ({first_few(ours)} against "
+        f"{first_few(theirs)}); expected the same names."
+    )
 
 
 # --- joints ---------------------------------------------------------------------------------------------------
@@ -300,15 +308,15 @@ def _join_joints(
         return np.arange(size), np.arange(size)
     lacking = [name for name in true_names if name not in names]
     beyond = [name for name in names if name not in true_names]
+    kept = [k for k, name in enumerate(true_names) if name in names]
     for poses, missing in ((hypotheses, lacking), (truth, beyond)):
-        if missing and how.joints == "same":
+        if missing and kept and how.joints == "same":
             problems.append(
                 f"{poses.name} lacks {len(missing)} of the other's joints ({first_few(missing)}). "
                 "Pass --joints common to score the shared ones."
             )
-    kept = [k for k, name in enumerate(true_names) if name in names]
     if not kept:
-        problems.append(f"{hypotheses.name} and {truth.name} have no joint in common.")
+        problems.append(_nothing_shared(hypotheses, truth, "joint", names, true_names))
     elif (lacking or beyond) and how.joints == "common":
         remarks.append(f"{len(kept)} joints are in both; left out: {first_few([*lacking, *beyond], 5)}.")
     return np.array([names.index(true_names[k]) for k in kept], dtype=np.intp), np.array(kept, dtype=np.intp)

@@ -1,4 +1,4 @@
-"""How is a number written?"""
+"""How is a number written? With its unit, and with no more digits than it is worth."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from posecal.calibration import DEFINITIONS, LEVELS
 from posecal.errors import PoseDataError, did_you_mean
 from posecal.findings import Findings
 from posecal.rows import Row
-from posecal.sheets.report import report_sheet
+from posecal.sheets import report_sheet
 
 if TYPE_CHECKING:
     import pandas as pd

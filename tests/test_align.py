@@ -194,7 +194,10 @@ def test_an_unknown_family_is_refused_with_the_nearest_one() -> None:
 @pytest.mark.parametrize("how", ROTATING)
 def test_two_coordinates_cannot_be_rotated(how: Alignment) -> None:
     x, y = skewed(0, N=2, M=3, K=4, D=2)
-    with pytest.raises(PoseDataError, match=r"align: points with 2 coordinates; expected 3 to rotate\."):
+    with pytest.raises(
+        PoseDataError,
+        match=r"align: points with 2 coordinates; expected 3 to rotate\. Ask for metrics that don't align",
+    ):
         mpjpe(x, y, align=how)
 
 

@@ -188,9 +188,20 @@ def test_skipping_scores_the_frames_that_both_have_and_says_how_many_are_left_ou
     assert "gt.npz lacks 1 of the 4 frames of hyps.npz: skipped." in found.remarks
 
 
-def test_frames_of_no_name_in_common_are_refused_even_where_missing_ones_are_skipped() -> None:
-    with pytest.raises(PoseDataError, match=r"^hyps\.npz and gt\.npz have no frame_id in common; expected the same"):
-        join(ours(frame_id=ids(*range(M))), theirs(frame_id=ids(*FRAMES)), Join(missing="skip"))
+@pytest.mark.parametrize("missing", ["error", "skip"])
+def test_frames_of_no_name_in_common_are_refused_once_and_shown(missing: Any) -> None:
+    words = (
+        r"^hyps\.npz and gt\.npz have no frame_id in common \(0, 1, 2 and 4 more against S9/walk/005, S9/walk/003, "
+        r"S9/walk/009 and 4 more\); expected the same names\.$"
+    )
+    with pytest.raises(PoseDataError, match=words):
+        join(ours(frame_id=ids(*range(M))), theirs(frame_id=ids(*FRAMES)), Join(missing=missing))
+
+
+def test_ids_that_fit_another_order_of_the_axes_are_hinted_at() -> None:
+    words = r"^hyps\.npz: 7 frame_id for 5 poses; expected one each\. The shapes fit the axes NMKD\.$"
+    with pytest.raises(PoseDataError, match=words):
+        join(ours(axes="MNKD", frame_id=ids(*FRAMES)), theirs(frame_id=ids(*FRAMES)))
 
 
 @pytest.mark.parametrize("missing", ["error", "skip"])
@@ -238,12 +249,17 @@ def test_common_joints_are_scored_in_the_truths_order_and_the_rest_is_named() ->
     assert "3 joints are in both; left out: Hip, RHip, RKnee, RFoot, LKnee and 10 more." in pairs.remarks
 
 
-def test_no_joint_in_common_is_refused() -> None:
-    with pytest.raises(PoseDataError, match=r"^hyps\.npz and gt\.npz have no joint in common\.$"):
+@pytest.mark.parametrize("joints", ["same", "common"])
+def test_no_joint_in_common_is_refused_once_and_shown(joints: Any) -> None:
+    words = (
+        r"^hyps\.npz and gt\.npz have no joint in common \(a0, a1, a2 and 14 more against b0, b1, b2 and 14 more\); "
+        r"expected the same names\.$"
+    )
+    with pytest.raises(PoseDataError, match=words):
         join(
             ours(joints=tuple(f"a{k}" for k in range(K))),
             theirs(joints=tuple(f"b{k}" for k in range(K))),
-            Join(joints="common"),
+            Join(joints=joints),
         )
 
 

@@ -147,7 +147,7 @@ def merge(
 @guarded
 def presets() -> None:
     """List the published protocols with every option that they set, and all options."""
-    from posecal.sheets.presets import presets_sheet
+    from posecal.sheets import presets_sheet
 
     say(presets_sheet())
 

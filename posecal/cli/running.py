@@ -189,7 +189,7 @@ def write_report(
         page = as_html(report, name).encode()
         files.append(functools.partial(written_whole, html, lambda file: file.write(page)))
     if form is Form.text:
-        from posecal.sheets.report import report_sheet
+        from posecal.sheets import report_sheet
 
         text = _fitted(report_sheet(report, joints=joints, definitions=definitions))
     else:

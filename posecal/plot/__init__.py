@@ -86,14 +86,15 @@ def draw(report: Report, kind: str = "reliability", *, title: str | None = None)
     from matplotlib.figure import Figure
 
     with mpl.rc_context(STYLE):
+        figure = Figure()
+        ax = figure.add_subplot()
+        KINDS[kind][0](report, ax=ax)
         square = kind in {"reliability", "joints", "event"}
         width, height, columns = (3.7, 3.7, 74) if square else (4.4, 3.1, 90)
         lines = [line for text in (_caption(kind, report), report.signature) for line in textwrap.wrap(text, columns)]
         below = 0.1 + 0.112 * len(lines)
         height += below
-        figure = Figure(figsize=(width, height))
-        ax = figure.add_subplot()
-        KINDS[kind][0](report, ax=ax)
+        figure.set_size_inches(width, height)
         ax.set_anchor("N")
         if title:
             ax.set_title(title)

@@ -191,8 +191,8 @@ def frames_of(pairs: PosePairs, text: str | None, some: int = 5) -> list[int]:
         For a name that no pose has.
     """
     if text is None:
-        last = len(pairs.truth) - 1
-        return sorted({last * (2 * place + 1) // (2 * some) for place in range(some)})
+        total = len(pairs.truth)
+        return sorted({total * (2 * place + 1) // (2 * some) for place in range(some)})
     places = {name: place for place, name in enumerate(pairs.frame_id.tolist())}
     found = []
     for word in (part.strip() for part in text.split(",")):

@@ -24,6 +24,7 @@ from posecal.metrics.spread import joint_deviations
 from posecal.pairs import Hypotheses
 from posecal.recalibration.radius import RadiusMap
 from posecal.recalibration.spread import SpreadMap, stretched
+from posecal.summation import WINDOW_BYTES
 
 __all__ = ["apply_map", "read_map", "write_map"]
 
@@ -31,7 +32,6 @@ FORMAT = 1
 """The version of the file format."""
 
 Map = SpreadMap | RadiusMap
-WINDOW_BYTES = 32 * 1024 * 1024
 
 
 def write_map(map_: Map, path: str | os.PathLike[str]) -> None:
