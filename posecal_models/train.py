@@ -220,7 +220,7 @@ class Training:
                 augmentation=config.augmentation,
                 generator=generator,
             )
-        if self.step == 0:
+        if self.step == 0 and not self.config.model.start:
             self.objective.initialise(context, truth)
         poses = self.crew.share(len(truth) // graphs)
         mine = slice(poses.start * graphs, poses.stop * graphs)
@@ -341,10 +341,10 @@ class Training:
         if "training" not in about:
             raise PoseFileError(f"{path}: holds no training; expected the checkpoint of one.")
         before = about["training"]["config"]
-        now = self.config.table()
+        now, default = self.config.table(), Config().table()
         names = [(table, name) for table in ("model", "data", "train") for name in now[table]]
         names.remove(("train", "epochs"))
-        changed = [f"{t}.{n}" for t, n in names if _plain(before[t].get(n)) != _plain(now[t][n])]
+        changed = [f"{t}.{n}" for t, n in names if _plain(before[t].get(n, default[t][n])) != _plain(now[t][n])]
         if changed:
             raise PoseDataError(
                 f"{path}: of another configuration ({', '.join(changed)} differ). "
