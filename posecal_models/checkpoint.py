@@ -6,6 +6,7 @@ header the estimator's description and a few words on its training.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from collections.abc import Mapping
@@ -38,7 +39,7 @@ __all__ = [
 ]
 
 _FOLDER = Path(__file__).parent / "weights"
-_HEADER = "posecal"
+_HEADER, _DIGEST = "posecal", "sha256"
 
 
 def named_weights() -> tuple[str, ...]:
@@ -97,7 +98,7 @@ def write_tensors(path: str | Path, tensors: Mapping[str, Tensor], about: dict[s
         Where it can't be written: no such folder, no right to, no space left.
     """
     plain = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-    content = save(plain, metadata={_HEADER: json.dumps(about)})
+    content = save(plain, metadata={_HEADER: json.dumps(about), _DIGEST: _digest(plain)})
 
     def write(file: BinaryIO) -> None:
         file.write(content)
@@ -132,8 +133,9 @@ def read_tensors(path: str | Path, *, device: torch.device | str = "cpu") -> tup
     if not Path(path).is_file():
         raise PoseFileError(f"{path}: is not there; expected a .safetensors file.")
     try:
-        with safe_open(str(path), framework="pt", device=str(device)) as file:
-            about = json.loads((file.metadata() or {})[_HEADER])
+        with safe_open(str(path), framework="pt") as file:
+            header = file.metadata() or {}
+            about = json.loads(header[_HEADER])
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except KeyError as problem:
         raise PoseFileError(
@@ -141,7 +143,17 @@ def read_tensors(path: str | Path, *, device: torch.device | str = "cpu") -> tup
         ) from problem
     except (SafetensorError, OSError, ValueError) as problem:
         raise PoseFileError(f"{path}: damaged or no safetensors file ({problem}). Get it anew.") from problem
-    return tensors, about
+    if header.get(_DIGEST, digest := _digest(tensors)) != digest:
+        raise PoseFileError(f"{path}: damaged: its numbers are not those that were written. Get it anew.")
+    return {name: tensor.to(device) for name, tensor in tensors.items()}, about
+
+
+def _digest(tensors: Mapping[str, Tensor]) -> str:
+    """Give the SHA-256 of the numbers, which tells of a single flipped bit."""
+    whole = hashlib.sha256()
+    for name in sorted(tensors):
+        whole.update(tensors[name].reshape(-1).view(torch.uint8).numpy().data)
+    return whole.hexdigest()
 
 
 def save_estimator(

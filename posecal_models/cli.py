@@ -252,6 +252,20 @@ def benchmark(
     typer.echo(run_benchmark(data, _named(model), subject, output, n=n, every=every, seeds=seeds))
 
 
+@app.command()
+def losses(
+    run: Annotated[list[str], typer.Argument(help="NAME=FOLDER of a training, each.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="A picture, .png, .svg or .pdf.")],
+) -> None:
+    """Draw how the losses of trainings fell, to see whether they are flat."""
+    from posecal.plot import check_suffix, save
+    from posecal_models import pictures
+    from posecal_models.progress import read_losses
+
+    check_suffix(output)
+    save(pictures.losses({name: read_losses(Path(folder)) for name, folder in _named(run).items()}), output)
+
+
 @app.command("zero-shot")
 def zero_shot(
     experiment: Annotated[Experiment, typer.Argument(help="Which.")],

@@ -37,6 +37,8 @@ class ModelConfig:
         What keypoints are relative to: ``observed`` (the mean of the observed ones) or ``none``.
     width, residuals, dropout
         Of a SimpleBaseline.
+    start : str
+        Weights to begin with, named or a file, with their standardizer; random ones where not given.
     mean : str
         Of a Gaussian noise model: the weights file of its SimpleBaseline.
     spread : str
@@ -51,6 +53,7 @@ class ModelConfig:
     width: int = 1024
     residuals: int = 2
     dropout: float = 0.5
+    start: str = ""
     mean: str = ""
     spread: Literal["joint", "coordinate"] = "joint"
 

@@ -13,6 +13,7 @@ import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from posecal.plot import reliability
@@ -77,9 +78,8 @@ def reliability_grid(reports: Mapping[str, Report], *, across: int = 4) -> Figur
 
 
 def _bones(ax: Axes, pose: Floats, skeleton: Skeleton, axis: int, **look: Any) -> None:
-    lines = np.array([[pose[parent], pose[child]] for parent, child in skeleton.bones])
-    for line in lines:
-        ax.plot(line[:, axis], -line[:, 1], solid_capstyle="round", **look)
+    ends = pose[np.array(skeleton.bones)][..., [axis, 1]] * (1, -1)
+    ax.add_collection(LineCollection(list(ends), capstyle="round", **look))
 
 
 def hypotheses(
@@ -111,8 +111,8 @@ def hypotheses(
             for row, axis in enumerate((0, 2)):
                 ax = axes[row, index]
                 for pose in poses[:drawn]:
-                    _bones(ax, pose, skeleton, axis, color=FAINT, linewidth=0.4, alpha=0.5)
-                _bones(ax, truth, skeleton, axis, color=UNDER, linewidth=1.6)
+                    _bones(ax, pose, skeleton, axis, color=FAINT, linewidth=0.4, alpha=0.5, zorder=1)
+                _bones(ax, truth, skeleton, axis, color=UNDER, linewidth=1.6, zorder=2)
                 ax.plot(poses[:drawn, spot, axis], -poses[:drawn, spot, 1], ".", color=OVER, markersize=2.5, alpha=0.8)
                 _empty(ax)
             axes[0, index].set_title(title, fontsize=6.5)
@@ -168,33 +168,30 @@ def prior(poses: Floats, joints: Sequence[str]) -> Figure:
     return figure
 
 
-def losses(curves: Mapping[str, npt.NDArray[np.void]], *, label: str) -> Figure:
+def losses(curves: Mapping[str, npt.NDArray[np.void]]) -> Figure:
     """Draw how the losses of trainings fell.
 
     Parameters
     ----------
     curves : mapping of str to structured ndarray
         For each training its ``losses.csv``.
-    label : str
-        What the loss is, with its unit.
 
     Returns
     -------
     Figure
-        Training loss of each epoch (thin) and validation loss (thick).
+        Training and validation loss of each epoch; the first, high ones are cut off.
     """
     with _style():
-        figure = Figure(figsize=(2.4 * len(curves), 2.3), layout="constrained")
+        figure = Figure(figsize=(2.6 * len(curves) + 0.4, 2.3), layout="constrained")
         axes = figure.subplots(1, len(curves), squeeze=False)[0]
         for ax, (name, curve) in zip(axes, curves.items(), strict=True):
             ax.plot(curve["step"], curve["training_loss"], color=FAINT, linewidth=1.5, label="training")
             ax.plot(curve["step"], curve["validation_loss"], color=INK, linewidth=1.2, label="validation")
             ax.set_title(name, loc="left")
             ax.set_xlabel("step")
-            low = min(curve["training_loss"].min(), np.nanmin(curve["validation_loss"]))
-            high = np.nanquantile(curve["validation_loss"], 0.9)
+            low, high = np.nanquantile([curve["training_loss"], curve["validation_loss"]], (0, 0.9))
             ax.set_ylim(low - 0.1 * (high - low), high + 0.6 * (high - low))
-        axes[0].set_ylabel(label)
+        axes[0].set_ylabel("loss")
         axes[0].legend()
     return figure
 

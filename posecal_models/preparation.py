@@ -14,7 +14,7 @@ from posecal_models.data.lifting_set import LiftingSet, read_npz
 from posecal_models.data.mocap import MocapPoses
 from posecal_models.data.training_set import TrainingSet, seeded
 from posecal_models.distributed import Crew
-from posecal_models.estimators import ReferenceEstimator, of_config
+from posecal_models.estimators import ReferenceEstimator, describe, of_config
 from posecal_models.gaussian_noise import GaussianNoise
 from posecal_models.simple_baseline import SimpleBaseline
 from posecal_models.train import Training
@@ -130,7 +130,7 @@ def prepare(
     order = (estimator.joints, estimator.keypoints)
     data = TrainingSet(training, *order, detector=detector, device=device)
     judged = None if validation is None else TrainingSet(validation, *order, detector=detector, device=device)
-    if not isinstance(estimator, GaussianNoise):
+    if not isinstance(estimator, GaussianNoise) and not config.model.start:
         rows = torch.linspace(0, len(data) - 1, min(len(data), _FIT_POSES), device=data.device).long()
         context, truth = data.batch(rows, seeded(data.device, config.train.seed))
         estimator.standardizer.fit(truth.cpu(), context.keypoints.cpu(), context.observed.cpu())
@@ -155,4 +155,14 @@ def _estimator(config: Config) -> ReferenceEstimator:
         mean = loaded
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.train.seed)
-        return of_config(config.model, mean=mean)
+        estimator = of_config(config.model, mean=mean)
+    if not config.model.start:
+        return estimator
+    started = load_estimator(config.model.start)
+    wanted, found = describe(estimator), describe(started)
+    if differ := [name for name in wanted if wanted[name] != found.get(name)]:
+        raise PoseDataError(
+            f"model.start: {config.model.start} differs from the configuration in {', '.join(differ)}. "
+            "Say in [model] what it is of."
+        )
+    return started

@@ -5,14 +5,18 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
+import numpy as np
+import numpy.typing as npt
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from posecal.errors import PoseFileError
 from posecal_models.train import Progress as Standing
 from posecal_models.train import Training
 
-__all__ = ["counted", "shown"]
+__all__ = ["counted", "read_losses", "shown"]
 
 
 def _words(standing: Standing, epoch: int) -> str:
@@ -83,3 +87,31 @@ def counted(what: str, total: int) -> Iterator[Callable[[int], None]]:
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task(what, total=total)
         yield lambda done: bar.update(task, completed=done)
+
+
+def read_losses(folder: Path) -> npt.NDArray[np.void]:
+    """Read the loss curve of a training.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the training, with its ``losses.csv``.
+
+    Returns
+    -------
+    structured ndarray
+        A row an epoch: ``epoch``, ``step``, ``learning_rate``, ``training_loss``, ``validation_loss``.
+
+    Raises
+    ------
+    PoseFileError
+        Where there is none, or no epoch in it.
+    """
+    path = folder / "losses.csv"
+    try:
+        rows: npt.NDArray[np.void] = np.genfromtxt(path, delimiter=",", names=True, ndmin=1)
+    except (OSError, ValueError) as problem:
+        raise PoseFileError(f"{path}: can't be read ({problem}); expected the losses.csv of a training.") from problem
+    if not len(rows) or "validation_loss" not in (rows.dtype.names or ()):
+        raise PoseFileError(f"{path}: holds no epoch; expected the losses.csv of a training. Train on.")
+    return rows

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -220,7 +220,7 @@ class Training:
                 augmentation=config.augmentation,
                 generator=generator,
             )
-        if self.step == 0:
+        if self.step == 0 and not self.config.model.start:
             self.objective.initialise(context, truth)
         poses = self.crew.share(len(truth) // graphs)
         mine = slice(poses.start * graphs, poses.stop * graphs)
@@ -312,10 +312,10 @@ class Training:
         save_estimator(self.folder / "weights.safetensors", self.estimator, tensors=self.best or None, notes=notes)
 
     def _state(self) -> dict[str, Any]:
-        schedule = {name: value for name, value in asdict(self.schedule).items() if name != "config"}
+        schedule = self.schedule
         return {
             "training": {"config": self.config.table(), "step": self.step, "epoch": self.epoch},
-            "schedule": schedule,
+            "schedule": {"best": schedule.best, "waited": schedule.waited, "drops": schedule.drops},
         }
 
     def _write_losses(self) -> None:
@@ -341,18 +341,18 @@ class Training:
         if "training" not in about:
             raise PoseFileError(f"{path}: holds no training; expected the checkpoint of one.")
         before = about["training"]["config"]
-        now = self.config.table()
+        now, default = self.config.table(), Config().table()
         names = [(table, name) for table in ("model", "data", "train") for name in now[table]]
         names.remove(("train", "epochs"))
-        changed = [f"{t}.{n}" for t, n in names if _plain(before[t].get(n)) != _plain(now[t][n])]
+        changed = [f"{t}.{n}" for t, n in names if _plain(before[t].get(n, default[t][n])) != _plain(now[t][n])]
         if changed:
             raise PoseDataError(
                 f"{path}: of another configuration ({', '.join(changed)} differ). "
                 "Give the configuration it was started with, or another folder."
             )
         self.step, self.epoch = about["training"]["step"], about["training"]["epoch"]
-        for name, value in about["schedule"].items():
-            setattr(self.schedule, name, value)
+        for name in ("best", "waited", "drops"):
+            setattr(self.schedule, name, about["schedule"][name])
         self.estimator.load_state_dict(_under("weights.", tensors))
         self.best = _under("best.", tensors)
         for name, parameter in self.parameters.items():

@@ -88,7 +88,9 @@ def fit(
         optimizer.zero_grad(set_to_none=False)
         loss = -estimator(Context(keypoints, observed)).log_prob(poses).mean()
         if not loss.isfinite():
-            raise PoseDataError(f"zero-shot: the loss is {float(loss):.4g} at step {step}. Lower the learning rate.")
+            raise PoseDataError(
+                f"zero-shot: the loss is {float(loss.detach()):.4g} at step {step}. Lower the learning rate."
+            )
         torch.autograd.backward(loss)
         torch.nn.utils.clip_grad_norm_(estimator.parameters(), 1.0)
         optimizer.step()

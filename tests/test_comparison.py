@@ -13,9 +13,9 @@ from scipy import stats
 
 from posecal.comparison import Comparison, compare
 from posecal.errors import PoseDataError
-from posecal.evaluation import add_up
 from posecal.inference import holm
 from posecal.protocol import Protocol
+from posecal.summation import add_up
 from posecal.totals import Totals
 from tests.samplers import gaussian, pairs_of, sequences
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from posecal.errors import PoseDataError
-from posecal.evaluation import add_up
 from posecal.protocol import Protocol
 from posecal.reference import climatology, with_skills
 from posecal.report import Report
+from posecal.summation import add_up
 from tests.drawn import skewed
 from tests.samplers import gaussian, pairs_of, sequences
 

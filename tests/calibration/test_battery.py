@@ -15,10 +15,10 @@ from posecal.block import Block, blocks_of
 from posecal.calibration import LEVELS
 from posecal.calibration.battery import BATTERY, load_prerank, user_weights, weights_of_ranks
 from posecal.errors import PoseDataError
-from posecal.evaluation import add_up
 from posecal.inference import Deviation, sign_flips
 from posecal.protocol import Protocol
 from posecal.report import Report
+from posecal.summation import add_up
 from tests.drawn import skewed
 from tests.samplers import gaussian, pairs_of, report_of, sequences
 from tests.score_oracles import PRERANKS, rank_inside

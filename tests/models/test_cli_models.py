@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -58,6 +59,12 @@ def test_a_line_an_epoch_is_told_where_there_is_no_terminal(folder):
     assert "learning rate" in done.stderr
 
 
+def test_losses_are_drawn(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    assert CliRunner().invoke(app, ["losses", "tiny=tiny", "-o", "losses.png"]).exit_code == 0
+    assert (folder / "losses.png").read_bytes().startswith(b"\x89PNG")
+
+
 def test_describing_weights_gives_json(folder):
     about = json.loads(posecal_models("describe", "tiny/weights.safetensors", cwd=folder).stdout)
     assert about["estimator"]["kind"] == "cgnf"
@@ -85,6 +92,7 @@ def test_help_is_quick_and_needs_no_torch():
         (("sample", "tiny/checkpoint.safetensors", "test.npz", "-o", "h.npz"), "holds the state of a training"),
         (("sample", "tiny/weights.safetensors", "motion.npz", "-o", "h.npz"), "motion.npz: lacks keypoints_2d"),
         (("sample", "tiny/weights.safetensors", "test.npz", "-o", "no/h.npz"), "no"),
+        (("losses", "a=nowhere", "-o", "l.png"), "losses.csv: can't be read"),
         (("project", "motion.npz", "-o", "t.npz", "--subject", "S9"), "subjects: S9 not there"),
         (("import", "prohpe", "motion.npz", "-o", "p.npz"), "motion.npz"),
         (("convert", "motion.npz", "-o", "w.safetensors"), "motion.npz: "),
@@ -109,6 +117,32 @@ def test_bad_input_shows_no_traceback_in_a_process_of_its_own(folder):
     assert (done.returncode, done.stdout) == (3, "")
     assert done.stderr.startswith("posecal-models: none.safetensors: no such weights.")
     assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "left"),
+    [
+        ("sample tiny/weights.safetensors test.npz -o full/hyps.npz", []),
+        ("train cgnf-tiny --data motion.npz -o full/run --set train.epochs=1 --set data.every=10", ["run"]),
+    ],
+)
+def test_a_full_disk_gives_one_message_and_nothing_half_written(folder, arguments, left):
+    """In a process of its own whose files may not grow beyond 20 kB, as on a disk without space."""
+    (folder / "full").mkdir(exist_ok=True)
+    script = """
+import resource, signal
+from posecal_models.cli import main
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+main()
+"""
+    command = [sys.executable, "-c", script, *arguments.split()]
+    done = subprocess.run(command, cwd=folder, env=ENVIRONMENT, capture_output=True, text=True)
+    assert done.returncode == 3
+    assert done.stderr.endswith("can't be written (File too large).\n")
+    assert len(done.stderr.splitlines()) == 1
+    assert sorted(path.name for path in (folder / "full").rglob("*")) == left
+    shutil.rmtree(folder / "full")
 
 
 @pytest.mark.parametrize(

@@ -225,6 +225,28 @@ def test_a_training_can_be_made_longer(motion_file, tmp_path):
     assert run.epoch == 2
 
 
+def test_a_longer_cosine_falls_to_zero_at_its_new_end(motion_file, tmp_path):
+    training(BASELINE, motion_file, tmp_path / "a", epochs=1).run()
+    run = training(BASELINE, motion_file, tmp_path / "a", epochs=4, resume=True)
+    assert run.schedule.learning_rate(2 * run.steps_per_epoch) == pytest.approx(0.5e-3)
+
+
+def test_a_training_may_begin_with_weights(motion_file, tmp_path):
+    training(CGNF, motion_file, tmp_path / "first", epochs=1).run()
+    weights = str(tmp_path / "first" / "weights.safetensors")
+    table = {**CGNF, "model": {**CGNF["model"], "start": weights}}
+    run = training(table, motion_file, tmp_path / "second", epochs=1, learning_rate=1e-9)
+    begun = final(run)
+    for name, tensor in load_estimator(weights).state_dict().items():
+        assert torch.equal(begun[name], tensor), name
+    run.run()  # a step of next to nothing leaves them, the ActNorms too, where they were
+    for name, tensor in final(run).items():
+        np.testing.assert_allclose(tensor, begun[name], atol=1e-6, err_msg=name)
+    other = {**table, "model": {**table["model"], "scale": "sigmoid"}}
+    with pytest.raises(PoseDataError, match=r"model\.start: .* differs from the configuration in scale"):
+        training(other, motion_file, tmp_path / "third")
+
+
 def test_resuming_where_there_is_nothing_starts(motion_file, tmp_path):
     assert training(CGNF, motion_file, tmp_path / "a", resume=True).step == 0
 

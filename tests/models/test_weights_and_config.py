@@ -97,6 +97,15 @@ def test_damaged_weights_are_refused(tmp_path, cut):
         load_estimator(tmp_path / "w.safetensors")
 
 
+def test_a_single_flipped_bit_is_noticed(tmp_path):
+    save_estimator(tmp_path / "w.safetensors", estimators()[1])
+    content = bytearray((tmp_path / "w.safetensors").read_bytes())
+    content[-6] ^= 1
+    (tmp_path / "w.safetensors").write_bytes(content)
+    with pytest.raises(PoseFileError, match=r"w\.safetensors: damaged: its numbers are not those that were written"):
+        load_estimator(tmp_path / "w.safetensors")
+
+
 def test_somebody_else_s_safetensors_are_refused(tmp_path):
     save_file({"weight": torch.zeros(3)}, tmp_path / "w.safetensors")
     with pytest.raises(PoseFileError, match="without the header of posecal"):
