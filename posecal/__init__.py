@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from posecal.comparison import Comparison, compare
     from posecal.conclusion import verdict
     from posecal.errors import PosecalError, PoseDataError, PoseFileError
-    from posecal.evaluation import add_up, evaluate
+    from posecal.evaluation import evaluate
     from posecal.io import read_poses
     from posecal.joining import Join, join
     from posecal.protocol import PRESETS, Protocol
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from posecal.reference import climatology
     from posecal.report import Report
     from posecal.skeleton import JOINT_SETS, Skeleton
+    from posecal.summation import add_up
     from posecal.totals import Totals
 
 __version__ = "0.1.0"
@@ -39,7 +40,7 @@ _HOMES = {
     "posecal.comparison": ("Comparison", "compare"),
     "posecal.conclusion": ("verdict",),
     "posecal.errors": ("PoseDataError", "PoseFileError", "PosecalError"),
-    "posecal.evaluation": ("add_up", "evaluate"),
+    "posecal.evaluation": ("evaluate",),
     "posecal.io": ("read_poses",),
     "posecal.joining": ("Join", "join"),
     "posecal.protocol": ("PRESETS", "Protocol"),
@@ -47,6 +48,7 @@ _HOMES = {
     "posecal.reference": ("climatology",),
     "posecal.report": ("Report",),
     "posecal.skeleton": ("JOINT_SETS", "Skeleton"),
+    "posecal.summation": ("add_up",),
     "posecal.totals": ("Totals",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from posecal.report import Report
+from posecal.findings import Findings
+from posecal.numbers import p_value
 
 __all__ = ["verdict"]
 
@@ -17,7 +18,7 @@ LEVEL = 0.05
 """What counts as beyond chance."""
 
 
-def verdict(report: Report) -> list[str]:
+def verdict(report: Findings) -> list[str]:
     """Say what a report's calibration comes down to.
 
     Parameters
@@ -35,15 +36,11 @@ def verdict(report: Report) -> list[str]:
     return [*_whole(report), *_joints(report), *_battery(report)]
 
 
-def _p(value: float) -> str:
-    return "p < 0.001" if value < 0.001 else f"p = {value:.3f}" if value < 0.1 else f"p = {value:.2f}"
-
-
 def _side(area: float) -> str:
     return "overconfident" if area < 0 else "underconfident"
 
 
-def _whole(report: Report) -> Iterator[str]:
+def _whole(report: Findings) -> Iterator[str]:
     error, area = report.value("ece"), report.value("signed_area")
     if math.isnan(error):
         return
@@ -57,16 +54,16 @@ def _whole(report: Report) -> Iterator[str]:
         what = _side(area).capitalize() if clear else "Miscalibrated, on neither side throughout"
         yield (
             f"{what}, beyond chance: ECE {error:.3f} where a calibrated sampler would show {found.mean:.3f} "
-            f"({_p(found.p)}){share}."
+            f"({p_value(found.p)}){share}."
         )
     else:
         yield (
             f"Not miscalibrated beyond chance: ECE {error:.3f}, and a calibrated sampler would show up to "
-            f"{found.high:.3f} on these {found.sequences} sequences ({_p(found.p)}){share}."
+            f"{found.high:.3f} on these {found.sequences} sequences ({p_value(found.p)}){share}."
         )
 
 
-def _joints(report: Report) -> Iterator[str]:
+def _joints(report: Findings) -> Iterator[str]:
     tests = report.joint_tests()
     sides: dict[str, list[str]] = {"overconfident": [], "underconfident": []}
     for joint, (area, p) in sorted(tests.items(), key=lambda entry: -abs(entry[1][0])):
@@ -78,7 +75,7 @@ def _joints(report: Report) -> Iterator[str]:
     if "ece_mean" in report.metrics and report.null("ece_mean").p < LEVEL <= report.null("ece").p:
         yield (
             f"The median over joints hides it: the joints' own errors average {report.value('ece_mean'):.3f} "
-            f"({_p(report.null('ece_mean').p)})."
+            f"({p_value(report.null('ece_mean').p)})."
         )
 
 
@@ -88,7 +85,7 @@ def _several(joints: list[str], most: int = 6) -> str:
     return ", ".join(joints[:-1]) + (" and " if len(joints) > 1 else "") + joints[-1]
 
 
-def _battery(report: Report) -> Iterator[str]:
+def _battery(report: Findings) -> Iterator[str]:
     tests = report.battery()
     fired = [name for name, (_, p) in tests.items() if p < LEVEL]
     labels = ", ".join(report.metrics[name].label for name in fired)

@@ -238,11 +238,9 @@ def sign_flips(
     0.03125
     """
     judged = slice(deviation.first, deviation.last)
-    deviations, counts = deviations[:, judged], counts[:, judged]
-    used = counts.any(axis=0)
-    kept = counts.any(axis=1)
-    total = counts[:, used].sum(axis=0)
-    D = deviations[kept][:, used].astype(np.float32)
+    deviations, counts = _counting(deviations[:, judged], counts[:, judged])
+    total = counts.sum(axis=0)
+    D = deviations.astype(np.float32)
     sequences = len(D)
     if not sequences:
         return Null(np.nan, np.nan, np.nan, np.nan, np.nan, 0)
@@ -267,13 +265,18 @@ def sign_flips(
     )
 
 
+def _counting(deviations: FloatArray, counts: Counts) -> tuple[FloatArray, Counts]:
+    """Leave out sequences and curves without a pose that counts."""
+    kept, used = counts.any(axis=1), counts.any(axis=0)
+    return deviations[kept][:, used], counts[kept][:, used]
+
+
 def _variances(deviations: FloatArray, counts: Counts) -> tuple[FloatArray, FloatArray]:
     """Mean deviations (J, Q), and their variances over sequences."""
-    total = np.maximum(counts.sum(axis=0), 1)[:, None]
+    S, total = len(deviations), counts.sum(axis=0)[:, None]
     mean = deviations.sum(axis=0) / total
-    S = len(deviations)
     residual = deviations - counts[..., None] * mean
-    return mean, S / max(S - 1, 1) * (residual**2).sum(axis=0) / total**2
+    return mean, S / (S - 1) * (residual**2).sum(axis=0) / total**2
 
 
 def squared_error(deviations: FloatArray, counts: Counts) -> float:
@@ -300,10 +303,10 @@ def squared_error(deviations: FloatArray, counts: Counts) -> float:
     >>> squared_error(np.full((4, 1, 21), 0.5), np.ones((4, 1), int))
     0.25
     """
-    used = counts.any(axis=0)
-    if len(deviations) < 2 or not used.any():
+    deviations, counts = _counting(deviations, counts)
+    if len(deviations) < 2:
         return float("nan")
-    mean, variance = _variances(deviations[:, used], counts[:, used])
+    mean, variance = _variances(deviations, counts)
     return float((mean**2 - variance).mean())
 
 
@@ -334,10 +337,10 @@ def effective_poses(deviations: FloatArray, counts: Counts) -> float:
     >>> round(effective_poses(deviations, np.full((2, 1), 10)), 1)
     1.9
     """
-    used = counts.any(axis=0)
-    if len(deviations) < 2 or not used.any():
+    deviations, counts = _counting(deviations, counts)
+    if len(deviations) < 2:
         return float("nan")
-    mean, variance = _variances(deviations[:, used], counts[:, used])
+    mean, variance = _variances(deviations, counts)
     inner = slice(1, LEVELS.size - 1)
     coverage = np.clip(mean + LEVELS, 0, 1)[:, inner]
     chance = variance[:, inner].sum()

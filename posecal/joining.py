@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.block import BoolArray, FloatArray
+from posecal.declared import declared, layouts, unit_factor
 from posecal.errors import PoseDataError, did_you_mean, first_few, raise_all
 from posecal.layout import HYPOTHESES, TRUTH, Layout, plausible_layouts
 from posecal.pairs import COMMON_LABELS, Labels, PosePairs, Poses, Rows, Stored, in_millimetres
@@ -100,7 +101,7 @@ def join(hypotheses: Poses, truth: Poses, how: Join | None = None) -> PosePairs:
         For everything that does not fit, all at once.
     """
     how = how or Join()
-    layout, true_layout = _layouts(hypotheses, truth, how)
+    layout, true_layout = layouts(hypotheses, truth, how.axes, how.truth_axes)
     shape, true_shape = layout.shape(hypotheses.array.shape), true_layout.shape(truth.array.shape)
     problems = [
         f"{poses.name}: nothing in it; its shape is {poses.array.shape}."
@@ -110,8 +111,8 @@ def join(hypotheses: Poses, truth: Poses, how: Join | None = None) -> PosePairs:
     raise_all(problems)
     remarks: list[str] = []
 
-    factor = _factor(hypotheses, "unit", how.unit, problems)
-    true_factor = _factor(truth, "truth-unit", how.truth_unit or how.unit, problems)
+    factor = unit_factor(hypotheses, "unit", how.unit, problems)
+    true_factor = unit_factor(truth, "truth-unit", how.truth_unit or how.unit, problems)
     fitting = [text for text in plausible_layouts(hypotheses.array.shape, true_shape) if text != layout.text]
     hint = f"The shapes fit the axes {fitting[0]}. " if fitting else ""
     rows, true_rows = _join_frames(hypotheses, truth, (shape[1], true_shape[0]), how, hint, problems, remarks)
@@ -187,86 +188,14 @@ def alone(poses: Poses, how: Join | None = None) -> tuple[Stored, tuple[str, ...
         For a layout, a unit or names that don't fit.
     """
     how = how or Join()
-    layout = Layout(_declared(poses, "axes", poses.axes, how.axes) or HYPOTHESES, HYPOTHESES)
+    layout = Layout(declared(poses, "axes", poses.axes, how.axes) or HYPOTHESES, HYPOTHESES)
     shape = layout.shape(poses.array.shape)
     problems = [f"{poses.name}: nothing in it; its shape is {poses.array.shape}."] if 0 in poses.array.shape else []
-    factor = _factor(poses, "unit", how.unit, problems)
+    factor = unit_factor(poses, "unit", how.unit, problems)
     _, joints = _names(poses, poses, (shape[2], shape[2]), how, problems)
     raise_all(dict.fromkeys(problems))
     stored = Stored(poses.array, layout, np.arange(shape[1]), np.arange(shape[2]), factor)
     return stored, joints, _root(how.root_joint, joints, stored.read(0, 1)[0])
-
-
-# --- axes and units -------------------------------------------------------------------------------------------
-
-
-def _layouts(hypotheses: Poses, truth: Poses, how: Join) -> tuple[Layout, Layout]:
-    x, y = hypotheses.array.shape, truth.array.shape
-    declared = _declared(hypotheses, "axes", hypotheses.axes, how.axes)
-    true_declared = _declared(truth, "truth-axes", truth.axes, how.truth_axes)
-    both = f"{hypotheses.name} {x} and {truth.name} {y}: expected (N, M, K, D) and (M, K, D)"
-    layout = _named(hypotheses, declared or HYPOTHESES, HYPOTHESES)
-    true_layout = _named(truth, true_declared or _truth_beside(layout, y), TRUTH)
-    if len(x) == len(true_layout.groups) != len(layout.groups) == len(y):
-        raise PoseDataError(f"{both}. The two look swapped.")
-    if len(y) != len(true_layout.groups):
-        raise PoseDataError(f"{both}. Declare another layout of {truth.name} with --truth-axes.")
-    if len(x) != len(layout.groups):
-        raise PoseDataError(f"{both}. Declare another layout of {hypotheses.name} with --axes.")
-    true_shape = _sizes(truth, true_layout)
-    if true_declared is None and true_shape[1] == 3 != true_shape[2]:
-        raise PoseDataError(f"{both}, coordinates last. Pass --truth-axes MDK.")
-    if declared is not None:
-        _sizes(hypotheses, layout)
-        if true_declared is None and true_shape[1] == true_shape[2] and layout.without("N", "I") == "MDK":
-            raise PoseDataError(f"{both}, but K = D = 3 tells no layout. Pass --truth-axes MKD or --truth-axes MDK.")
-        return layout, true_layout
-    fitting = plausible_layouts(x, true_shape)
-    if len(fitting) > 1:
-        raise PoseDataError(
-            f"{both}, but the shapes don't tell which axis is the hypotheses (N = M = {x[0]}). "
-            f"Pass --axes {' or --axes '.join(fitting)}."
-        )
-    if fitting and fitting != [HYPOTHESES]:
-        raise PoseDataError(f"{both}. The shapes fit --axes {fitting[0]}.")
-    return layout, true_layout
-
-
-def _truth_beside(layout: Layout, y: tuple[int, ...]) -> str:
-    """Give the layout of a truth that declares none: the paper's, or the hypotheses' where only that fits."""
-    beside = layout.without("N", "I")
-    if len(y) != len(Layout(beside, TRUTH).groups):
-        return TRUTH
-    return TRUTH if len(y) == 3 and y[2] == layout.coordinates else beside
-
-
-def _named(poses: Poses, text: str, core: str) -> Layout:
-    try:
-        return Layout(text, core)
-    except PoseDataError as error:
-        raise PoseDataError(f"{poses.name}: {error}") from None
-
-
-def _sizes(poses: Poses, layout: Layout) -> tuple[int, ...]:
-    try:
-        return layout.shape(poses.array.shape)
-    except PoseDataError as error:
-        raise PoseDataError(f"{poses.name}: {error}") from None
-
-
-def _declared(poses: Poses, flag: str, stored: str | None, said: str | None) -> str | None:
-    if stored is not None and said is not None and stored != said:
-        raise PoseDataError(f"{poses.name} declares {stored!r} itself, and --{flag} says {said!r}. Drop the flag.")
-    return said if stored is None else stored
-
-
-def _factor(poses: Poses, flag: str, said: str | None, problems: list[str]) -> float:
-    try:
-        return millimetres_per(_declared(poses, flag, poses.unit, said) or "mm")
-    except PoseDataError as error:
-        message = str(error)
-        problems.append(message if message.startswith(poses.name) else f"{poses.name}: {message}")
-        return 1.0
 
 
 # --- frames ---------------------------------------------------------------------------------------------------

@@ -8,13 +8,13 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from posecal.evaluation import add_up
 from posecal.joining import Join, join
 from posecal.layout import MemoryArray
 from posecal.metric import Subject
 from posecal.pairs import PosePairs, Poses
 from posecal.protocol import Protocol
 from posecal.registry import known_metrics
+from posecal.summation import add_up
 from posecal.totals import Totals
 
 JOINTS = ("Spine", "RKnee", "Hip", "LFoot", "Head", "LWrist", "Neck/Nose", "RElbow")

@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from posecal.evaluation import add_up
 from posecal.protocol import Protocol
 from posecal.registry import known_metrics, sights_of
+from posecal.summation import add_up
 from tests.drawn import World, world
 from tests.twin import Twin
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PAGES = ("start", "file-format", "calibration", "how-sure", "metrics", "report", "recalibrate")
+PAGES = ("start", "file-format", "calibration", "how-sure", "metrics", "report", "recalibrate", "models")
 
 
 def console_lines(text: str) -> list[str]:
@@ -27,11 +27,11 @@ def pieces(text: str) -> list[tuple[str, str]]:
 
 
 def run(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    words = shlex.split(command)
-    assert words[0] == "posecal"
+    program, *words = shlex.split(command)
+    module = {"posecal": "posecal", "posecal-models": "posecal_models.cli"}[program]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg", "COLUMNS": "120"}
     return subprocess.run(
-        [sys.executable, "-m", *words], cwd=folder, env=environment, capture_output=True, text=True, check=False
+        [sys.executable, "-m", module, *words], cwd=folder, env=environment, capture_output=True, text=True, check=False
     )
 
 

@@ -9,11 +9,13 @@ import numpy.typing as npt
 import pytest
 
 from posecal import block as block_module
-from posecal import evaluation
+from posecal import summation
 from posecal.errors import PoseDataError
-from posecal.evaluation import add_up, evaluate, walk
+from posecal.evaluation import evaluate
 from posecal.metrics import diversity, min_mpjpe, mpjpe, mpjve, radius
+from posecal.pairs import PosePairs
 from posecal.protocol import Protocol
+from posecal.summation import add_up, walk
 from tests import oracles
 from tests.drawn import JOINTS, World, skewed, world
 
@@ -138,7 +140,7 @@ def test_occluded_joints_are_scored_by_themselves(some: World) -> None:
 # --- which poses -----------------------------------------------------------------------------------------------------
 
 
-def with_label(some: World, **labels: npt.ArrayLike) -> evaluation.PosePairs:
+def with_label(some: World, **labels: npt.ArrayLike) -> PosePairs:
     pairs = some.pairs
     return replace(pairs, labels={**pairs.labels, **{name: np.array(v).astype(str) for name, v in labels.items()}})
 
@@ -168,7 +170,7 @@ def test_a_step_over_frames_that_are_left_out_is_no_velocity(some: World) -> Non
 def test_every_pose_is_in_one_block_in_the_order_of_the_poses(
     some: World, window: int, block: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(evaluation, "WINDOW_BYTES", window)
+    monkeypatch.setattr(summation, "WINDOW_BYTES", window)
     monkeypatch.setattr(block_module, "BLOCK_BYTES", block)
     blocks = [(poses, lay_out()) for poses, lay_out in walk(some.pairs)]
     assert np.concatenate([np.arange(M)[poses] for poses, _ in blocks]).tolist() == list(range(M))
@@ -186,7 +188,7 @@ def test_a_velocity_is_of_both_poses_across_windows(some: World, monkeypatch: py
     expected = oracles.velocity_errors(
         oracles.relative(some.x, some.root), oracles.relative(some.y, some.root), where, list(some.sequence)
     )
-    monkeypatch.setattr(evaluation, "WINDOW_BYTES", 1)
+    monkeypatch.setattr(summation, "WINDOW_BYTES", 1)
     totals = add_up(replace(some.pairs, where=where), Protocol(metrics="mpjve"))
     np.testing.assert_allclose(totals.sums["mpjve"].sum(), np.nansum(expected))
     assert totals.counts["mpjve"].sum() == (~np.isnan(expected)).sum()

@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from posecal import block as block_module
-from posecal import evaluation
+from posecal import summation
 from posecal.protocol import Protocol
 from posecal.registry import known_metrics
 from posecal.totals import Totals
@@ -313,7 +313,7 @@ def test_numbers_do_not_depend_on_how_poses_are_cut_into_blocks(
     if block is not None:
         monkeypatch.setattr(block_module, "BLOCK_BYTES", block)
     if window is not None:
-        monkeypatch.setattr(evaluation, "WINDOW_BYTES", window)
+        monkeypatch.setattr(summation, "WINDOW_BYTES", window)
     hold("blocks", protocol, WORLD.values(PROTOCOLS[protocol]), expected, rtol=1e-12, atol=1e-12)
 
 

@@ -159,7 +159,7 @@ def test_joints_are_chosen_in_the_poses_order(text: str, chosen: tuple[str, ...]
         ("Haed", r"joints: 'Haed' is not among the poses' joints\. Did you mean Head\?"),
         ("Head, RKnee", r"joints: 'RKnee' is not among the poses' joints"),
         ("h36m-18", r"joints: 'h36m-18' is not among the poses' joints\. Did you mean h36m-1[67]\?"),
-        ("all but Spnie", r"joints: 'Spnie' is no joint\. Did you mean Spine\?"),
+        ("all but Haed", r"joints: 'Haed' is no joint\. Did you mean Head\?"),
     ],
 )
 def test_joints_that_are_not_there_are_refused(text: str, words: str) -> None:

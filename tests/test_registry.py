@@ -129,7 +129,7 @@ def test_min_mpjpe_is_given_at_round_numbers_up_to_n() -> None:
         ("radius_50", Subject(1, H36M, 0), r"radius_50 needs at least 2 hypotheses"),
         ("battery", Subject(1, H36M, 0), r"metrics: battery needs at least 2 hypotheses"),
         ("a1, pck, b2", PERSON, r"(?s)2 problems:.*metrics: a1 is not known.*metrics: b2 is not known"),
-        ("", PERSON, r"metrics:  is not known"),
+        ("", PERSON, r"metrics: ''; expected default, all, or names with commas\."),
     ],
 )
 def test_metrics_that_can_t_be_given_are_refused_with_what_they_need(names: str, subject: Subject, words: str) -> None:

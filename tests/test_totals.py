@@ -12,10 +12,10 @@ import numpy.typing as npt
 import pytest
 
 from posecal.errors import PoseDataError, PoseFileError
-from posecal.evaluation import add_up
 from posecal.metric import Metric, Statistic, Subject, item
 from posecal.protocol import Protocol
 from posecal.registry import known_metrics
+from posecal.summation import add_up
 from posecal.totals import Totals, difference_of_signatures, is_result
 from tests.drawn import World, world
 

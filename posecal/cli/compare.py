@@ -62,8 +62,8 @@ def compare(
     """Compare models on the same poses: differences with intervals, p-values and ranks."""
     check_outputs(*files, plot=plot)
     from posecal.comparison import compare as compare_totals
-    from posecal.evaluation import add_up
     from posecal.sheets import comparison_sheet
+    from posecal.summation import add_up
     from posecal.totals import Totals, is_result
 
     totals: list[Totals] = []

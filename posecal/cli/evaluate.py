@@ -79,8 +79,8 @@ def evaluate(
 ) -> None:
     """Evaluate hypotheses against the truth: accuracy, calibration and spread, each with its definition."""
     from posecal.calibration.battery import load_prerank
-    from posecal.evaluation import add_up
     from posecal.report import Report
+    from posecal.summation import add_up
 
     groups = [word for word, asked in (("battery", battery or prerank), ("scores", scores or skill)) if asked]
     preranks = dict(load_prerank(entry) for entry in prerank or [])

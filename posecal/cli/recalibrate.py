@@ -57,8 +57,7 @@ def fit(
 ) -> None:
     """Fit a recalibration on all poses; --split also says what it does to sequences it has not seen."""
     check_outputs(hypotheses, truth, output=output)
-    from posecal.maps import write_map
-    from posecal.recalibration import cross_fitted, fit_radius, fit_spread, held_out_coverage
+    from posecal.recalibration import cross_fitted, fit_radius, fit_spread, held_out_coverage, write_map
     from posecal.sheets import radius_sheet, spread_sheet
 
     if scaled and radius is None:
@@ -95,7 +94,7 @@ def apply(
     check_outputs(hypotheses, map_file, output=output)
     from posecal.io import read_poses
     from posecal.joining import alone
-    from posecal.maps import apply_map, read_map
+    from posecal.recalibration import apply_map, read_map
 
     map_ = read_map(map_file)
     poses = read_poses(hypotheses, "hypotheses")

@@ -14,8 +14,6 @@ Q. J. R. Meteorol. Soc. 140, 1917 (2014), doi:10.1002/qj.2270 (fair scores).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import numpy.typing as npt
 
@@ -36,37 +34,33 @@ __all__ = [
 ]
 
 
-def _pairwise(points: FloatArray) -> Iterator[tuple[FloatArray, float]]:
-    """Squared distances between points (..., D, n) in three blocks, each with its weight in the sum over all pairs.
-
-    One product of (x, ‖x‖², 1) with (-2x, 1, ‖x‖²) gives a block of them, so that they take one pass.
-    """
-    centred = points - points.mean(axis=-1, keepdims=True)
-    squares = squared_norms(centred)[..., None, :]
-    ones = np.ones_like(squares)
-    left = np.concatenate([centred, squares, ones], axis=-2).swapaxes(-1, -2)
-    right = np.concatenate([-2 * centred, ones, squares], axis=-2)
-    half = points.shape[-1] // 2
-    for rows, columns, weight in (
-        (slice(half), slice(half), 1.0),
-        (slice(half, None), slice(half, None), 1.0),
-        (slice(half), slice(half, None), 2.0),
-    ):
-        found = np.ascontiguousarray(left[..., rows, :]) @ np.ascontiguousarray(right[..., columns])
-        np.abs(found, out=found)  # rounding may leave a square a little below 0
-        if weight == 1:
-            np.einsum("...ii->...i", found)[...] = 0
-        yield found, weight
+STRIP = 50
+"""Points whose distances to all later ones are taken at a time: as many as stay in cache."""
 
 
 def _half_mean_distance(points: FloatArray) -> FloatArray:
-    """Half the mean distance between two different points of (..., D, n), (...)."""
+    """Half the mean distance between two different points of (..., D, n), (...).
+
+    One product of (x, ‖x‖², 1) with (-2x, 1, ‖x‖²) gives the squared distances of a strip of points to themselves and
+    to all later ones, each of which stands for two.
+    """
     n = points.shape[-1]
+    centred = points - points.mean(axis=-1, keepdims=True)
+    squares = squared_norms(centred)[..., None, :]
+    ones = np.ones_like(squares)
+    left = np.ascontiguousarray(np.concatenate([centred, squares, ones], axis=-2).swapaxes(-1, -2))
+    right = np.concatenate([-2 * centred, ones, squares], axis=-2)
+    times = np.full(n, 2, dtype=points.dtype)
     total: FloatArray = np.zeros(points.shape[:-2])
-    for squares, weight in _pairwise(points):
-        np.sqrt(squares, out=squares)
-        rows = squares @ np.ones(squares.shape[-1], dtype=squares.dtype)
-        total += weight * rows.sum(axis=-1, dtype=np.float64)
+    for start in range(0, n, STRIP):
+        own = min(STRIP, n - start)
+        distances = left[..., start : start + own, :] @ right[..., start:]
+        np.abs(distances, out=distances)  # rounding may leave a square a little below 0
+        np.einsum("...ii->...i", distances[..., :own])[...] = 0
+        np.sqrt(distances, out=distances)
+        times[:own] = 1
+        total += (distances @ times[: n - start]).sum(axis=-1, dtype=np.float64)
+        times[:own] = 2
     total /= 2 * n * (n - 1)
     return total
 
@@ -126,7 +120,8 @@ def variograms(block: Block, joints: BoolArray | None = None) -> FloatArray:
         np.sqrt(np.sqrt(roots, out=roots), out=roots)
         true = squared_norms((block.truth[:, :joint] - block.truth[:, joint, None])[..., None])[..., 0] ** 0.25
         middle = roots.mean(axis=-1, dtype=np.float64)
-        chance = roots.var(axis=-1, ddof=1, dtype=np.float64) / n
+        roots -= middle[..., None].astype(roots.dtype)
+        chance = np.einsum("bkn,bkn->bk", roots, roots, dtype=np.float64) / (n * (n - 1))
         total += np.where(counted, (true - middle) ** 2 - chance, 0).sum(axis=1)
         pairs += counted.sum(axis=1)
     return np.where(pairs > 0, total / np.maximum(pairs, 1), np.nan)

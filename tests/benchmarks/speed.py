@@ -19,13 +19,13 @@ from posecal.align import aligned_errors
 from posecal.block import Block, FloatArray, available_cores, blocks_of, in_order
 from posecal.calibration import DEFINITIONS, LEVELS
 from posecal.calibration.ranks import inside
-from posecal.evaluation import add_up
 from posecal.joining import join
 from posecal.layout import MemoryArray
 from posecal.metrics.pck import correct_joints
 from posecal.metrics.position import pose_errors
 from posecal.pairs import Poses
 from posecal.protocol import Protocol
+from posecal.summation import add_up
 
 
 def plain_errors(x: FloatArray, y: FloatArray) -> tuple[FloatArray, ...]:

@@ -8,12 +8,12 @@ import numpy as np
 from scipy.spatial.distance import pdist
 
 from posecal.calibration.battery import BATTERY
-from posecal.evaluation import add_up
 from posecal.joining import join
 from posecal.layout import MemoryArray
 from posecal.pairs import Poses
 from posecal.protocol import Protocol
 from posecal.report import Report
+from posecal.summation import add_up
 from toy.faults import FAULTS, Case
 from toy.pose_world import PoseWorld
 from toy.progress import bar

@@ -1,11 +1,8 @@
-"""How is a miscalibrated model mended, without training it again? By its spread, or by a radius that holds.
+"""By what factor is a spread wrong, and what do hypotheses become when it is undone?
 
-``spread``: every hypothesis is moved away from, or towards, the per-coordinate median of its pose, x ← c + s (x - c),
-by one factor s or one per joint; the one that brings the exchangeable curve closest to the diagonal. ``radius``: per
-joint the distance from the median that holds a share 1 - α of the truths (split conformal prediction).
-
-Both are fitted on sequences other than those they are judged on: :func:`cross_fitted` leaves out each part of the
-sequences in turn. A mended spread can cost minMPJPE, which is what that number rewards.
+Every hypothesis is moved away from, or towards, the per-coordinate median of its pose, x ← c + s (x - c), by one factor
+s or one per joint; the one that brings the exchangeable curve closest to the diagonal. A mended spread can cost
+minMPJPE, which is what that number rewards.
 """
 
 from __future__ import annotations
@@ -22,23 +19,13 @@ from posecal.block import Block, BoolArray, FloatArray, block_length, in_order
 from posecal.calibration.curve import inside_table
 from posecal.calibration.ranks import LEVELS
 from posecal.errors import PoseDataError
-from posecal.evaluation import add_up, walk
-from posecal.metrics.spread import joint_deviations
 from posecal.pairs import Hypotheses, PosePairs, Rows
 from posecal.protocol import Protocol
+from posecal.recalibration.folds import at_least_two, folds_of, moving, sequences
+from posecal.summation import add_up, walk
 from posecal.totals import Totals
 
-__all__ = [
-    "FACTORS",
-    "RadiusMap",
-    "SpreadMap",
-    "Stretched",
-    "cross_fitted",
-    "fit_radius",
-    "fit_spread",
-    "folds_of",
-    "held_out_coverage",
-]
+__all__ = ["FACTORS", "SpreadMap", "Stretched", "cross_fitted", "fit_spread", "stretched"]
 
 FACTORS: FloatArray = np.exp(np.linspace(np.log(0.1), np.log(10), 61))
 """The spread factors that are tried; the best is interpolated between them."""
@@ -67,32 +54,6 @@ class SpreadMap:
         """Give pairs whose hypotheses are stretched when they are read."""
         factors = _for_joints(self.joints, self.factors, pairs.joints, pairs.names[0])
         return replace(pairs, hypotheses=Stretched(pairs.hypotheses, factors, pairs.root), scores=pairs.scores)
-
-
-@dataclass(frozen=True)
-class RadiusMap:
-    """A radius about the median that holds the truth, for each joint.
-
-    Attributes
-    ----------
-    joints : tuple of str
-        K names.
-    radii : array (K,)
-        mm, or where ``scaled`` multiples of the predicted standard deviation.
-    alpha : float
-        The share of truths that may lie outside.
-    scaled : bool
-        Whether the radius goes with the predicted spread of each pose.
-    poses, sequences : int
-        What it was fitted on.
-    """
-
-    joints: tuple[str, ...]
-    radii: FloatArray
-    alpha: float
-    scaled: bool
-    poses: int
-    sequences: int
 
 
 @dataclass(frozen=True)
@@ -170,41 +131,9 @@ def _for_joints(names: tuple[str, ...], values: FloatArray, joints: tuple[str, .
     return values[[names.index(joint) for joint in joints]]
 
 
-# --- fitting the spread ---------------------------------------------------------------------------------------
-
-
-def folds_of(pairs: PosePairs, folds: int = 5) -> Rows:
-    """Give the part of each pose, (M,), cutting between sequences, the parts alike in poses.
-
-    Raises
-    ------
-    PoseDataError
-        For fewer sequences than parts.
-    """
-    sequence = pairs.labels.get("sequence")
-    if sequence is None:
-        return np.arange(len(pairs.truth)) * folds // len(pairs.truth)
-    names, place, sizes = np.unique(sequence, return_inverse=True, return_counts=True)
-    if not 2 <= folds <= len(names):
-        raise PoseDataError(f"folds: {folds}; expected 2 to {len(names)}, the number of sequences of {pairs.names[1]}.")
-    load = np.zeros(folds, dtype=np.intp)
-    of_name = np.zeros(len(names), dtype=np.intp)
-    for name in np.argsort(-sizes, kind="stable"):
-        of_name[name] = load.argmin()
-        load[of_name[name]] += sizes[name]
-    return of_name[place]
-
-
-def _moving(pairs: PosePairs) -> BoolArray:
-    mask = np.ones(len(pairs.joints), dtype=bool)
-    if pairs.root is not None:
-        mask[pairs.root] = False
-    return mask
-
-
 def _curves(pairs: PosePairs, folds: Rows, threads: int | None) -> tuple[FloatArray, npt.NDArray[np.int64]]:
     """Sums of the ``inside`` weights for every factor, (F, G, K, Q), and their counts (F, K), by part."""
-    moving = _moving(pairs)
+    mask = moving(pairs)
     shape = (int(folds.max()) + 1, len(FACTORS), len(pairs.joints), LEVELS.size)
     sums, counts = np.zeros(shape), np.zeros((shape[0], shape[2]), dtype=np.int64)
 
@@ -212,10 +141,10 @@ def _curves(pairs: PosePairs, folds: Rows, threads: int | None) -> tuple[FloatAr
         block = lay_out()
         if block.non_finite.any():
             raise PoseDataError(f"{pairs.names[0]} has non-finite coordinates; evaluate says where.")
-        found = np.empty((len(block.where), len(FACTORS), len(moving), LEVELS.size))
+        found = np.empty((len(block.where), len(FACTORS), len(mask), LEVELS.size))
         for place, factor in enumerate(FACTORS):
-            found[:, place] = inside_table(block.stretched(factor), "exchangeable", moving)[:, :-1]
-        return poses, found, block.where & moving
+            found[:, place] = inside_table(block.stretched(factor), "exchangeable", mask)[:, :-1]
+        return poses, found, block.where & mask
 
     tasks = (partial(measure, poses, lay_out) for poses, lay_out in walk(pairs))
     for poses, found, counted in in_order(tasks, threads):
@@ -277,19 +206,10 @@ def fit_spread(pairs: PosePairs, *, per_joint: bool = False, threads: int | None
     -----
     Judge it on other sequences: :func:`cross_fitted`. Differs from the published code: none; ours.
     """
-    _at_least_two(pairs)
+    at_least_two(pairs)
     sums, counts = _curves(pairs, np.zeros(len(pairs.truth), dtype=np.intp), threads)
     factors = _best_factors(sums[0], counts[0], per_joint=per_joint)
-    return SpreadMap(pairs.joints, factors, len(pairs.truth), _sequences(pairs))
-
-
-def _at_least_two(pairs: PosePairs) -> None:
-    if pairs.shape[0] < 2:
-        raise PoseDataError(f"{pairs.names[0]}: 1 hypothesis; recalibration needs at least 2.")
-
-
-def _sequences(pairs: PosePairs) -> int:
-    return len(np.unique(pairs.labels["sequence"])) if "sequence" in pairs.labels else 0
+    return SpreadMap(pairs.joints, factors, len(pairs.truth), sequences(pairs))
 
 
 def cross_fitted(
@@ -327,7 +247,7 @@ def cross_fitted(
     PoseDataError
         For fewer sequences than parts.
     """
-    _at_least_two(pairs)
+    at_least_two(pairs)
     part = folds_of(pairs, folds)
     sums, counts = _curves(pairs, part, threads)
     before = add_up(pairs, protocol, threads=threads)
@@ -339,116 +259,3 @@ def cross_fitted(
         after.append(add_up(mended, protocol, threads=threads))
         factors.append(found)
     return before, Totals.merged(after), factors
-
-
-# --- conformal radii ------------------------------------------------------------------------------------------
-
-
-def _distances(pairs: PosePairs, *, scaled: bool, threads: int | None) -> FloatArray:
-    """Distance of the truth from the median, (M, K), mm or predicted standard deviations; NaN for uncounted ones."""
-    moving = _moving(pairs)
-
-    def measure(lay_out: Callable[[], Block]) -> FloatArray:
-        block = lay_out()
-        found = np.linalg.norm(block.median.astype(np.float64), axis=-1)
-        if scaled:
-            with np.errstate(divide="ignore", invalid="ignore"):
-                found = found / joint_deviations(block)
-        return np.where(block.where & moving, found, np.nan)
-
-    return np.concatenate(list(in_order((partial(measure, lay_out) for _, lay_out in walk(pairs)), threads)))
-
-
-def _radii(distances: FloatArray, alpha: float) -> FloatArray:
-    """The ⌈(n + 1)(1 - α)⌉-th smallest distance of each joint; NaN for joints that don't count."""
-    radii = np.full(distances.shape[1], np.nan)
-    for joint, column in enumerate(distances.T):
-        known = np.sort(column[~np.isnan(column)])
-        if not len(known):
-            continue
-        place = math.ceil((len(known) + 1) * (1 - alpha) - 1e-9)
-        if place > len(known):
-            raise PoseDataError(
-                f"alpha: {alpha:g} needs more than {len(known)} poses; the smallest possible with them is "
-                f"{1 / (len(known) + 1):.4g}."
-            )
-        radii[joint] = known[place - 1]
-    return radii
-
-
-def fit_radius(pairs: PosePairs, alpha: float = 0.1, *, scaled: bool = False, threads: int | None = None) -> RadiusMap:
-    r"""Find the radius about the median that holds the truth of each joint in a share 1 - α of poses.
-
-    .. math:: r_k = d_{(\lceil (n+1)(1-\alpha) \rceil)\,k}, \qquad
-              d_{mk} = \lVert y_{mk} - \operatorname{median}_n x_{nmk} \rVert
-
-    Parameters
-    ----------
-    pairs : PosePairs
-        Hypotheses and truth, n poses.
-    alpha : float
-        The share of truths that may lie outside, between 0 and 1.
-    scaled : bool
-        Whether distances count in multiples of the predicted standard deviation of the pose's joint, so that
-        uncertain poses get larger balls.
-    threads : int, optional
-        How many; by default one per core.
-
-    Returns
-    -------
-    RadiusMap
-        The radii.
-
-    Raises
-    ------
-    PoseDataError
-        For an α outside (0, 1), or smaller than 1/(n + 1), which no number of poses n allows.
-
-    Notes
-    -----
-    The coverage is at least 1 - α for a new pose that is exchangeable with these; frames of one video are less worth
-    than their number says. Differs from the published code: none; ours.
-
-    References
-    ----------
-    Angelopoulos and Bates, arXiv:2107.07511 (split conformal prediction).
-    """
-    if not 0 < alpha < 1:
-        raise PoseDataError(f"alpha: {alpha:g}; expected between 0 and 1.")
-    if scaled:
-        _at_least_two(pairs)
-    radii = _radii(_distances(pairs, scaled=scaled, threads=threads), alpha)
-    return RadiusMap(pairs.joints, radii, alpha, scaled, len(pairs.truth), _sequences(pairs))
-
-
-def held_out_coverage(
-    pairs: PosePairs, alpha: float = 0.1, *, scaled: bool = False, folds: int = 5, threads: int | None = None
-) -> FloatArray:
-    """Share of held-out truths inside the radius that was fitted on the other sequences, per joint.
-
-    Parameters
-    ----------
-    pairs, alpha, scaled, threads
-        As for :func:`fit_radius`.
-    folds : int
-        Parts into which the sequences are cut.
-
-    Returns
-    -------
-    array (K,)
-        Shares; 1 - α is meant. NaN for joints that don't count.
-
-    Raises
-    ------
-    PoseDataError
-        As :func:`fit_radius`, and for fewer sequences than parts.
-    """
-    part = folds_of(pairs, folds)
-    distances = _distances(pairs, scaled=scaled, threads=threads)
-    within = np.full(distances.shape, np.nan)
-    for fold in range(folds):
-        radii = _radii(distances[part != fold], alpha)
-        chosen = part == fold
-        within[chosen] = np.where(np.isnan(distances[chosen]), np.nan, distances[chosen] <= radii)
-    number = (~np.isnan(within)).sum(axis=0)
-    return np.where(number > 0, np.nansum(within, axis=0) / np.maximum(number, 1), np.nan)

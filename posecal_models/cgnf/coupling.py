@@ -1,0 +1,197 @@
+"""How is one coordinate of every joint moved, given the other two? What the blocks of the flow learn.
+
+A block is an ActNorm and an affine coupling whose shift and scale come from two message-passing layers. For given
+keypoints everything is multiplied out that does not depend on the pose, in an arithmetic order that gives the same
+numbers with fewer operations:
+
+- the ActNorms are absorbed into the maps that read the coordinates;
+- the first layer's update and the second layer's maps are one matrix, because nothing stands between them;
+- the second layer's update is linear, so it is applied before the sum over the bones, which then has 2 features, not H.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from posecal_models.cgnf.message_passing import Evidence, MessagePassing
+from posecal_models.graph import PoseGraph
+
+__all__ = ["Couplings", "FoldedCouplings"]
+
+
+class FoldedCouplings(NamedTuple):
+    """The blocks of a flow with their weights multiplied out; see :class:`posecal_models.cgnf.passes.BlockTensors`.
+
+    Attributes
+    ----------
+    first, second, second_bias, pool : Tensor
+        (L, maps, D + 1, H), (L, maps, H, H), (L, maps, H) and (L, 2, H).
+    behind_scale, behind_shift : Tensor
+        (L + 1, D) each: the ActNorms that a coordinate has yet to pass in each block, and after all blocks.
+    log_determinant : Tensor
+        Log of the volume change of all ActNorms at one node, nats; a scalar.
+    """
+
+    first: Tensor
+    second: Tensor
+    second_bias: Tensor
+    pool: Tensor
+    behind_scale: Tensor
+    behind_shift: Tensor
+    log_determinant: Tensor
+
+
+class Couplings(nn.Module):
+    r"""The L blocks of a flow: an ActNorm shared by all nodes, then the affine coupling of one coordinate.
+
+    .. math:: y = e^{a} \odot x + b, \qquad z_i = y_i \, s(y_{\neq i}, c) + t(y_{\neq i}, c), \qquad i = l \bmod D
+
+    Parameters
+    ----------
+    graph : PoseGraph
+        The bones between the K nodes.
+    blocks : int
+        L.
+    dimensions : int
+        D, the coordinates of a node.
+    hidden, context : int
+        Features of a message and of an embedded keypoint.
+    backward_weights : bool
+        Whether messages from child to parent have their own map.
+
+    Notes
+    -----
+    The second layer's update starts at zero, so that an untrained flow is the identity but for its ActNorms; with an
+    exponential scale and PyTorch's own start, training diverged within ten steps.
+
+    Differs from the published code: none with ``backward_weights=False``; the paper's text has a map for each
+    direction.
+
+    References
+    ----------
+    Pierzchlewicz et al. 2022, arXiv:2210.11179, section 4, "Affine Coupling Layer". ActNorm: Kingma and Dhariwal 2018,
+    arXiv:1807.03039.
+    """
+
+    kept: Tensor
+    """The D - 1 coordinates that each block reads, (L, D - 1), integer."""
+
+    def __init__(
+        self,
+        graph: PoseGraph,
+        *,
+        blocks: int,
+        dimensions: int,
+        hidden: int,
+        context: int,
+        backward_weights: bool,
+    ) -> None:
+        super().__init__()
+        self.actnorm_log_scale = nn.Parameter(torch.zeros(blocks, dimensions))
+        self.actnorm_shift = nn.Parameter(torch.zeros(blocks, dimensions))
+        self.first = MessagePassing(
+            graph,
+            blocks,
+            dimensions - 1,
+            hidden,
+            hidden,
+            context=context,
+            root=dimensions,
+            last=False,
+            backward_weights=backward_weights,
+        )
+        self.second = MessagePassing(
+            graph,
+            blocks,
+            hidden,
+            hidden,
+            2,
+            context=hidden,
+            root=hidden,
+            last=True,
+            backward_weights=backward_weights,
+        )
+        moved = torch.arange(blocks) % dimensions
+        every = torch.arange(dimensions).expand(blocks, -1)
+        kept = every[every != moved[:, None]].view(blocks, dimensions - 1)
+        self.register_buffer("kept", kept, persistent=False)
+        nn.init.zeros_(self.second.pool.weight)
+        nn.init.zeros_(self.second.pool.bias)
+
+    def folded(self, blocks: int | None = None) -> FoldedCouplings:
+        """Multiply out the weights that poses and keypoints have nothing to do with.
+
+        Parameters
+        ----------
+        blocks : int, optional
+            Only the first blocks; all of them where not given.
+
+        Returns
+        -------
+        FoldedCouplings
+            The blocks, less what the keypoints say.
+        """
+        log_scale, shift = self.actnorm_log_scale[:blocks], self.actnorm_shift[:blocks]
+        behind_scale, behind_shift = _behind(log_scale, shift)
+        dimensions, kept = log_scale.shape[1], self.kept[:blocks]
+
+        weights, biases = (stacked[:blocks] for stacked in self.first.weights_and_biases())
+        read = weights * behind_scale[:-1].gather(1, kept)[:, None, None]
+        biases = biases + (weights @ behind_shift[:-1].gather(1, kept)[:, None, :, None]).squeeze(-1)
+        first = weights.new_zeros(*biases.shape, dimensions).scatter(3, kept[:, None, None].expand_as(read), read)
+
+        update = self.first.pool
+        weights, second_biases = (stacked[:blocks] for stacked in self.second.weights_and_biases())
+        return FoldedCouplings(
+            first=torch.cat([first, biases[..., None]], dim=-1).mT.contiguous(),
+            second=(weights @ update.weight[:blocks, None]).mT.contiguous(),
+            second_bias=(weights @ update.bias[:blocks, None, :, None]).squeeze(-1) + second_biases,
+            pool=self.second.pool.weight[:blocks],
+            behind_scale=behind_scale,
+            behind_shift=behind_shift,
+            log_determinant=log_scale.sum(),
+        )
+
+    def messages(self, evidence: Evidence) -> tuple[Tensor, Tensor]:
+        """Compute what context and root add after each layer.
+
+        Parameters
+        ----------
+        evidence : Evidence
+            Embedded keypoints and root of P poses.
+
+        Returns
+        -------
+        evidence, offset : Tensor
+            (L, K, P, 1, H) after the first layer and, pooled, (L, 2, K, P, 1) after the second.
+        """
+        from_context, from_root, carried = self.first.hear(evidence)
+        after_first = self.first.place(from_context, from_root, evidence)
+        from_context, from_root, _ = self.second.hear(carried)
+        pool = self.second.pool.weight.mT
+        if from_context is not None:
+            from_context = from_context @ pool
+        after_second = self.second.place(from_context, from_root @ pool, evidence)
+        after_second = after_second + self.second.pool.bias[:, None, None]
+        return after_first.unsqueeze(3), after_second.movedim(-1, 1).unsqueeze(4)
+
+
+def _behind(log_scale: Tensor, shift: Tensor) -> tuple[Tensor, Tensor]:
+    """Give the ActNorms that each coordinate has yet to pass when it reaches a block, that block's own included.
+
+    Coordinates pass their ActNorms when a block moves them. Row l is for block l, the last row for after all blocks:
+    scale and shift, (L + 1, D) each, of (L, D) log scales and shifts.
+    """
+    blocks, dimensions = log_scale.shape
+    passed = torch.cat([log_scale, log_scale.new_zeros(1, dimensions)]).cumsum(0)
+    block = torch.arange(blocks + 1, device=shift.device)[:, None, None]
+    actnorm = torch.arange(blocks, device=shift.device)[:, None]
+    coordinate = torch.arange(dimensions, device=shift.device)
+    last_moved = block - 1 - (block - 1 - coordinate) % dimensions
+    waiting = (actnorm <= block) & (actnorm > last_moved)
+    log_scales = torch.where(waiting, log_scale, 0).sum(1)
+    since = torch.where(waiting, passed[:, None] - passed[:-1], 0).exp()
+    return log_scales.exp(), torch.where(waiting, since * shift, 0).sum(1)

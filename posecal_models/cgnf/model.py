@@ -1,0 +1,178 @@
+"""Which poses fit these keypoints? The cGNF as an estimator: pixels in, a distribution in millimetres out."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from posecal_models.cgnf.flow import FlowSize, GraphFlow, ReadyFlow
+from posecal_models.cgnf.passes import Scale
+from posecal_models.contract import Context
+from posecal_models.data.standardizer import Origin, Standardizer
+from posecal_models.graph import PoseGraph, human36m_graph
+
+__all__ = ["CGNF", "FlowDistribution"]
+
+
+class FlowDistribution:
+    """The poses that a cGNF finds plausible, given the keypoints of M poses.
+
+    Parameters
+    ----------
+    flow : ReadyFlow
+        The flow for these keypoints.
+    standardizer : Standardizer
+        Between its units and mm.
+    poses : int
+        M.
+    """
+
+    def __init__(self, flow: ReadyFlow, standardizer: Standardizer, poses: int) -> None:
+        self._flow = flow
+        self._standardizer = standardizer
+        self._poses = poses
+
+    def sample(self, n: int, *, generator: torch.Generator | None = None, temperature: float = 1.0) -> Tensor:
+        """Draw n hypotheses of each pose.
+
+        Parameters
+        ----------
+        n : int
+            N.
+        generator : torch.Generator, optional
+            The source of randomness; torch's own where not given.
+        temperature : float
+            Standard deviation of the latents: below 1 for hypotheses nearer to the mode, 0 for the mode.
+
+        Returns
+        -------
+        Tensor
+            (N, M, K, 3), mm.
+        """
+        mean = self._standardizer.pose_mean
+        latents = torch.randn((self._poses, n, *mean.shape), generator=generator, device=mean.device, dtype=mean.dtype)
+        return self._standardizer.millimetres(self._flow.inverse(latents * temperature)).transpose(0, 1)
+
+    def log_prob(self, truth: Tensor) -> Tensor:
+        r"""Give the log density of poses.
+
+        .. math:: \log p(x \mid c) = \sum_v \log \mathcal N(f(x, c)_v; 0, I) + \log |\det \nabla_x f| - K D \log s
+
+        Parameters
+        ----------
+        truth : Tensor
+            (M, K, 3), mm.
+
+        Returns
+        -------
+        Tensor
+            (M,), nats per pose in mm; higher is better.
+
+        Notes
+        -----
+        Differs from the published code: it averages over the nodes, in its own units of length; the log density of a
+        pose is their sum.
+        """
+        poses = self._standardizer.poses(truth)[:, None]
+        return self._flow.log_prob_per_node(poses).sum((1, 2)) - self._standardizer.log_determinant
+
+    def mode(self) -> Tensor:
+        """Give the pose of the latent 0, (M, K, 3), mm: the paper's single best pose."""
+        mean = self._standardizer.pose_mean
+        return self._standardizer.millimetres(self._flow.inverse(mean.new_zeros(self._poses, 1, *mean.shape)))[:, 0]
+
+
+class CGNF(nn.Module):
+    """The conditional graph normalizing flow as an estimator of poses from any subset of keypoints.
+
+    Parameters
+    ----------
+    size : FlowSize
+        Blocks and features.
+    graph : PoseGraph
+        The joints; Human3.6M's 16 below the hip where not given.
+    backward_weights, scale
+        The paper's own map per direction and its exponential scale, or the released code's; see
+        :class:`posecal_models.cgnf.coupling.Block`.
+    origin : str
+        What keypoints are relative to, see :class:`posecal_models.data.standardizer.Standardizer`.
+    dimensions : int
+        D, coordinates of a joint.
+
+    Notes
+    -----
+    Keypoint i is evidence of joint i; a keypoint that is not observed changes nothing, whatever is stored for it.
+    Nothing observed gives the prior.
+
+    Differs from the published code: joints are joined by name, and parameters that it never uses are not here.
+
+    References
+    ----------
+    Pierzchlewicz et al. 2022, arXiv:2210.11179.
+
+    Examples
+    --------
+    >>> from posecal_models.cgnf.flow import SIZES
+    >>> estimator = CGNF(SIZES["tiny"])
+    >>> context = Context(torch.zeros(2, 16, 2), torch.ones(2, 16, dtype=torch.bool))
+    >>> poses = estimator(context)
+    >>> poses.sample(7).shape, poses.log_prob(torch.zeros(2, 16, 3)).shape
+    (torch.Size([7, 2, 16, 3]), torch.Size([2]))
+    """
+
+    def __init__(
+        self,
+        size: FlowSize,
+        graph: PoseGraph | None = None,
+        *,
+        backward_weights: bool = True,
+        scale: Scale = "exp",
+        origin: Origin = "observed",
+        dimensions: int = 3,
+    ) -> None:
+        super().__init__()
+        self.graph = human36m_graph() if graph is None else graph
+        self.size = size
+        self.flow = GraphFlow(self.graph, size, dimensions=dimensions, backward_weights=backward_weights, scale=scale)
+        self.standardizer = Standardizer(len(self.graph.joints), dimensions=dimensions, origin=origin)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """K names: the joints of the poses."""
+        return self.graph.joints
+
+    @property
+    def keypoints(self) -> tuple[str, ...]:
+        """K names: the keypoints of a context."""
+        return self.graph.joints
+
+    def forward(self, context: Context) -> FlowDistribution:
+        """Give the distribution of the poses with these keypoints.
+
+        Parameters
+        ----------
+        context : Context
+            Keypoints of M poses, pixels.
+
+        Returns
+        -------
+        FlowDistribution
+            Of M poses, mm.
+        """
+        evidence = self.flow.evidence(self.standardizer.keypoints(context), context.observed)
+        return FlowDistribution(self.flow.ready(evidence), self.standardizer, len(context))
+
+    def prior(self, poses: int = 1) -> FlowDistribution:
+        """Give the distribution of poses of which nothing was observed.
+
+        Parameters
+        ----------
+        poses : int
+            M, how many times.
+
+        Returns
+        -------
+        FlowDistribution
+            Of M poses, all alike.
+        """
+        return FlowDistribution(self.flow.ready(self.flow.no_evidence()), self.standardizer, poses)

@@ -1,0 +1,100 @@
+"""Which tensor of a published checkpoint is which of ours? Names and shapes of propose 0.2.0, read as data.
+
+Only names are known here: no code of that project is in posecal.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from posecal.errors import PoseDataError, first_few
+
+__all__ = ["from_released"]
+
+_LAYER = {
+    "layers.x": "from_self",
+    "layers.x->x": "from_parent",
+    "layers.c->x": "from_context",
+    "layers.r->x": "from_root",
+    "layers.c": "next_context",
+    "layers.r": "next_root",
+    "pool": "pool",
+}
+_EMBEDDING = {
+    "adj": "adjacency",
+    "layers.0.lin_rel.weight": "first_neighbours.weight",
+    "layers.0.lin_root.weight": "first_own.weight",
+    "layers.0.lin_root.bias": "first_own.bias",
+    "layers.1.lin_rel.weight": "second_neighbours.weight",
+    "layers.1.lin_root.weight": "second_own.weight",
+    "layers.1.lin_root.bias": "second_own.bias",
+}
+_BUFFER = re.compile(r"(initialized|identity_features|transform_features)$")
+_NET = re.compile(r"_transform\._transforms\.(\d+)\.transform_net\.layers\.([01])\.(.+)\.(weight|bias)$")
+_ACTNORM = re.compile(r"_transform\._transforms\.(\d+)\.(log_scale|shift)$")
+
+
+def from_released(state: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+    """Translate a published state dict into ours, and list what it holds in vain.
+
+    Parameters
+    ----------
+    state : mapping of str to Tensor
+        The ``state_dict`` of a released checkpoint, read with ``weights_only=True``.
+
+    Returns
+    -------
+    live : dict of str to Tensor
+        Tensors by the names of :class:`posecal_models.cgnf.flow.GraphFlow` with the ``released`` options.
+    dead : dict of str to Tensor
+        Parameters that no output depends on, by their published names.
+
+    Raises
+    ------
+    PoseDataError
+        Where a name is not one of a cGNF.
+
+    Notes
+    -----
+    Differs from the published code: dead are the map of messages from child to parent, the second layer's maps of
+    context and root, and the attention of both layers.
+
+    Examples
+    --------
+    >>> import torch
+    >>> live, dead = from_released({"_embedding_net.adj": torch.ones(2, 2), "_extra.attention.bias": torch.ones(1)})
+    Traceback (most recent call last):
+    posecal.errors.PoseDataError: checkpoint: 1 tensor is not part of a cGNF (_extra.attention.bias)...
+    """
+    stacks: dict[str, dict[int, Tensor]] = {}
+    live: dict[str, Tensor] = {}
+    dead: dict[str, Tensor] = {}
+    unknown: list[str] = []
+    for name, tensor in state.items():
+        if _BUFFER.search(name):
+            continue
+        if match := _ACTNORM.match(name):
+            stacks.setdefault(f"couplings.actnorm_{match[2]}", {})[int(match[1]) // 2] = tensor
+        elif match := _NET.match(name):
+            block, layer = int(match[1]) // 2, int(match[2])
+            ours = _LAYER.get(match[3])
+            if ours is None or (layer == 1 and ours.startswith("next_")):
+                dead[name] = tensor
+            else:
+                name = f"couplings.{('first', 'second')[layer]}.{ours}.{match[4]}"
+                stacks.setdefault(name, {})[block] = tensor
+        elif name.startswith("_embedding_net.") and (ours := _EMBEDDING.get(name.split(".", 1)[1])):
+            live[f"embedding.{ours}"] = tensor
+        else:
+            unknown.append(name)
+    if unknown:
+        raise PoseDataError(
+            f"checkpoint: {len(unknown)} tensor{'s are' if len(unknown) > 1 else ' is'} not part of a cGNF "
+            f"({first_few(unknown)}); expected the state_dict of propose 0.2.0's cGNF."
+        )
+    live |= {name: torch.stack([blocks[i] for i in sorted(blocks)]) for name, blocks in stacks.items()}
+    return live, dead

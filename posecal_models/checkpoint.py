@@ -1,0 +1,307 @@
+"""How are weights kept? In safetensors files that say what they are weights of, written whole or not at all.
+
+Nothing is ever unpickled. A weights file holds the tensors of an estimator, its standardizer among them, and in its
+header the estimator's description and a few words on its training.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor
+
+import posecal
+from posecal.errors import PoseDataError, PoseFileError, did_you_mean, first_few
+from posecal.io import written_whole
+from posecal_models.cgnf.flow import FlowSize
+from posecal_models.cgnf.model import CGNF
+from posecal_models.cgnf.released import from_released
+from posecal_models.data.standardizer import Standardizer
+from posecal_models.estimators import ReferenceEstimator, build, describe
+
+__all__ = [
+    "device_named",
+    "load_estimator",
+    "load_released",
+    "named_weights",
+    "notes_of",
+    "read_tensors",
+    "save_estimator",
+    "write_tensors",
+]
+
+_FOLDER = Path(__file__).parent / "weights"
+_HEADER, _DIGEST = "posecal", "sha256"
+
+
+def named_weights() -> tuple[str, ...]:
+    """Name the weights that come with the package."""
+    return tuple(sorted(path.stem for path in _FOLDER.glob("*.safetensors")))
+
+
+def device_named(name: str) -> torch.device:
+    """Give a device, if it is there.
+
+    Parameters
+    ----------
+    name : str
+        ``cpu``, ``cuda``, ``cuda:1`` or ``auto`` for the GPU if there is one.
+
+    Returns
+    -------
+    torch.device
+        The device.
+
+    Raises
+    ------
+    PoseDataError
+        Where it is not there.
+    """
+    if name == "auto":
+        name = "cuda" if torch.cuda.is_available() else "cpu"
+    try:
+        device = torch.device(name)
+    except RuntimeError as problem:
+        raise PoseDataError(f"device: {name!r} is not known; expected cpu, cuda or auto.") from problem
+    if device.type == "cuda" and not torch.cuda.is_available():
+        raise PoseDataError(
+            f"device: {name} was asked for and PyTorch {torch.__version__} sees no GPU. Use cpu or auto."
+        )
+    if device.type not in ("cpu", "cuda"):
+        raise PoseDataError(f"device: {name!r}; expected cpu, cuda or auto.")
+    return device
+
+
+def write_tensors(path: str | Path, tensors: Mapping[str, Tensor], about: dict[str, Any]) -> None:
+    """Write a safetensors file whole or not at all.
+
+    Parameters
+    ----------
+    path : str or Path
+        Where to.
+    tensors : mapping of str to Tensor
+        What.
+    about : dict
+        Plain values for the header.
+
+    Raises
+    ------
+    PoseFileError
+        Where it can't be written: no such folder, no right to, no space left.
+    """
+    plain = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+    content = save(plain, metadata={_HEADER: json.dumps(about), _DIGEST: _digest(plain)})
+
+    def write(file: BinaryIO) -> None:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+
+    written_whole(path, write)
+
+
+def read_tensors(path: str | Path, *, device: torch.device | str = "cpu") -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Read a file of :func:`write_tensors`.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    device : torch.device or str
+        Where the tensors go.
+
+    Returns
+    -------
+    tensors : dict of str to Tensor
+        What it holds.
+    about : dict
+        The header's values.
+
+    Raises
+    ------
+    PoseFileError
+        Where the file is missing, damaged, or not one of ours.
+    """
+    if not Path(path).is_file():
+        raise PoseFileError(f"{path}: is not there; expected a .safetensors file.")
+    try:
+        with safe_open(str(path), framework="pt") as file:
+            header = file.metadata() or {}
+            about = json.loads(header[_HEADER])
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except KeyError as problem:
+        raise PoseFileError(
+            f"{path}: a safetensors file without the header of posecal; expected one of ours."
+        ) from problem
+    except (SafetensorError, OSError, ValueError) as problem:
+        raise PoseFileError(f"{path}: damaged or no safetensors file ({problem}). Get it anew.") from problem
+    if header.get(_DIGEST, digest := _digest(tensors)) != digest:
+        raise PoseFileError(f"{path}: damaged: its numbers are not those that were written. Get it anew.")
+    return {name: tensor.to(device) for name, tensor in tensors.items()}, about
+
+
+def _digest(tensors: Mapping[str, Tensor]) -> str:
+    """Give the SHA-256 of the numbers, which tells of a single flipped bit."""
+    whole = hashlib.sha256()
+    for name in sorted(tensors):
+        whole.update(tensors[name].reshape(-1).view(torch.uint8).numpy().data)
+    return whole.hexdigest()
+
+
+def save_estimator(
+    path: str | Path,
+    estimator: ReferenceEstimator,
+    *,
+    tensors: Mapping[str, Tensor] | None = None,
+    notes: dict[str, Any] | None = None,
+) -> None:
+    """Write the weights of an estimator.
+
+    Parameters
+    ----------
+    path : str or Path
+        Where to, ``*.safetensors``.
+    estimator : CGNF, SimpleBaseline or GaussianNoise
+        What.
+    tensors : mapping of str to Tensor, optional
+        Other weights of the same estimator; its own where not given.
+    notes : dict, optional
+        Plain values that say how it was trained.
+
+    Raises
+    ------
+    PoseFileError
+        Where it can't be written.
+    """
+    about = {"version": posecal.__version__, "estimator": describe(estimator), "notes": notes or {}}
+    write_tensors(path, estimator.state_dict() if tensors is None else tensors, about)
+
+
+def load_estimator(name: str | Path, *, device: torch.device | str = "cpu") -> ReferenceEstimator:
+    """Read an estimator, ready to be called.
+
+    Parameters
+    ----------
+    name : str or Path
+        One of :func:`named_weights`, or a file of :func:`save_estimator`.
+    device : torch.device or str
+        Where it computes.
+
+    Returns
+    -------
+    CGNF, SimpleBaseline or GaussianNoise
+        In evaluation mode.
+
+    Raises
+    ------
+    PoseFileError, PoseDataError
+        Where the file is not there, damaged, or its tensors don't fit its description.
+    """
+    tensors, about = read_tensors(_path_of(name), device=device)
+    if "estimator" not in about:
+        raise PoseFileError(f"{name}: holds the state of a training, not weights. Give weights.safetensors beside it.")
+    estimator = build(about["estimator"])
+    _fill(estimator, tensors, str(name))
+    return estimator.to(device).eval()
+
+
+def notes_of(name: str | Path) -> dict[str, Any]:
+    """Read what a weights file says of its training.
+
+    Parameters
+    ----------
+    name : str or Path
+        As for :func:`load_estimator`.
+
+    Returns
+    -------
+    dict
+        Plain values.
+    """
+    _, about = read_tensors(_path_of(name))
+    notes: dict[str, Any] = about.get("notes", {})
+    return notes
+
+
+def _path_of(name: str | Path) -> Path:
+    path = _FOLDER / f"{name}.safetensors" if str(name) in named_weights() else Path(name)
+    if not path.is_file():
+        raise PoseFileError(f"{name}: no such weights. {did_you_mean(str(name), named_weights())}".strip())
+    return path
+
+
+def load_released(path: str | Path, *, blocks: int | None = None) -> tuple[CGNF, dict[str, Tensor]]:
+    """Read a published cGNF checkpoint, the ``state_dict`` of propose 0.2.0.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file; it is read with ``weights_only=True``, so that it can't run anything.
+    blocks : int, optional
+        Blocks that it should have; whatever it has where not given.
+
+    Returns
+    -------
+    estimator : CGNF
+        With the ``released`` options and that code's constants as standardizer, in evaluation mode.
+    dead : dict of str to Tensor
+        Parameters of the file that no output depends on.
+
+    Raises
+    ------
+    PoseFileError, PoseDataError
+        Where the file can't be read, or is of something else.
+    """
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError as problem:
+        raise PoseFileError(f"{path}: is not there.") from problem
+    except Exception as problem:
+        raise PoseFileError(
+            f"{path}: can't be read as plain tensors ({type(problem).__name__}); expected a state_dict. "
+            "It was not loaded: a pickle that asks for more can run programs."
+        ) from problem
+    if not isinstance(state, dict) or not all(isinstance(tensor, Tensor) for tensor in state.values()):
+        raise PoseDataError(f"{path}: holds no state_dict; expected tensors by name.")
+    live, dead = from_released(state)
+    try:
+        hidden, context = live["couplings.first.from_context.weight"].shape[1:]
+        size = FlowSize(
+            blocks=len(live["couplings.actnorm_shift"]),
+            hidden=hidden,
+            context=context,
+            embedding=live["embedding.first_own.bias"].shape[0],
+        )
+    except KeyError as problem:
+        raise PoseDataError(f"{path}: lacks {problem}; expected the state_dict of a whole cGNF.") from problem
+    if blocks is not None and size.blocks != blocks:
+        raise PoseDataError(f"{path}: {size.blocks} blocks; expected {blocks}.")
+    estimator = CGNF(size, scale="sigmoid", backward_weights=False)
+    _fill(estimator.flow, live, str(path))
+    estimator.standardizer = Standardizer.released(len(estimator.joints))
+    return estimator.eval(), dead
+
+
+def _fill(module: torch.nn.Module, tensors: Mapping[str, Tensor], which: str) -> None:
+    """Put tensors into a module, or say what does not fit."""
+    own = module.state_dict()
+    other = [f"{name} {tuple(tensors[name].shape)}, expected {tuple(own[name].shape)}"
+             for name in own if name in tensors and tensors[name].shape != own[name].shape]  # fmt: skip
+    missing = [name for name in own if name not in tensors]
+    extra = [name for name in tensors if name not in own]
+    if other or missing or extra:
+        parts = [
+            f"{len(other)} tensors of another size ({first_few(other, 1)})" if other else "",
+            f"{len(missing)} missing ({first_few(missing)})" if missing else "",
+            f"{len(extra)} too many ({first_few(extra)})" if extra else "",
+        ]
+        raise PoseDataError(f"{which}: weights don't fit the estimator: {'; '.join(p for p in parts if p)}.")
+    module.load_state_dict(dict(tensors))

@@ -1,0 +1,343 @@
+"""What is trained, on what, and how? A training's settings, read from TOML.
+
+A configuration has three tables, ``[model]``, ``[data]`` and ``[train]``; what is left out has the default that stands
+here. Named configurations lie in the folder ``configs`` beside this file.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+
+from posecal.errors import PoseDataError, PoseFileError, did_you_mean, raise_all
+from posecal_models.data.detector import Detector
+
+__all__ = ["Config", "DataConfig", "ModelConfig", "TrainConfig", "named_configs"]
+
+_FOLDER = Path(__file__).parent / "configs"
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """Which estimator.
+
+    Attributes
+    ----------
+    kind : str
+        ``cgnf``, ``simple-baseline`` or ``gaussian-noise``.
+    size : str
+        Of a cGNF: ``tiny``, ``small``, ``large``, ``xlarge``.
+    backward_weights, scale
+        Of a cGNF, see :class:`posecal_models.cgnf.flow.GraphFlow`.
+    origin : str
+        What keypoints are relative to: ``observed`` (the mean of the observed ones) or ``none``.
+    width, residuals, dropout
+        Of a SimpleBaseline.
+    start : str
+        Weights to begin with, named or a file, with their standardizer; random ones where not given.
+    mean : str
+        Of a Gaussian noise model: the weights file of its SimpleBaseline.
+    spread : str
+        Of a Gaussian noise model: one σ a ``joint`` or a ``coordinate``.
+    """
+
+    kind: Literal["cgnf", "simple-baseline", "gaussian-noise"] = "cgnf"
+    size: Literal["tiny", "small", "large", "xlarge"] = "small"
+    backward_weights: bool = True
+    scale: Literal["sigmoid", "exp"] = "exp"
+    origin: Literal["observed", "none"] = "observed"
+    width: int = 1024
+    residuals: int = 2
+    dropout: float = 0.5
+    start: str = ""
+    mean: str = ""
+    spread: Literal["joint", "coordinate"] = "joint"
+
+
+@dataclass(frozen=True)
+class DataConfig:
+    """Which poses.
+
+    Attributes
+    ----------
+    test_subjects : tuple of str
+        Never trained on.
+    validation_subjects : tuple of str
+        Never trained on; their loss steers the learning rate and chooses the weights that are kept.
+    views : int
+        Virtual cameras around each clip of motion capture.
+    every : int
+        Only every so manieth frame of motion capture.
+    body_variation : float
+        How much bodies are varied in training, see :meth:`posecal_models.data.mocap.MocapPoses.seen_by_cameras`.
+    validation_poses : int
+        How many poses of the validation subjects are looked at, evenly spread.
+    camera_seed : int
+        Where the virtual cameras stand.
+    detector : Detector
+        The noise of keypoints that virtual cameras see.
+    """
+
+    test_subjects: tuple[str, ...] = ()
+    validation_subjects: tuple[str, ...] = ()
+    views: int = 4
+    every: int = 1
+    body_variation: float = 0.0
+    validation_poses: int = 1000
+    camera_seed: int = 0
+    detector: Detector = field(default_factory=Detector)
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """How.
+
+    Attributes
+    ----------
+    objective : str
+        ``likelihood``; of a Gaussian noise model also ``min-mpjpe``; of a SimpleBaseline ``squared-error``.
+    sample_weight : float
+        λ: weight of the error of a cGNF's mode, per mm.
+    sample_loss : str
+        ``joints``, or ``pairs`` as released.
+    loss_per : str
+        Whether a cGNF's log densities are per ``pose`` or, as released, per ``node``.
+    hypotheses : int
+        N of the objective ``min-mpjpe``.
+    batch : int
+        Poses in a batch, of all processes together.
+    graphs_per_pose : int
+        Of a cGNF: sets of observed keypoints of each pose in a batch, the paper's five in turn. With 5 each pose comes
+        with all of them, and its prior is computed once.
+    augmentation : str
+        ``paper`` or ``released``, see :func:`posecal_models.data.masks.hide`.
+    learning_rate : float
+        Of Adam, at the start.
+    schedule : str
+        ``plateau``: times 0.1 when the loss has not fallen for ``patience`` epochs, stop at the third time.
+        ``exponential``: times 0.96 every 100,000 steps. ``cosine``: falls to 0 at the last step.
+    patience : int
+        Epochs.
+    epochs : int
+        At most.
+    steps_per_epoch : int
+        0: as many as it takes to see every pose once.
+    clip : float
+        Largest norm of the gradient.
+    cuda_graph : bool
+        Whether a GPU records a step once and replays it, see :mod:`posecal_models.cuda_graph`.
+    seed : int
+        Of everything random.
+    checkpoint_seconds : float
+        Between two checkpoints.
+    """
+
+    objective: Literal["likelihood", "min-mpjpe", "squared-error"] = "likelihood"
+    sample_weight: float = 0.0
+    sample_loss: Literal["joints", "pairs"] = "joints"
+    loss_per: Literal["pose", "node"] = "pose"
+    hypotheses: int = 200
+    batch: int = 40
+    graphs_per_pose: int = 5
+    augmentation: Literal["paper", "released"] = "paper"
+    learning_rate: float = 1e-3
+    schedule: Literal["plateau", "exponential", "cosine"] = "plateau"
+    patience: int = 10
+    epochs: int = 200
+    steps_per_epoch: int = 0
+    clip: float = 1.0
+    cuda_graph: bool = False
+    seed: int = 0
+    checkpoint_seconds: float = 60.0
+
+    def __post_init__(self) -> None:
+        raise_all(
+            f"train.{name}: {getattr(self, name)}; expected {wanted}."
+            for name, fits, wanted in (
+                ("batch", self.batch >= 1, "1 or more"),
+                ("graphs_per_pose", self.graphs_per_pose >= 1, "1 or more"),
+                ("learning_rate", self.learning_rate > 0, "a positive number"),
+                ("epochs", self.epochs >= 1, "1 or more"),
+                ("steps_per_epoch", self.steps_per_epoch >= 0, "0 (all poses) or more"),
+                ("clip", self.clip > 0, "a positive number"),
+                ("hypotheses", self.hypotheses >= 1, "1 or more"),
+                ("sample_weight", self.sample_weight >= 0, "0 or more"),
+                ("seed", self.seed >= 0, "0 or more"),
+            )
+            if not fits
+        )
+
+
+@dataclass(frozen=True)
+class Config:
+    """A whole training.
+
+    Attributes
+    ----------
+    model, data, train
+        The three tables.
+
+    Examples
+    --------
+    >>> Config.of_table({"model": {"size": "tiny"}}).model.size
+    'tiny'
+    >>> Config.of_table({"model": {"sise": "tiny"}})
+    Traceback (most recent call last):
+    posecal.errors.PoseDataError: config: model.sise is not known. Did you mean size?
+    """
+
+    model: ModelConfig = field(default_factory=ModelConfig)
+    data: DataConfig = field(default_factory=DataConfig)
+    train: TrainConfig = field(default_factory=TrainConfig)
+
+    @classmethod
+    def of_table(cls, table: dict[str, Any]) -> Config:
+        """Build a configuration from parsed TOML.
+
+        Parameters
+        ----------
+        table : dict
+            Nested tables.
+
+        Returns
+        -------
+        Config
+            With defaults for what is left out.
+
+        Raises
+        ------
+        PoseDataError
+            Where a name is unknown or a value does not fit, all of them at once.
+        """
+        problems: list[str] = []
+        config = _of_table(cls, table, "", problems)
+        raise_all(problems)
+        if config is None:
+            raise PoseDataError("config: can't be read.")
+        return config
+
+    @classmethod
+    def load(cls, name: str) -> Config:
+        """Read a named configuration or a TOML file.
+
+        Parameters
+        ----------
+        name : str
+            One of :func:`named_configs`, or a path.
+
+        Returns
+        -------
+        Config
+            What it says.
+
+        Raises
+        ------
+        PoseFileError, PoseDataError
+            Where it is not there or not valid.
+        """
+        path = _FOLDER / f"{name}.toml" if name in named_configs() else Path(name)
+        try:
+            text = path.read_text(encoding="utf-8")
+        except OSError as problem:
+            raise PoseFileError(
+                f"{name}: no such configuration ({problem.strerror}). {did_you_mean(name, named_configs())}"
+            ) from problem
+        try:
+            return cls.of_table(tomllib.loads(text))
+        except tomllib.TOMLDecodeError as problem:
+            raise PoseFileError(f"{name}: not valid TOML ({problem}).") from problem
+
+    def changed(self, changes: Sequence[str]) -> Config:
+        """Change single settings.
+
+        Parameters
+        ----------
+        changes : sequence of str
+            Each ``table.name=value`` with the value as in TOML; quotes around text may be left out.
+
+        Returns
+        -------
+        Config
+            With these settings.
+
+        Raises
+        ------
+        PoseDataError
+            Where a change can't be read or does not fit.
+
+        Examples
+        --------
+        >>> Config().changed(["model.scale=exp", "train.epochs=3"]).train.epochs
+        3
+        """
+        table = self.table()
+        for change in changes:
+            name, equals, value = change.partition("=")
+            *tables, last = name.strip().split(".")
+            inner = table
+            for part in tables:
+                inner = inner.get(part, {})
+            if not equals or not tables or not inner:
+                raise PoseDataError(f"--set {change}: expected table.name=value, such as train.epochs=20.")
+            try:
+                inner[last] = tomllib.loads(f"value = {value}")["value"]
+            except tomllib.TOMLDecodeError:
+                inner[last] = value.strip()
+        return Config.of_table(table)
+
+    def table(self) -> dict[str, Any]:
+        """Give the configuration as nested dictionaries of plain values."""
+        return dataclasses.asdict(self)
+
+
+def named_configs() -> tuple[str, ...]:
+    """Name the configurations that come with the package."""
+    return tuple(sorted(path.stem for path in _FOLDER.glob("*.toml")))
+
+
+_T = TypeVar("_T")
+
+
+def _of_table(cls: type[_T], table: dict[str, Any], prefix: str, problems: list[str]) -> _T | None:
+    hints = get_type_hints(cls)
+    values: dict[str, Any] = {}
+    before = len(problems)
+    for name, value in table.items():
+        where = f"{prefix}{name}"
+        if name not in hints:
+            problems.append(f"config: {where} is not known. {did_you_mean(name, hints)}")
+        elif dataclasses.is_dataclass(hints[name]):
+            if isinstance(value, dict):
+                values[name] = _of_table(hints[name], value, f"{where}.", problems)
+            else:
+                problems.append(f"config: {where} is {value!r}; expected a table.")
+        else:
+            values[name] = _value(hints[name], value, where, problems)
+    if len(problems) > before:
+        return None
+    try:
+        return cls(**values)
+    except PoseDataError as problem:
+        problems.append(f"config: {problem}")
+        return None
+
+
+def _value(hint: Any, value: Any, where: str, problems: list[str]) -> Any:
+    if get_origin(hint) is Literal:
+        if value not in get_args(hint):
+            problems.append(f"config: {where} is {value!r}; expected one of {', '.join(get_args(hint))}.")
+        return value
+    if get_origin(hint) is tuple:
+        if not isinstance(value, (list, tuple)) or not all(isinstance(item, str) for item in value):
+            problems.append(f"config: {where} is {value!r}; expected a list of names.")
+            return ()
+        return tuple(value)
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    fits = number if hint is float else type(value) is hint
+    if not fits:
+        problems.append(f"config: {where} is {value!r}; expected {hint.__name__}.")
+    return float(value) if hint is float and number else value

@@ -1,0 +1,157 @@
+"""What is an estimator? Whatever is called with keypoints and returns a distribution of poses.
+
+One contract for the reference models and for anybody's own: ``estimator(context)`` returns a :class:`PoseDistribution`
+with ``.sample(n)`` and ``.log_prob(truth)``. Subclassing is not needed, having the methods is.
+
+Letters: N hypotheses, M poses, K joints. Poses are in millimetres, relative to the root, in the camera's frame (x to
+the right, y down, z away from the camera); keypoints are in pixels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Protocol, runtime_checkable
+
+import torch
+from torch import Tensor
+
+from posecal.errors import PoseDataError, raise_all
+
+__all__ = ["Context", "Estimator", "PointEstimate", "PoseDistribution"]
+
+
+@dataclass(frozen=True)
+class Context:
+    """What is known of M poses: their 2D keypoints.
+
+    Attributes
+    ----------
+    keypoints : Tensor
+        (M, K, 2), pixels. What stands in the place of a missing keypoint has no meaning and may be NaN.
+    observed : Tensor
+        (M, K), bool: which keypoints were detected.
+    sigma : Tensor or None
+        (M, K), pixels: the detector's own standard deviation of each keypoint, where it gives one.
+
+    Raises
+    ------
+    PoseDataError
+        Where shapes or types don't fit, or an observed keypoint is not finite.
+
+    Examples
+    --------
+    >>> context = Context(torch.zeros(5, 16, 2), torch.ones(5, 16, dtype=torch.bool))
+    >>> len(context), len(context[:2]), int(context.hidden().observed.sum())
+    (5, 2, 0)
+    """
+
+    keypoints: Tensor
+    observed: Tensor
+    sigma: Tensor | None = None
+
+    def __post_init__(self) -> None:
+        shape = tuple(self.keypoints.shape)
+        if len(shape) != 3:
+            raise PoseDataError(f"keypoints {shape}: expected (M, K, 2).")
+        problems = []
+        if tuple(self.observed.shape) != shape[:2] or self.observed.dtype != torch.bool:
+            problems.append(
+                f"observed {tuple(self.observed.shape)} {self.observed.dtype}: expected bool of shape {shape[:2]}."
+            )
+        if self.sigma is not None and tuple(self.sigma.shape) != shape[:2]:
+            problems.append(f"sigma {tuple(self.sigma.shape)}: expected {shape[:2]}, one number a keypoint.")
+        raise_all(problems)
+
+    def __len__(self) -> int:
+        return len(self.keypoints)
+
+    def __getitem__(self, poses: slice | Tensor) -> Context:
+        return Context(
+            self.keypoints[poses],
+            self.observed[poses],
+            None if self.sigma is None else self.sigma[poses],
+        )
+
+    def to(self, device: torch.device | str, dtype: torch.dtype | None = None) -> Context:
+        """Move to a device, and change the floating type where one is given."""
+        return Context(
+            self.keypoints.to(device, dtype),
+            self.observed.to(device),
+            None if self.sigma is None else self.sigma.to(device, dtype),
+        )
+
+    def hidden(self) -> Context:
+        """Take every keypoint away: the context of the prior."""
+        return replace(self, observed=torch.zeros_like(self.observed))
+
+
+@runtime_checkable
+class PoseDistribution(Protocol):
+    """A distribution over poses, one for each of the M poses of a context."""
+
+    def sample(self, n: int, *, generator: torch.Generator | None = None) -> Tensor:
+        """Draw n hypotheses of each pose: (n, M, K, 3), mm."""
+        ...
+
+    def log_prob(self, truth: Tensor) -> Tensor:
+        """Give the log density at ``truth`` (M, K, 3) in mm: (M,), nats per pose in mm."""
+        ...
+
+
+@runtime_checkable
+class Estimator(Protocol):
+    """Anything that turns keypoints into a distribution of poses."""
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """K names: the joints of the poses."""
+        ...
+
+    @property
+    def keypoints(self) -> tuple[str, ...]:
+        """The names of the keypoints that a context must hold, in order."""
+        ...
+
+    def __call__(self, context: Context) -> PoseDistribution:
+        """Give the distribution of the poses with these keypoints."""
+        ...
+
+
+class PointEstimate:
+    """The distribution of a point estimator: all of its mass at one pose.
+
+    Parameters
+    ----------
+    pose : Tensor
+        (M, K, 3), mm.
+
+    Examples
+    --------
+    >>> PointEstimate(torch.zeros(4, 15, 3)).sample(2).shape
+    torch.Size([2, 4, 15, 3])
+    """
+
+    def __init__(self, pose: Tensor) -> None:
+        self.pose = pose
+
+    def sample(self, n: int, *, generator: torch.Generator | None = None) -> Tensor:
+        """Repeat the estimate n times, (n, M, K, 3) in mm; there is nothing to draw."""
+        del generator
+        return self.pose.expand(n, *self.pose.shape)
+
+    def log_prob(self, truth: Tensor) -> Tensor:
+        """Refuse: a point has no density.
+
+        Raises
+        ------
+        PoseDataError
+            Always.
+        """
+        raise PoseDataError(
+            f"log_prob of {len(truth)} poses: a point estimate has no density. "
+            "Put a Gaussian around it with posecal_models.gaussian_noise.GaussianNoise."
+        )
+
+    def mode(self) -> Tensor:
+        """Give the estimate itself, (M, K, 3), mm."""
+        return self.pose

@@ -1,0 +1,92 @@
+"""How is a GPU kept busy by small operations? Losses and gradients of a batch, recorded once and replayed.
+
+A step of a small flow is hundreds of short kernels; started one by one from Python they take longer to start than to
+run. A recording is started as one. Batches must keep their shapes, which the training loop's do.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from posecal.errors import PoseDataError
+from posecal_models.contract import Context
+from posecal_models.objectives import Objective
+
+__all__ = ["Recorded"]
+
+_WARM_UP = 3
+
+
+class Recorded:
+    """An objective whose backward pass is recorded as a CUDA graph at its first batch.
+
+    Parameters
+    ----------
+    objective : Objective
+        What is recorded.
+    parameters : list of Tensor
+        What it computes gradients of.
+    device : torch.device
+        A GPU.
+
+    Raises
+    ------
+    PoseDataError
+        Where the device is none.
+    """
+
+    def __init__(self, objective: Objective, parameters: list[Tensor], device: torch.device) -> None:
+        if device.type != "cuda":
+            raise PoseDataError(f"train.cuda_graph: true with the device {device}; expected a GPU. Leave it out.")
+        self._objective = objective
+        self._parameters = parameters
+        self._graph: torch.cuda.CUDAGraph | None = None
+
+    def initialise(self, context: Context, truth: Tensor) -> None:
+        """Prepare the estimator with a first batch."""
+        self._objective.initialise(context, truth)
+
+    def evaluate(self, context: Context, truth: Tensor, *, generator: torch.Generator) -> dict[str, Tensor]:
+        """Give the losses without gradients."""
+        return self._objective.evaluate(context, truth, generator=generator)
+
+    def backward(
+        self, context: Context, truth: Tensor, *, generator: torch.Generator, graphs_per_pose: int = 1
+    ) -> dict[str, Tensor]:
+        """Add the batch's gradients to the parameters, whose gradients must be there already, and give the losses."""
+        if self._graph is None:
+            self._context = Context(context.keypoints.clone(), context.observed.clone())
+            self._truth = truth.clone()
+            self._record(generator, graphs_per_pose)
+        if truth.shape != self._truth.shape:
+            raise PoseDataError(
+                f"batch of {len(truth)} graphs after batches of {len(self._truth)}; expected one size. "
+                "Leave train.cuda_graph out."
+            )
+        self._context.keypoints.copy_(context.keypoints)
+        self._context.observed.copy_(context.observed)
+        self._truth.copy_(truth)
+        if self._graph is not None:
+            self._graph.replay()
+        return {name: loss.clone() for name, loss in self._losses.items()}
+
+    def _record(self, generator: torch.Generator, graphs_per_pose: int) -> None:
+        def once() -> dict[str, Tensor]:
+            return self._objective.backward(
+                self._context, self._truth, generator=generator, graphs_per_pose=graphs_per_pose
+            )
+
+        aside = torch.cuda.Stream()  # type: ignore[no-untyped-call]
+        aside.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(aside):
+            for _ in range(_WARM_UP):
+                once()
+        torch.cuda.current_stream().wait_stream(aside)
+        graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(graph):
+            self._losses = once()
+        self._graph = graph
+        for parameter in self._parameters:  # what warming up and recording left there
+            if parameter.grad is not None:
+                parameter.grad.zero_()

@@ -1,0 +1,111 @@
+"""How is one's own licensed copy of Human3.6M read? The dataset's own .cdf files, poses beside their projections.
+
+Under each subject's folder, ``D3_Positions_mono`` holds a pose of 32 joints a frame, in mm in the camera's frame, and
+``D2_Positions`` its projection in pixels, in files such as ``Directions 1.54138969.cdf``. Reading them takes the
+package cdflib, which is not installed with posecal.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from posecal.errors import PoseDataError, PoseFileError
+from posecal.skeleton import joint_set
+from posecal_models.data.lifting_set import LiftingSet
+from posecal_models.data.videopose3d import OF_32
+
+__all__ = ["TEST_SUBJECTS", "TRAINING_SUBJECTS", "read_human36m"]
+
+TRAINING_SUBJECTS = ("S1", "S5", "S6", "S7", "S8")
+TEST_SUBJECTS = ("S9", "S11")
+
+
+def read_human36m(
+    folder: str | Path, *, subjects: Sequence[str] | None = None, every: int = 4, test_every: int = 64
+) -> LiftingSet:
+    """Read Human3.6M from its own files.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Where the subjects' folders are: ``folder/S1/**/D3_Positions_mono/*.cdf``.
+    subjects : sequence of str, optional
+        Which; those of the paper that are there where not given.
+    every, test_every : int
+        Only every so manieth frame of the training subjects, and of S9 and S11.
+
+    Returns
+    -------
+    LiftingSet
+        Poses and the exact projections of their joints; all observed.
+
+    Raises
+    ------
+    PoseFileError, PoseDataError
+        Where cdflib is not installed, or nothing is found.
+
+    Notes
+    -----
+    S11's Directions seen by camera 54138969 does not exist; what is not there is left out.
+
+    References
+    ----------
+    Ionescu et al. 2014, doi:10.1109/TPAMI.2013.248.
+    """
+    folder = Path(folder)
+    wanted = subjects or [name for name in (*TRAINING_SUBJECTS, *TEST_SUBJECTS) if (folder / name).is_dir()]
+    names = joint_set("h36m-17")
+    poses, keypoints, frames, labels = [], [], [], []
+    for subject in wanted:
+        step = test_every if subject in TEST_SUBJECTS else every
+        for path in sorted((folder / subject).glob("**/D3_Positions_mono/*.cdf")):
+            matched = re.fullmatch(r"(.+)\.(\d+)\.cdf", path.name)
+            if matched is None or matched[1].startswith("_ALL"):
+                continue
+            pose = _read(path, 3)[::step][:, OF_32]
+            projection = path.parent.parent / "D2_Positions" / path.name
+            poses.append(pose[:, 1:] - pose[:, :1])
+            keypoints.append(_read(projection, 2)[::step][:, OF_32][:, 1:])
+            if len(keypoints[-1]) != len(pose):
+                raise PoseDataError(f"{projection}: {len(keypoints[-1])} frames where {path} has {len(pose)}.")
+            frames += [f"{subject}/{matched[1]}/{matched[2]}/{row * step}" for row in range(len(pose))]
+            labels += [(subject, matched[1], matched[2])] * len(pose)
+    if not labels:
+        raise PoseFileError(
+            f"{folder}: no D3_Positions_mono/*.cdf below {', '.join(wanted) or 'any subject'}; "
+            "expected Human3.6M's folders."
+        )
+    seen = np.concatenate(keypoints).astype(np.float32)
+    return LiftingSet(
+        joints=names[1:],
+        poses=np.concatenate(poses).astype(np.float32),
+        keypoint_joints=names[1:],
+        keypoints=seen,
+        observed=np.ones(seen.shape[:2], bool),
+        sigma=np.zeros(seen.shape[:2], np.float32),
+        frame_id=np.array(frames),
+        sequence=np.array([f"{subject} {action}" for subject, action, _ in labels]),
+        subject=np.array([subject for subject, *_ in labels]),
+        action=np.array([re.sub(r" \d+$", "", action) for _, action, _ in labels]),
+        camera=np.array([camera for *_, camera in labels]),
+    )
+
+
+def _read(path: Path, dimensions: int) -> npt.NDArray[np.float64]:
+    """Read one file's poses, (F, 32, dimensions)."""
+    try:
+        import cdflib  # type: ignore[import-untyped,unused-ignore]
+    except ImportError as problem:
+        raise PoseFileError(f"{path}: reading .cdf takes cdflib. Install it: pip install cdflib.") from problem
+    try:
+        values = np.asarray(cdflib.CDF(path).varget("Pose"), float)
+    except (OSError, ValueError, KeyError) as problem:
+        raise PoseFileError(f"{path}: can't be read as .cdf ({problem}).") from problem
+    if values.shape[-1] != 32 * dimensions:
+        raise PoseDataError(f"{path}: Pose {values.shape}; expected (1, F, {32 * dimensions}).")
+    return values.reshape(-1, 32, dimensions)

@@ -1,0 +1,374 @@
+"""Which 3D poses belong to which 2D keypoints? The pairs that estimators are trained and judged on.
+
+Poses are in millimetres, relative to the root, in the camera's frame: x to the right, y down, z away from the camera.
+Keypoints are in pixels, x to the right, y down. One row is one person in one image.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from posecal.errors import PoseDataError, PoseFileError, first_few, raise_all
+from posecal.io import written_whole
+from posecal.skeleton import canonical_name
+from posecal.units import millimetres_per
+
+__all__ = ["KeypointSet", "LiftingSet", "read_npz"]
+
+Floats = npt.NDArray[np.float32]
+Flags = npt.NDArray[np.bool_]
+Text = npt.NDArray[np.str_]
+
+
+@dataclass(frozen=True)
+class LiftingSet:
+    """M poses with their keypoints and labels.
+
+    Attributes
+    ----------
+    joints : tuple of str
+        K names of the poses' joints, the root left out.
+    poses : ndarray
+        (M, K, 3), mm, relative to the root, camera frame.
+    keypoint_joints : tuple of str
+        J names of the keypoints.
+    keypoints : ndarray
+        (M, J, 2), pixels.
+    observed : ndarray
+        (M, J), bool: which keypoints an estimator may use.
+    sigma : ndarray
+        (M, J), pixels: the detector's standard deviation.
+    frame_id, sequence, subject, action, camera : ndarray of str
+        (M,) labels.
+    root : str
+        The joint that poses are relative to.
+
+    Raises
+    ------
+    PoseDataError
+        Where shapes don't fit together.
+    """
+
+    joints: tuple[str, ...]
+    poses: Floats
+    keypoint_joints: tuple[str, ...]
+    keypoints: Floats
+    observed: Flags
+    sigma: Floats
+    frame_id: Text
+    sequence: Text
+    subject: Text
+    action: Text
+    camera: Text
+    root: str = "Hip"
+
+    def __post_init__(self) -> None:
+        many, joints, keypoints = len(self.poses), len(self.joints), len(self.keypoint_joints)
+        expected = {
+            "poses": (many, joints, 3),
+            "keypoints": (many, keypoints, 2),
+            "observed": (many, keypoints),
+            "sigma": (many, keypoints),
+            **dict.fromkeys(("frame_id", "sequence", "subject", "action", "camera"), (many,)),
+        }
+        raise_all(
+            f"{name} {getattr(self, name).shape}: expected {shape} (M={many}, K={joints}, J={keypoints})."
+            for name, shape in expected.items()
+            if getattr(self, name).shape != shape
+        )
+        if self.root in self.joints:
+            raise PoseDataError(f"joints: {self.root} is the root of these poses; leave it out.")
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    def take(self, rows: npt.NDArray[np.bool_] | npt.NDArray[np.intp] | slice) -> LiftingSet:
+        """Take some of the poses.
+
+        Parameters
+        ----------
+        rows : ndarray or slice
+            Which, as a mask, as indices or as a slice.
+
+        Returns
+        -------
+        LiftingSet
+            Those poses.
+        """
+        parts = {f.name: getattr(self, f.name) for f in fields(self)}
+        taken: dict[str, Any] = {name: part[rows] for name, part in parts.items() if isinstance(part, np.ndarray)}
+        return replace(self, **taken)
+
+    def in_order_of(
+        self, joints: Sequence[str] | None = None, keypoint_joints: Sequence[str] | None = None
+    ) -> LiftingSet:
+        """Bring joints and keypoints into an estimator's order, by name.
+
+        Parameters
+        ----------
+        joints, keypoint_joints : sequence of str, optional
+            The names wanted, in order; as they are where not given. A keypoint that is not there counts as missing.
+
+        Returns
+        -------
+        LiftingSet
+            With these joints and keypoints.
+
+        Raises
+        ------
+        PoseDataError
+            Where a joint is not there.
+        """
+        result = self
+        if joints is not None:
+            columns = _columns(self.joints, joints, "joints")
+            result = replace(result, joints=tuple(joints), poses=self.poses[:, columns])
+        if keypoint_joints is not None:
+            seen = KeypointSet(
+                self.keypoint_joints, self.keypoints, self.observed, self.sigma, self.frame_id
+            ).in_order_of(keypoint_joints)
+            result = replace(
+                result,
+                keypoint_joints=seen.joints,
+                keypoints=seen.keypoints,
+                observed=seen.observed,
+                sigma=seen.sigma,
+            )
+        return result
+
+    def save(self, path: str | Path) -> None:
+        """Write an ``.npz`` that is ground truth for ``posecal evaluate`` and input of ``posecal-models sample``.
+
+        The root comes first, at 0 and without a keypoint; keypoints are in the joints' order.
+
+        Parameters
+        ----------
+        path : str or Path
+            Where to. The file appears whole or not at all.
+
+        Raises
+        ------
+        PoseFileError
+            Where it can't be written.
+        """
+        seen = self.in_order_of(keypoint_joints=self.joints)
+        first = ((0, 0), (1, 0))
+        members = {
+            "truth": np.pad(seen.poses, (*first, (0, 0))),
+            "axes": np.array("MKD"),
+            "unit": np.array("mm"),
+            "joints": np.array([self.root, *self.joints]),
+            "occluded": np.pad(~seen.observed, first),
+            "keypoints_2d": np.pad(seen.keypoints, (*first, (0, 0)), constant_values=np.nan),
+            "keypoints_sigma": np.pad(seen.sigma, first, constant_values=np.nan),
+            "keypoints_observed": np.pad(seen.observed, first),
+            **{name: getattr(self, name) for name in ("frame_id", "sequence", "subject", "action", "camera")},
+        }
+        written_whole(path, lambda file: np.savez(file, **members))
+
+    @classmethod
+    def load(cls, path: str | Path) -> LiftingSet:
+        """Read a file of :meth:`save`, or any ground truth file that holds ``keypoints_2d``.
+
+        Parameters
+        ----------
+        path : str or Path
+            An ``.npz`` with ``truth``, ``joints`` and ``unit`` beside the members of :meth:`KeypointSet.load`. Labels
+            are used where they are there.
+
+        Returns
+        -------
+        LiftingSet
+            The pairs, root-relative and without the root.
+
+        Raises
+        ------
+        PoseFileError, PoseDataError
+            Where the file can't be read or lacks something.
+        """
+        members = read_npz(path, required=("truth", "keypoints_2d", "joints", "unit"))
+        seen = KeypointSet.of_members(members, path)
+        joints = tuple(str(name) for name in members["joints"])
+        truth = np.asarray(members["truth"], np.float64) * millimetres_per(str(members["unit"]))
+        root = next((k for k, name in enumerate(joints) if canonical_name(name) == "Hip"), None)
+        if root is not None:
+            truth = np.delete(truth - truth[:, root : root + 1], root, axis=1)
+        labels = {
+            name: members[name].astype(str) if name in members else np.full(len(truth), "")
+            for name in ("sequence", "subject", "action", "camera")
+        }
+        return cls(
+            joints=tuple(name for k, name in enumerate(joints) if k != root),
+            poses=truth.astype(np.float32),
+            keypoint_joints=seen.joints,
+            keypoints=seen.keypoints,
+            observed=seen.observed,
+            sigma=seen.sigma,
+            frame_id=seen.frame_id,
+            sequence=labels["sequence"],
+            subject=labels["subject"],
+            action=labels["action"],
+            camera=labels["camera"],
+        )
+
+
+@dataclass(frozen=True)
+class KeypointSet:
+    """Keypoints of M images, without their poses.
+
+    Attributes
+    ----------
+    joints : tuple of str
+        J names.
+    keypoints : ndarray
+        (M, J, 2), pixels.
+    observed : ndarray
+        (M, J), bool.
+    sigma : ndarray
+        (M, J), pixels.
+    frame_id : ndarray of str
+        (M,).
+    """
+
+    joints: tuple[str, ...]
+    keypoints: Floats
+    observed: Flags
+    sigma: Floats
+    frame_id: Text
+
+    @classmethod
+    def load(cls, path: str | Path) -> KeypointSet:
+        """Read keypoints from an ``.npz``.
+
+        Parameters
+        ----------
+        path : str or Path
+            With ``keypoints_2d`` (M, J, 2) in pixels and ``keypoint_joints`` or ``joints``. Which are observed comes
+            from ``keypoints_observed``; else from ``occluded``; else every finite one is.
+
+        Returns
+        -------
+        KeypointSet
+            What it holds.
+
+        Raises
+        ------
+        PoseFileError, PoseDataError
+            Where the file can't be read or lacks something.
+        """
+        return cls.of_members(read_npz(path, required=("keypoints_2d",)), path)
+
+    @classmethod
+    def of_members(cls, members: dict[str, npt.NDArray[np.generic]], path: str | Path) -> KeypointSet:
+        """Take keypoints out of the members of a file that was read."""
+        keypoints = np.asarray(members["keypoints_2d"], np.float32)
+        named = members.get("keypoint_joints", members.get("joints"))
+        if named is None:
+            raise PoseFileError(
+                f"{path}: lacks keypoint_joints; expected the names of the {keypoints.shape[1:2]} keypoints."
+            )
+        names = tuple(str(name) for name in named)
+        if keypoints.ndim != 3 or keypoints.shape[1:] != (len(names), 2):
+            raise PoseDataError(
+                f"{path}: keypoints_2d {keypoints.shape}; expected (M, {len(names)}, 2), one row for each of "
+                f"{first_few(names)}."
+            )
+        observed: Flags = np.asarray(np.isfinite(keypoints).all(-1))
+        if "keypoints_observed" in members:
+            observed = np.asarray(members["keypoints_observed"], bool)
+        elif "occluded" in members and members["occluded"].shape == keypoints.shape[:2]:
+            observed = observed & ~np.asarray(members["occluded"], bool)
+        sigma = members.get("keypoints_sigma", np.zeros(keypoints.shape[:2]))
+        frame_id = members.get("frame_id", np.arange(len(keypoints)))
+        problems = [
+            f"{path}: {name} {array.shape}; expected {shape}."
+            for name, array, shape in (
+                ("keypoints_observed", observed, keypoints.shape[:2]),
+                ("keypoints_sigma", sigma, keypoints.shape[:2]),
+                ("frame_id", frame_id, keypoints.shape[:1]),
+            )
+            if array.shape != shape
+        ]
+        raise_all(problems)
+        return cls(names, keypoints, observed, np.asarray(sigma, np.float32), frame_id.astype(str))
+
+    def __len__(self) -> int:
+        return len(self.keypoints)
+
+    def in_order_of(self, joints: Sequence[str]) -> KeypointSet:
+        """Bring the keypoints into an estimator's order, by name.
+
+        Parameters
+        ----------
+        joints : sequence of str
+            The names wanted, in order.
+
+        Returns
+        -------
+        KeypointSet
+            With these keypoints; one that is not there counts as missing.
+
+        Raises
+        ------
+        PoseDataError
+            Where none is there.
+        """
+        index = {canonical_name(name): i for i, name in enumerate(self.joints)}
+        found = [index.get(canonical_name(name), -1) for name in joints]
+        there = np.array(found) >= 0
+        if not there.any():
+            raise PoseDataError(f"keypoints: none of {', '.join(joints)} is among {', '.join(self.joints)}.")
+        keypoints = np.where(there[:, None], self.keypoints[:, found], np.float32(0))
+        return KeypointSet(
+            tuple(joints), keypoints, self.observed[:, found] & there, self.sigma[:, found], self.frame_id
+        )
+
+
+def _columns(have: Sequence[str], want: Sequence[str], which: str) -> list[int]:
+    index = {canonical_name(name): i for i, name in enumerate(have)}
+    missing = [name for name in want if canonical_name(name) not in index]
+    if missing:
+        raise PoseDataError(
+            f"{which}: {', '.join(missing)} missing among {', '.join(have)}; expected {', '.join(want)}."
+        )
+    return [index[canonical_name(name)] for name in want]
+
+
+def read_npz(path: str | Path, *, required: Sequence[str] = ()) -> dict[str, npt.NDArray[np.generic]]:
+    """Read the members of an ``.npz`` file without ever unpickling.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    required : sequence of str
+        Members that must be there.
+
+    Returns
+    -------
+    dict of str to ndarray
+        All members.
+
+    Raises
+    ------
+    PoseFileError
+        Where the file is missing, damaged, pickled or lacks a member.
+    """
+    path = Path(path)
+    try:
+        with open(path, "rb") as stored, np.load(stored, allow_pickle=False) as file:
+            members = {name: file[name] for name in file.files}
+    except (OSError, ValueError, zipfile.BadZipFile, EOFError, AttributeError) as problem:
+        what = "is not there" if not path.exists() else f"can't be read as .npz ({problem})"
+        raise PoseFileError(f"{path}: {what}; expected an .npz of plain arrays.") from problem
+    missing = [name for name in required if name not in members]
+    if missing:
+        raise PoseFileError(f"{path}: lacks {', '.join(missing)}; it holds {', '.join(sorted(members)) or 'nothing'}.")
+    return members

@@ -1,0 +1,126 @@
+"""How is ProHPE's Human3.6M read? One pickle of poses, HRNet keypoints and the Gaussians fitted to their heat maps.
+
+Subject to action to subaction to camera to a table with ``3d_gt`` (F, 51), all x, then y, then z of 17 joints in mm in
+the camera's frame; ``2d_hrnet`` (F, 32), all x, then y of MPII's 16 joints in pixels; ``gaussfit`` (F, 112): for each
+of these joints amplitude, x, y, sigma x, angle, sigma y and fit error; and ``imgpath``.
+
+A keypoint counts as occluded where either sigma is above 5 pixels.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from posecal.errors import PoseDataError, PoseFileError
+from posecal.skeleton import joint_set
+from posecal_models.data.lifting_set import LiftingSet
+from posecal_models.data.pickles import read_pickle
+
+__all__ = ["Joined", "read_prohpe"]
+
+Joined = Literal["by-name", "as-released"]
+
+_SIGMA_X, _SIGMA_Y = 3, 5
+
+
+def read_prohpe(path: str | Path, *, every: int = 1, threshold: float = 5.0, joined: Joined = "by-name") -> LiftingSet:
+    """Read ProHPE's pickle, without running what it might say.
+
+    Parameters
+    ----------
+    path : str or Path
+        The merged pickle.
+    every : int
+        Only every so manieth frame of each video.
+    threshold : float
+        Keypoints with a larger σ count as missing, pixels.
+    joined : str
+        ``by-name``: each keypoint and its flag belong to the joint of their name; what MPII lacks is missing.
+        ``as-released``: keypoints by name, but flags by position, as the published code has it: the flag of MPII's
+        joint i is taken for Human3.6M's joint i + 1, and Head counts as missing, Neck/Nose as observed.
+
+    Returns
+    -------
+    LiftingSet
+        Poses relative to the hip; keypoints of the joints of both sets.
+
+    Raises
+    ------
+    PoseFileError, PoseDataError
+        Where the file is not of this form.
+
+    Notes
+    -----
+    Differs from the published code: ``as-released`` is what it does, so that the flag of a right wrist removes a left
+    shoulder.
+
+    References
+    ----------
+    Wehrbein et al. 2021, arXiv:2107.13788.
+    """
+    videos = list(_videos(read_pickle(path), path))
+    if not videos:
+        raise PoseDataError(f"{path}: no video with frames.")
+    h36m, mpii = joint_set("h36m-17"), joint_set("mpii-16")
+    parts = [_part(table, name, every, path) for name, table in videos]
+    poses, keypoints, sigma = (np.concatenate([part[i] for part in parts]) for i in range(3))
+    frames = [frame for part in parts for frame in part[3]]
+    labels = [name for (name, _), part in zip(videos, parts, strict=True) for _ in part[3]]
+    pairs = LiftingSet(
+        joints=h36m[1:],
+        poses=(poses[:, 1:] - poses[:, :1]).astype(np.float32),
+        keypoint_joints=mpii,
+        keypoints=keypoints.astype(np.float32),
+        observed=sigma <= threshold,
+        sigma=sigma.astype(np.float32),
+        frame_id=np.array(frames),
+        sequence=np.array([f"{subject} {action} {sub}" for subject, action, sub, _ in labels]),
+        subject=np.array([subject for subject, *_ in labels]),
+        action=np.array([action for _, action, *_ in labels]),
+        camera=np.array([camera for *_, camera in labels]),
+    ).in_order_of(keypoint_joints=h36m[1:])
+    if joined == "by-name":
+        return pairs
+    observed = sigma <= threshold
+    observed[:, h36m[1:].index("Head")] = False
+    return LiftingSet(**{**vars(pairs), "observed": observed})
+
+
+def _videos(tree: Any, path: str | Path) -> list[tuple[tuple[str, str, str, str], dict[str, Any]]]:
+    found = []
+    try:
+        for subject, actions in tree.items():
+            for action, subactions in actions.items():
+                for subaction, cameras in subactions.items():
+                    for camera, table in cameras.items():
+                        if len(table["imgpath"]):
+                            found.append(((str(subject), str(action), str(subaction), str(camera)), table))
+    except (AttributeError, KeyError, TypeError) as problem:
+        raise PoseFileError(
+            f"{path}: not subject, action, subaction, camera ({problem}); expected ProHPE's merged pickle."
+        ) from problem
+    return found
+
+
+def _part(
+    table: dict[str, Any], name: tuple[str, str, str, str], every: int, path: str | Path
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64], list[str]]:
+    """Take every so manieth frame of a video apart: poses, keypoints, the larger sigma, frame ids."""
+    frames = len(table["imgpath"])
+    arrays = {}
+    for key, columns in (("3d_gt", 51), ("2d_hrnet", 32), ("gaussfit", 112)):
+        array = np.asarray(table.get(key, ()), float).reshape(len(table.get(key, ())), -1)
+        if array.shape != (frames, columns):
+            raise PoseDataError(f"{path}: {'/'.join(name)}: {key} {array.shape}; expected ({frames}, {columns}).")
+        arrays[key] = array[::every]
+    fits = arrays["gaussfit"].reshape(-1, 16, 7)
+    return (
+        arrays["3d_gt"].reshape(-1, 3, 17).transpose(0, 2, 1),
+        arrays["2d_hrnet"].reshape(-1, 2, 16).transpose(0, 2, 1),
+        np.maximum(fits[..., _SIGMA_X], fits[..., _SIGMA_Y]),
+        [str(image).replace("\\", "/").lstrip("/").rsplit(".", 1)[0] for image in table["imgpath"]][::every],
+    )

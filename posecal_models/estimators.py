@@ -1,0 +1,139 @@
+"""Which estimators are there? Building them from a configuration, and from what a weights file says of itself."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+from torch import nn
+
+from posecal.errors import PoseDataError
+from posecal_models.cgnf.flow import SIZES, FlowSize
+from posecal_models.cgnf.model import CGNF
+from posecal_models.config import ModelConfig
+from posecal_models.gaussian_noise import GaussianNoise
+from posecal_models.graph import PoseGraph
+from posecal_models.simple_baseline import SimpleBaseline
+
+__all__ = ["ReferenceEstimator", "build", "describe", "of_config", "parameter_count"]
+
+ReferenceEstimator = CGNF | SimpleBaseline | GaussianNoise
+
+
+def of_config(config: ModelConfig, *, mean: SimpleBaseline | None = None) -> ReferenceEstimator:
+    """Build an untrained estimator.
+
+    Parameters
+    ----------
+    config : ModelConfig
+        Which.
+    mean : SimpleBaseline, optional
+        The trained point estimator that a Gaussian noise model needs.
+
+    Returns
+    -------
+    CGNF, SimpleBaseline or GaussianNoise
+        With random weights.
+
+    Raises
+    ------
+    PoseDataError
+        Where a Gaussian noise model has no mean.
+    """
+    if config.kind == "cgnf":
+        return CGNF(
+            SIZES[config.size],
+            backward_weights=config.backward_weights,
+            scale=config.scale,
+            origin=config.origin,
+        )
+    if config.kind == "simple-baseline":
+        return SimpleBaseline(
+            width=config.width, residuals=config.residuals, dropout=config.dropout, origin=config.origin
+        )
+    if mean is None:
+        raise PoseDataError("model.mean: not given; expected the weights file of a trained SimpleBaseline.")
+    return GaussianNoise(mean, spread=config.spread)
+
+
+def describe(estimator: ReferenceEstimator) -> dict[str, Any]:
+    """Say what it takes to build an estimator again.
+
+    Parameters
+    ----------
+    estimator : CGNF, SimpleBaseline or GaussianNoise
+        Any of ours.
+
+    Returns
+    -------
+    dict
+        Of plain values, for :func:`build`.
+    """
+    if isinstance(estimator, CGNF):
+        return {
+            "kind": "cgnf",
+            "size": asdict(estimator.size),
+            "joints": list(estimator.graph.joints),
+            "parents": list(estimator.graph.parents),
+            "root": estimator.graph.root,
+            "backward_weights": estimator.flow.couplings.first.from_child is not None,
+            "scale": estimator.flow.scale,
+            "origin": estimator.standardizer.origin,
+            "dimensions": estimator.flow.dimensions,
+        }
+    if isinstance(estimator, SimpleBaseline):
+        return {
+            "kind": "simple-baseline",
+            "joints": list(estimator.joints),
+            "keypoints": list(estimator.keypoints),
+            "width": estimator.last.in_features,
+            "residuals": len(estimator.residuals),
+            "origin": estimator.standardizer.origin,
+        }
+    return {
+        "kind": "gaussian-noise",
+        "spread": "joint" if estimator.log_sigma.shape[1] == 1 else "coordinate",
+        "mean": describe(estimator.mean),
+    }
+
+
+def build(description: dict[str, Any]) -> ReferenceEstimator:
+    """Build an estimator from its description.
+
+    Parameters
+    ----------
+    description : dict
+        From :func:`describe`.
+
+    Returns
+    -------
+    CGNF, SimpleBaseline or GaussianNoise
+        With random weights.
+
+    Raises
+    ------
+    PoseDataError
+        Where the description is of something else.
+    """
+    try:
+        kind = description["kind"]
+        if kind == "cgnf":
+            graph = PoseGraph(tuple(description["joints"]), tuple(description["parents"]), description["root"])
+            options = {name: description[name] for name in ("backward_weights", "scale", "origin")}
+            options["dimensions"] = description.get("dimensions", 3)
+            return CGNF(FlowSize(**description["size"]), graph, **options)
+        if kind == "simple-baseline":
+            options = {name: description[name] for name in ("width", "residuals", "origin")}
+            return SimpleBaseline(tuple(description["joints"]), tuple(description["keypoints"]), **options)
+        if kind == "gaussian-noise":
+            mean = build(description["mean"])
+            if isinstance(mean, SimpleBaseline):
+                return GaussianNoise(mean, spread=description["spread"])
+    except (KeyError, TypeError) as problem:
+        raise PoseDataError(f"weights: their description lacks or misnames something ({problem}).") from problem
+    raise PoseDataError(f"weights: of {description.get('kind')!r}; expected cgnf, simple-baseline or gaussian-noise.")
+
+
+def parameter_count(estimator: nn.Module) -> int:
+    """Count the trainable numbers of an estimator, those of a frozen mean included."""
+    return sum(parameter.numel() for parameter in estimator.parameters())

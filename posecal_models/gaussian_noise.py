@@ -1,0 +1,173 @@
+"""How far is a point estimate off, on average? The same Gaussian around every estimate, the paper's baseline.
+
+Its spread does not depend on the input. Trained by likelihood it is as wide as the errors are; trained to have one good
+hypothesis among N it becomes narrower, and that is the paper's point.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import torch
+from torch import Tensor, nn
+
+from posecal_models.contract import Context
+from posecal_models.simple_baseline import SimpleBaseline
+
+__all__ = ["GaussianDistribution", "GaussianNoise", "Spread", "likelihood_optimum"]
+
+Spread = Literal["joint", "coordinate"]
+
+
+class GaussianDistribution:
+    """Independent Gaussians around M poses.
+
+    Parameters
+    ----------
+    mean : Tensor
+        (M, K, 3), mm.
+    sigma : Tensor
+        (K, 1) or (K, 3), mm.
+    """
+
+    def __init__(self, mean: Tensor, sigma: Tensor) -> None:
+        self.mean = mean
+        self.sigma = sigma
+
+    def sample(self, n: int, *, generator: torch.Generator | None = None, temperature: float = 1.0) -> Tensor:
+        """Draw n hypotheses of each pose.
+
+        Parameters
+        ----------
+        n : int
+            N.
+        generator : torch.Generator, optional
+            The source of randomness; torch's own where not given.
+        temperature : float
+            Multiplies σ.
+
+        Returns
+        -------
+        Tensor
+            (N, M, K, 3), mm.
+        """
+        noise = torch.randn((n, *self.mean.shape), generator=generator, device=self.mean.device, dtype=self.mean.dtype)
+        return self.mean + temperature * self.sigma * noise
+
+    def log_prob(self, truth: Tensor) -> Tensor:
+        r"""Give the log density of poses.
+
+        .. math:: \log p(x) = -\tfrac12 \sum_{k, d} \left(
+                  \frac{(x_{kd} - \mu_{kd})^2}{\sigma_{kd}^2} + \log 2 \pi \sigma_{kd}^2 \right)
+
+        Parameters
+        ----------
+        truth : Tensor
+            (M, K, 3), mm.
+
+        Returns
+        -------
+        Tensor
+            (M,), nats per pose in mm; higher is better.
+
+        Examples
+        --------
+        >>> distribution = GaussianDistribution(torch.zeros(1, 1, 3), torch.ones(1, 1))
+        >>> distribution.log_prob(torch.zeros(1, 1, 3))  # -3/2 log 2 pi
+        tensor([-2.7568])
+        """
+        variance = self.sigma.square()
+        apart = (truth - self.mean).square() / variance + (2 * math.pi * variance).log()
+        return -0.5 * apart.sum((1, 2))
+
+    def mode(self) -> Tensor:
+        """Give the mean, (M, K, 3), mm."""
+        return self.mean
+
+
+class GaussianNoise(nn.Module):
+    """A trained SimpleBaseline with Gaussian noise around its estimate.
+
+    Parameters
+    ----------
+    mean : SimpleBaseline
+        The point estimator. It is not trained further.
+    spread : str
+        One σ for each ``joint`` or for each ``coordinate``.
+
+    Notes
+    -----
+    With one σ a joint and the paper's 15 joints it has 4,288,572 parameters, the paper's number.
+
+    Differs from the published code: it has one σ a coordinate (45 of them).
+
+    References
+    ----------
+    Pierzchlewicz et al. 2022, arXiv:2210.11179, section 3.3.
+    """
+
+    def __init__(self, mean: SimpleBaseline, *, spread: Spread = "joint") -> None:
+        super().__init__()
+        self.mean = mean
+        columns = 1 if spread == "joint" else 3
+        self.log_sigma = nn.Parameter(torch.full((len(mean.joints), columns), math.log(100.0)))
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """K names: the joints of the poses."""
+        return self.mean.joints
+
+    @property
+    def keypoints(self) -> tuple[str, ...]:
+        """J names: the keypoints of a context."""
+        return self.mean.keypoints
+
+    def train(self, mode: bool = True) -> GaussianNoise:
+        """Switch to training; the mean stays as it is."""
+        super().train(mode)
+        self.mean.eval()
+        return self
+
+    def forward(self, context: Context) -> GaussianDistribution:
+        """Give the distribution of the poses with these keypoints.
+
+        Parameters
+        ----------
+        context : Context
+            Keypoints of M poses, pixels.
+
+        Returns
+        -------
+        GaussianDistribution
+            Of M poses, mm.
+        """
+        with torch.no_grad():
+            mean = self.mean(context).pose
+        return GaussianDistribution(mean, self.log_sigma.exp())
+
+
+def likelihood_optimum(residuals: Tensor, *, spread: Spread = "joint") -> Tensor:
+    r"""Give the σ of highest likelihood: the root mean squared residual.
+
+    .. math:: \sigma_k^2 = \frac{1}{3 M} \sum_{m, d} (x_{mkd} - \mu_{mkd})^2
+
+    Parameters
+    ----------
+    residuals : Tensor
+        (M, K, 3), mm: truth less mean.
+    spread : str
+        One σ for each ``joint`` or for each ``coordinate``.
+
+    Returns
+    -------
+    Tensor
+        (K, 1) or (K, 3), mm.
+
+    Examples
+    --------
+    >>> likelihood_optimum(torch.tensor([[[3.0, 4, 0]], [[0.0, 0, 5]]]))  # sqrt((9 + 16 + 25) / 6)
+    tensor([[2.8868]])
+    """
+    columns = (0, 2) if spread == "joint" else (0,)
+    return residuals.square().mean(columns, keepdim=True)[0].sqrt()

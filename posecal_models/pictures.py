@@ -1,0 +1,235 @@
+"""How do estimates and trainings look? Figures in the style of :mod:`posecal.plot`; all drawn, nothing computed.
+
+Every function gives a :class:`matplotlib.figure.Figure`. Poses are shown from the camera and from the side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+
+from posecal.plot import reliability
+from posecal.plot.style import FAINT, INK, OVER, UNDER
+from posecal.report import Report
+from posecal.skeleton import Skeleton
+
+__all__ = ["hypotheses", "losses", "pendulum", "prior", "reliability_grid"]
+
+Floats = npt.NDArray[np.floating[Any]]
+
+_GOLD = "#E69F00"
+
+
+def _style() -> AbstractContextManager[None]:
+    settings: Any = {
+        "font.size": 8,
+        "axes.titlesize": 8,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.linewidth": 0.6,
+        "xtick.major.width": 0.6,
+        "ytick.major.width": 0.6,
+        "legend.frameon": False,
+        "legend.fontsize": 7,
+        "svg.fonttype": "none",
+        "svg.hashsalt": "posecal",
+    }
+    return mpl.rc_context(settings)
+
+
+def reliability_grid(reports: Mapping[str, Report], *, across: int = 4) -> Figure:
+    """Draw a reliability diagram for each estimator.
+
+    Parameters
+    ----------
+    reports : mapping of str to Report
+        By the estimators' names.
+    across : int
+        Diagrams in a row.
+
+    Returns
+    -------
+    Figure
+        With the exchangeable ECE in each title.
+    """
+    across = min(across, len(reports))
+    down = -(-len(reports) // across)
+    with _style():
+        figure = Figure(figsize=(2.3 * across, 2.55 * down), layout="constrained")
+        axes = figure.subplots(down, across, squeeze=False)
+        for ax in axes.flat[len(reports) :]:
+            ax.set_axis_off()
+        for index, (name, report) in enumerate(reports.items()):
+            ax = axes.flat[index]
+            reliability(report, ax=ax)
+            ax.set_title(f"{name}\nECE {report.value('ece'):.3f}", loc="left")
+            ax.set(xlabel="", ylabel="")
+        figure.supxlabel("share of hypotheses within the ball, q", fontsize=8)
+        figure.supylabel("share of truths within it, ω(q)", fontsize=8)
+    return figure
+
+
+def _bones(ax: Axes, pose: Floats, skeleton: Skeleton, axis: int, **look: Any) -> None:
+    ends = pose[np.array(skeleton.bones)][..., [axis, 1]] * (1, -1)
+    ax.add_collection(LineCollection(list(ends), capstyle="round", **look))
+
+
+def hypotheses(
+    columns: Sequence[tuple[str, Floats, Floats]], joints: Sequence[str], *, cloud: str, drawn: int = 50
+) -> Figure:
+    """Draw hypotheses (grey) against the truth (blue), one joint as a pink cloud.
+
+    Parameters
+    ----------
+    columns : sequence of (str, ndarray, ndarray)
+        For each image a title, hypotheses (N, K, 3) and truth (K, 3), mm, in the camera's frame.
+    joints : sequence of str
+        K names, the root among them.
+    cloud : str
+        The joint whose hypotheses are shown as points.
+    drawn : int
+        How many hypotheses are drawn.
+
+    Returns
+    -------
+    Figure
+        Each image from the camera above, from the side below.
+    """
+    skeleton, spot = Skeleton(tuple(joints)), list(joints).index(cloud)
+    with _style():
+        figure = Figure(figsize=(1.35 * len(columns), 3.9), layout="constrained")
+        axes = figure.subplots(2, len(columns), sharex=True, sharey=True, squeeze=False)
+        for index, (title, poses, truth) in enumerate(columns):
+            for row, axis in enumerate((0, 2)):
+                ax = axes[row, index]
+                for pose in poses[:drawn]:
+                    _bones(ax, pose, skeleton, axis, color=FAINT, linewidth=0.4, alpha=0.5, zorder=1)
+                _bones(ax, truth, skeleton, axis, color=UNDER, linewidth=1.6, zorder=2)
+                ax.plot(poses[:drawn, spot, axis], -poses[:drawn, spot, 1], ".", color=OVER, markersize=2.5, alpha=0.8)
+                _empty(ax)
+            axes[0, index].set_title(title, fontsize=6.5)
+        axes[0, 0].set_ylabel("from the camera")
+        axes[1, 0].set_ylabel("from the side")
+        axes[1, 0].plot([-900, -400], [-1150, -1150], color=INK, linewidth=1)
+        axes[1, 0].text(-650, -1120, "500 mm", ha="center", va="bottom", fontsize=6)
+        figure.supxlabel(f"blue: truth · grey: {drawn} hypotheses · pink: {cloud}", fontsize=7)
+    return figure
+
+
+def _empty(ax: Axes) -> None:
+    ax.set(xlim=(-1000, 1000), ylim=(-1250, 1000), aspect="equal", xticks=[], yticks=[])
+    for side in ax.spines.values():
+        side.set_visible(False)
+
+
+def prior(poses: Floats, joints: Sequence[str]) -> Figure:
+    """Draw poses of which nothing was observed, each from the camera and from the side.
+
+    Parameters
+    ----------
+    poses : ndarray
+        (M, K, 3), mm.
+    joints : sequence of str
+        K names, the root among them.
+
+    Returns
+    -------
+    Figure
+        A column for each pose.
+    """
+    skeleton = Skeleton(tuple(joints))
+    colours = {"left": OVER, "right": UNDER, "middle": INK}
+    with _style():
+        figure = Figure(figsize=(1.1 * len(poses), 3.3), layout="constrained")
+        axes = figure.subplots(2, len(poses), sharex=True, sharey=True, squeeze=False)
+        for index, pose in enumerate(poses):
+            for row, axis in enumerate((0, 2)):
+                for parent, child in skeleton.bones:
+                    line = pose[[parent, child]]
+                    axes[row, index].plot(
+                        line[:, axis],
+                        -line[:, 1],
+                        color=colours[skeleton.side[child]],
+                        linewidth=1.4,
+                        solid_capstyle="round",
+                    )
+                _empty(axes[row, index])
+        axes[0, 0].set_ylabel("from the camera")
+        axes[1, 0].set_ylabel("from the side")
+        figure.supxlabel("pink: the left side · blue: the right side", fontsize=7)
+    return figure
+
+
+def losses(curves: Mapping[str, npt.NDArray[np.void]]) -> Figure:
+    """Draw how the losses of trainings fell.
+
+    Parameters
+    ----------
+    curves : mapping of str to structured ndarray
+        For each training its ``losses.csv``.
+
+    Returns
+    -------
+    Figure
+        Training and validation loss of each epoch; the first, high ones are cut off.
+    """
+    with _style():
+        figure = Figure(figsize=(2.6 * len(curves) + 0.4, 2.3), layout="constrained")
+        axes = figure.subplots(1, len(curves), squeeze=False)[0]
+        for ax, (name, curve) in zip(axes, curves.items(), strict=True):
+            ax.plot(curve["step"], curve["training_loss"], color=FAINT, linewidth=1.5, label="training")
+            ax.plot(curve["step"], curve["validation_loss"], color=INK, linewidth=1.2, label="validation")
+            ax.set_title(name, loc="left")
+            ax.set_xlabel("step")
+            low, high = np.nanquantile([curve["training_loss"], curve["validation_loss"]], (0, 0.9))
+            ax.set_ylim(low - 0.1 * (high - low), high + 0.6 * (high - low))
+        axes[0].set_ylabel("loss")
+        axes[0].legend()
+    return figure
+
+
+def pendulum(samples: Mapping[str, Floats], truth: Floats, log_density: Mapping[str, tuple[float, float]]) -> Figure:
+    """Draw the zero-shot experiment: samples of three models around true pendulums.
+
+    Parameters
+    ----------
+    samples : mapping of str to ndarray
+        For each model (n, M, 3, 2), m.
+    truth : ndarray
+        (M, 3, 2), m; the fixed node is the origin.
+    log_density : mapping of str to tuple of float
+        For each model mean and standard error, nats.
+
+    Returns
+    -------
+    Figure
+        A row for each model, a column for each pendulum.
+    """
+    colours = (_GOLD, OVER, UNDER)
+    with _style():
+        figure = Figure(figsize=(1.5 * len(truth), 1.75 * len(samples)), layout="constrained")
+        axes = figure.subplots(len(samples), len(truth), sharex=True, sharey=True, squeeze=False)
+        for row, (name, drawn) in enumerate(samples.items()):
+            for column, nodes in enumerate(truth):
+                ax = axes[row, column]
+                for node, colour in enumerate(colours):
+                    where = drawn[:, column, node]
+                    ax.plot(where[:, 0], where[:, 1], ".", color=colour, markersize=2, alpha=0.5, label=f"x{node + 1}")
+                chain = np.concatenate([np.zeros((1, 2)), nodes])
+                ax.plot(chain[:, 0], chain[:, 1], "o-", color=INK, markersize=3, linewidth=1)
+                ax.set(xlim=(-3.2, 3.2), ylim=(-3.2, 3.2), aspect="equal")
+            mean, error = log_density[name]
+            words = f"{mean:.2f} ± {error:.2f} nats" if np.isfinite(mean) else "no finite density"
+            axes[row, 0].set_title(f"{name}: {words}", loc="left", fontsize=7)
+        axes[0, -1].legend(loc="upper right", markerscale=3, handletextpad=0.1)
+        figure.supxlabel("x (m)", fontsize=8)
+        figure.supylabel("y (m)", fontsize=8)
+    return figure

@@ -1,0 +1,168 @@
+"""What is needed before the first step? Poses split by subject, an estimator, and the constants of its standardizer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from posecal.errors import PoseDataError, PoseFileError
+from posecal_models.checkpoint import load_estimator
+from posecal_models.config import Config, DataConfig
+from posecal_models.data.lifting_set import LiftingSet, read_npz
+from posecal_models.data.mocap import MocapPoses
+from posecal_models.data.training_set import TrainingSet, seeded
+from posecal_models.distributed import Crew
+from posecal_models.estimators import ReferenceEstimator, describe, of_config
+from posecal_models.gaussian_noise import GaussianNoise
+from posecal_models.simple_baseline import SimpleBaseline
+from posecal_models.train import Training
+
+__all__ = ["prepare", "split"]
+
+_FIT_POSES = 20_000
+
+
+def split(path: str | Path, config: DataConfig) -> tuple[LiftingSet, LiftingSet | None, bool]:
+    """Read poses and part them by subject.
+
+    Parameters
+    ----------
+    path : str or Path
+        Motion capture (:class:`posecal_models.data.mocap.MocapPoses`), seen by virtual cameras; or pairs of poses and
+        keypoints (:class:`posecal_models.data.lifting_set.LiftingSet`).
+    config : DataConfig
+        Which subjects are for what.
+
+    Returns
+    -------
+    training : LiftingSet
+        All subjects but those for validation and test.
+    validation : LiftingSet or None
+        Evenly spread poses of the validation subjects.
+    clean : bool
+        Whether keypoints are exact, so that a detector's noise is yet to be drawn.
+
+    Raises
+    ------
+    PoseFileError, PoseDataError
+        Where the file can't be read or a subject is not there.
+    """
+    held_out = (*config.test_subjects, *config.validation_subjects)
+    clean = "poses" in read_npz(path)
+    if clean:
+        mocap = MocapPoses(path)
+        training = mocap.seen_by_cameras(
+            views=config.views,
+            every=config.every,
+            but_not=held_out,
+            body_variation=config.body_variation,
+            seed=config.camera_seed,
+        )
+        rest = None
+        if config.validation_subjects:
+            rest = mocap.seen_by_cameras(
+                views=config.views,
+                every=config.every,
+                subjects=config.validation_subjects,
+                seed=config.camera_seed,
+            )
+    else:
+        pairs = LiftingSet.load(path)
+        known = set(pairs.subject.tolist())
+        if missing := sorted(set(held_out) - known):
+            raise PoseDataError(
+                f"{path}: subjects {', '.join(missing)} not there; there are {', '.join(sorted(known))}."
+            )
+        training = pairs.take(~np.isin(pairs.subject, held_out))
+        rest = pairs.take(np.isin(pairs.subject, config.validation_subjects)) if config.validation_subjects else None
+    if not len(training):
+        raise PoseDataError(f"{path}: no pose is left for training. Hold out fewer subjects.")
+    if rest is not None and len(rest) > config.validation_poses:
+        rest = rest.take(np.linspace(0, len(rest) - 1, config.validation_poses).astype(int))
+    return training, rest, clean
+
+
+def prepare(
+    config: Config,
+    path: str | Path,
+    folder: Path,
+    *,
+    device: torch.device | str = "cpu",
+    resume: bool = False,
+    crew: Crew | None = None,
+) -> Training:
+    """Make a training ready to run.
+
+    Parameters
+    ----------
+    config : Config
+        How.
+    path : str or Path
+        The poses, as :func:`split` reads them.
+    folder : Path
+        Where its files go; it is made if its parent is there.
+    device : torch.device or str
+        Where it computes.
+    resume : bool
+        Go on from the folder's checkpoint if there is one.
+    crew : Crew, optional
+        The processes that train together.
+
+    Returns
+    -------
+    Training
+        At its first step, or where it was.
+
+    Raises
+    ------
+    PoseFileError, PoseDataError
+        Where something does not fit, or the folder holds a training already and ``resume`` was not asked for.
+    """
+    crew = crew or Crew()
+    checkpoint = folder / "checkpoint.safetensors"
+    if checkpoint.exists() and not resume:
+        raise PoseFileError(f"{folder}: holds a training already. Pass --resume to go on, or give another folder.")
+    training, validation, clean = split(path, config.data)
+    estimator = _estimator(config)
+    detector = config.data.detector if clean else None
+    order = (estimator.joints, estimator.keypoints)
+    data = TrainingSet(training, *order, detector=detector, device=device)
+    judged = None if validation is None else TrainingSet(validation, *order, detector=detector, device=device)
+    if not isinstance(estimator, GaussianNoise) and not config.model.start:
+        rows = torch.linspace(0, len(data) - 1, min(len(data), _FIT_POSES), device=data.device).long()
+        context, truth = data.batch(rows, seeded(data.device, config.train.seed))
+        estimator.standardizer.fit(truth.cpu(), context.keypoints.cpu(), context.observed.cpu())
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as problem:
+        raise PoseFileError(f"{folder}: can't be made ({problem.strerror}).") from problem
+    run = Training(estimator.to(device), config, data, folder=folder, validation=judged, crew=crew)
+    if resume and checkpoint.exists():
+        run.resume()
+    return run
+
+
+def _estimator(config: Config) -> ReferenceEstimator:
+    mean = None
+    if config.model.kind == "gaussian-noise" and config.model.mean:
+        loaded = load_estimator(config.model.mean)
+        if not isinstance(loaded, SimpleBaseline):
+            raise PoseDataError(
+                f"model.mean: {config.model.mean} holds a {type(loaded).__name__}, not a SimpleBaseline."
+            )
+        mean = loaded
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(config.train.seed)
+        estimator = of_config(config.model, mean=mean)
+    if not config.model.start:
+        return estimator
+    started = load_estimator(config.model.start)
+    wanted, found = describe(estimator), describe(started)
+    if differ := [name for name in wanted if wanted[name] != found.get(name)]:
+        raise PoseDataError(
+            f"model.start: {config.model.start} differs from the configuration in {', '.join(differ)}. "
+            "Say in [model] what it is of."
+        )
+    return started

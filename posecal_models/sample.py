@@ -1,0 +1,190 @@
+"""How do hypotheses come into a file that ``posecal evaluate`` reads? Block by block, so that memory does not grow.
+
+The file is an uncompressed ``.npz`` with the poses outermost, ``axes`` MNKD: what is drawn for some poses lies
+together, and the file can be memory-mapped. The root stands in it at 0, as in a file of true poses.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO, BinaryIO, Protocol
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from numpy.lib import format as npy
+from torch import Tensor
+
+from posecal.errors import PoseDataError
+from posecal.io import written_whole
+from posecal_models.contract import Context, Estimator, PoseDistribution
+from posecal_models.data.lifting_set import KeypointSet
+from posecal_models.data.training_set import seeded
+
+__all__ = ["POSES_AT_ONCE", "draw", "sample_to_file"]
+
+POSES_AT_ONCE = 64
+"""Poses that are drawn together. What is drawn depends on the seed and on this number alone."""
+
+
+class _HasMode(Protocol):
+    def mode(self) -> Tensor: ...
+
+
+def draw(
+    distribution: PoseDistribution,
+    n: int,
+    *,
+    generator: torch.Generator | None = None,
+    temperature: float = 1.0,
+    mode: bool = False,
+) -> Tensor:
+    """Draw hypotheses, or take the mode as the only one.
+
+    Parameters
+    ----------
+    distribution : PoseDistribution
+        Of M poses.
+    n : int
+        N.
+    generator : torch.Generator, optional
+        The source of randomness.
+    temperature : float
+        Spread of the noise; 1 is the distribution itself.
+    mode : bool
+        Give the single best pose instead.
+
+    Returns
+    -------
+    Tensor
+        (N, M, K, 3) or, for the mode, (1, M, K, 3), mm.
+
+    Raises
+    ------
+    PoseDataError
+        Where the distribution has no mode or no temperature.
+    """
+    if mode:
+        if not hasattr(distribution, "mode"):
+            raise PoseDataError(f"mode: a {type(distribution).__name__} has none. Draw samples.")
+        best: Tensor = distribution.mode()
+        return best[None]
+    if temperature == 1:
+        return distribution.sample(n, generator=generator)
+    try:
+        return distribution.sample(n, generator=generator, temperature=temperature)  # type: ignore[call-arg]
+    except TypeError as problem:
+        raise PoseDataError(f"temperature: a {type(distribution).__name__} has none; leave it at 1.") from problem
+
+
+def sample_to_file(
+    estimator: Estimator,
+    keypoints: KeypointSet,
+    path: str | Path,
+    *,
+    n: int = 200,
+    seed: int = 0,
+    temperature: float = 1.0,
+    mode: bool = False,
+    root: str = "Hip",
+    device: torch.device | str = "cpu",
+    progress: Callable[[int], None] | None = None,
+) -> None:
+    """Draw hypotheses for every image and write them.
+
+    Parameters
+    ----------
+    estimator : Estimator
+        Ours or somebody else's.
+    keypoints : KeypointSet
+        M images.
+    path : str or Path
+        The ``.npz`` to write: whole or not at all.
+    n : int
+        N hypotheses of each.
+    seed : int
+        Of what is drawn.
+    temperature, mode
+        As in :func:`draw`.
+    root : str
+        The joint that poses are relative to; it is put first, at 0.
+    device : torch.device or str
+        Where the estimator computes.
+    progress : callable, optional
+        Is told how many poses are done.
+
+    Raises
+    ------
+    PoseDataError
+        Where keypoints don't suit the estimator.
+    PoseFileError
+        Where the file can't be written.
+    """
+    if n < 1:
+        raise PoseDataError(f"n: {n}; expected 1 or more hypotheses.")
+    ordered = keypoints.in_order_of(estimator.keypoints)
+    if not len(ordered):
+        raise PoseDataError("keypoints: 0 images; expected some.")
+    _check(estimator, ordered, device)
+    count = 1 if mode else n
+    joints = (root, *estimator.joints)
+    small = {
+        "axes": np.array("MNKD"),
+        "unit": np.array("mm"),
+        "joints": np.array(joints),
+        "frame_id": ordered.frame_id,
+    }
+
+    def write(file: BinaryIO) -> None:
+        with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
+            for name, array in small.items():
+                with archive.open(f"{name}.npy", "w") as member:
+                    npy.write_array(member, array, allow_pickle=False)
+            with archive.open("hypotheses.npy", "w", force_zip64=True) as member:
+                _write_header(member, (len(ordered), count, len(joints), 3))
+                for start in range(0, len(ordered), POSES_AT_ONCE):
+                    member.write(block(start).tobytes())
+
+    @torch.inference_mode()
+    def block(start: int) -> npt.NDArray[np.float32]:
+        poses = slice(start, start + POSES_AT_ONCE)
+        generator = seeded(device, seed, start // POSES_AT_ONCE)
+        drawn = draw(
+            estimator(_context(ordered, poses, device)), n, generator=generator, temperature=temperature, mode=mode
+        )
+        if not drawn.isfinite().all():
+            raise PoseDataError(
+                f"hypotheses: {int((~drawn.isfinite()).any(-1).any(-1).sum()):,} of {drawn[..., 0, 0].numel():,} drawn "
+                f"for the images from {ordered.frame_id[start]} on are not finite. "
+                "Look at the keypoints and the weights."
+            )
+        held = np.zeros((drawn.shape[1], count, len(joints), 3), np.float32)
+        held[:, :, 1:] = drawn.transpose(0, 1).float().cpu().numpy()
+        if progress is not None:
+            progress(min(start + POSES_AT_ONCE, len(ordered)))
+        return held
+
+    written_whole(path, write)
+
+
+def _write_header(file: IO[bytes], shape: tuple[int, ...]) -> None:
+    npy.write_array_header_2_0(file, {"descr": "<f4", "fortran_order": False, "shape": shape})
+
+
+def _context(keypoints: KeypointSet, poses: slice, device: torch.device | str) -> Context:
+    return Context(
+        torch.from_numpy(keypoints.keypoints[poses]),
+        torch.from_numpy(keypoints.observed[poses]),
+        torch.from_numpy(keypoints.sigma[poses]),
+    ).to(device)
+
+
+def _check(estimator: Estimator, keypoints: KeypointSet, device: torch.device | str) -> None:
+    """Refuse keypoints that an estimator was not made for, before anything is drawn."""
+    standardizer = getattr(estimator, "standardizer", None) or getattr(
+        getattr(estimator, "mean", None), "standardizer", None
+    )
+    if standardizer is not None:
+        standardizer.check_keypoints(_context(keypoints, slice(None), device))

@@ -1,0 +1,202 @@
+"""Which single pose fits these keypoints best? SimpleBaseline, a plain network from 2D keypoints to 3D joints.
+
+It knows no uncertainty and no missing keypoints: it reads every keypoint, also those that a detector marks as hidden.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from posecal.errors import PoseDataError
+from posecal.skeleton import joint_set
+from posecal_models.contract import Context, PointEstimate
+from posecal_models.data.standardizer import Origin, Standardizer
+
+__all__ = ["SimpleBaseline", "from_public"]
+
+
+class _Layer(nn.Module):
+    """Linear, batch norm, ReLU, dropout."""
+
+    def __init__(self, features: int, features_out: int, dropout: float) -> None:
+        super().__init__()
+        self.linear = nn.Linear(features, features_out)
+        self.norm = nn.BatchNorm1d(features_out)
+        self.dropout = dropout
+
+    def forward(self, features: Tensor) -> Tensor:
+        activated = torch.relu(self.norm(self.linear(features)))
+        return functional.dropout(activated, self.dropout, self.training)
+
+
+class _Residual(nn.Module):
+    """Two layers whose output is added to their input."""
+
+    def __init__(self, width: int, dropout: float) -> None:
+        super().__init__()
+        self.first = _Layer(width, width, dropout)
+        self.second = _Layer(width, width, dropout)
+
+    def forward(self, features: Tensor) -> Tensor:
+        result: Tensor = features + self.second(self.first(features))
+        return result
+
+
+class SimpleBaseline(nn.Module):
+    """A point estimator of poses from all keypoints.
+
+    Parameters
+    ----------
+    joints, keypoints : tuple of str
+        K joints of the pose, without the root, and J keypoints. Human3.6M's 16 where not given.
+    width, residuals : int
+        Features of a layer, and how many residual blocks.
+    dropout : float
+        Share of features that training hides.
+    origin : str
+        What keypoints are relative to, see :class:`posecal_models.data.standardizer.Standardizer`.
+
+    Notes
+    -----
+    With 16 keypoints, 15 joints, width 1024 and 2 residual blocks it has 4,288,557 parameters, the paper's number.
+
+    Differs from the published code: none (Martinez et al.'s own one limits the norm of each weight, the paper's
+    does not).
+
+    References
+    ----------
+    Martinez et al. 2017, arXiv:1705.03098.
+
+    Examples
+    --------
+    >>> fifteen = tuple(f"joint {k}" for k in range(15))
+    >>> estimator = SimpleBaseline(fifteen, ("root", *fifteen))
+    >>> sum(p.numel() for p in estimator.parameters())
+    4288557
+    """
+
+    def __init__(
+        self,
+        joints: tuple[str, ...] | None = None,
+        keypoints: tuple[str, ...] | None = None,
+        *,
+        width: int = 1024,
+        residuals: int = 2,
+        dropout: float = 0.5,
+        origin: Origin = "observed",
+    ) -> None:
+        super().__init__()
+        self._joints = joint_set("h36m-16") if joints is None else joints
+        self._keypoints = self._joints if keypoints is None else keypoints
+        self.first = _Layer(2 * len(self._keypoints), width, dropout)
+        self.residuals = nn.ModuleList(_Residual(width, dropout) for _ in range(residuals))
+        self.last = nn.Linear(width, 3 * len(self._joints))
+        self.standardizer = Standardizer(len(self._joints), origin=origin)
+        for module in self.modules():
+            if isinstance(module, nn.Linear):
+                nn.init.kaiming_normal_(module.weight)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """K names: the joints of the poses."""
+        return self._joints
+
+    @property
+    def keypoints(self) -> tuple[str, ...]:
+        """J names: the keypoints of a context."""
+        return self._keypoints
+
+    def standardised(self, context: Context) -> Tensor:
+        """Estimate standardised poses.
+
+        Parameters
+        ----------
+        context : Context
+            Keypoints of M poses, pixels; all of them are read, observed or not.
+
+        Returns
+        -------
+        Tensor
+            (M, K, 3), unitless.
+
+        Raises
+        ------
+        PoseDataError
+            Where a keypoint is not finite.
+        """
+        if not context.keypoints.isfinite().all():
+            missing = int((~context.keypoints.isfinite().all(-1)).sum())
+            raise PoseDataError(
+                f"keypoints: {missing:,} of {context.observed.numel():,} are not finite; "
+                "SimpleBaseline reads every keypoint. Give the detector's guess, or use a cGNF."
+            )
+        features: Tensor = self.first(self.standardizer.all_keypoints(context).flatten(1))
+        for residual in self.residuals:
+            features = residual(features)
+        poses: Tensor = self.last(features)
+        return poses.view(len(poses), -1, 3)
+
+    def forward(self, context: Context) -> PointEstimate:
+        """Estimate poses.
+
+        Parameters
+        ----------
+        context : Context
+            Keypoints of M poses, pixels.
+
+        Returns
+        -------
+        PointEstimate
+            (M, K, 3), mm.
+        """
+        return PointEstimate(self.standardizer.millimetres(self.standardised(context)))
+
+
+_PUBLIC = {
+    r"^w1\.": "first.linear.",
+    r"^batch_norm1\.": "first.norm.",
+    r"^w2\.": "last.",
+    r"^linear_stages\.(\d+)\.w1\.": r"residuals.\1.first.linear.",
+    r"^linear_stages\.(\d+)\.batch_norm1\.": r"residuals.\1.first.norm.",
+    r"^linear_stages\.(\d+)\.w2\.": r"residuals.\1.second.linear.",
+    r"^linear_stages\.(\d+)\.batch_norm2\.": r"residuals.\1.second.norm.",
+}
+
+
+def from_public(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Translate the names of the public PyTorch SimpleBaseline's state dict into ours.
+
+    Parameters
+    ----------
+    state : mapping of str to Tensor
+        Read with ``weights_only=True``.
+
+    Returns
+    -------
+    dict of str to Tensor
+        For ``load_state_dict(..., strict=False)``: it lacks the standardizer, which that code does not have.
+
+    Raises
+    ------
+    PoseDataError
+        Where a name is unknown.
+
+    Examples
+    --------
+    >>> list(from_public({"linear_stages.0.w2.bias": torch.zeros(1)}))
+    ['residuals.0.second.linear.bias']
+    """
+    renamed = {}
+    for name, tensor in state.items():
+        for theirs, ours in _PUBLIC.items():
+            if re.match(theirs, name):
+                renamed[re.sub(theirs, ours, name)] = tensor
+                break
+        else:
+            raise PoseDataError(f"checkpoint: {name} is not part of a SimpleBaseline.")
+    return renamed

@@ -1,0 +1,167 @@
+"""How fast are the models? Medians of log_prob, samples and a training step, beside the plain formulas in the same run.
+
+    python tests/benchmarks/models_speed.py [--sizes small large xlarge] [--device cpu] [--threads 1]
+
+The plain formulation computes the messages of the context anew for every sample and walks the bones one relation at a
+time; its gradients are autograd's. A training step has 200 graphs and their 200 priors. With --device cuda, an epoch of
+the published size (390,000 poses, five graphs and a prior each) is extrapolated from steps of the batch that is given.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+
+from posecal_models.cgnf.flow import SIZES
+from posecal_models.cgnf.model import CGNF
+from posecal_models.cgnf.objective import FlowObjective
+from posecal_models.contract import Context
+from tests.models import plain_cgnf
+
+GRAPHS, SAMPLES = 200, 200
+VARIANTS = {"paper": (True, "exp"), "released": (False, "sigmoid")}
+
+
+def median(call: Callable[[], object], *, device: str, most_seconds: float = 20.0) -> float:
+    """Median of at least three calls, in ms, after one that warms up."""
+
+    def timed() -> float:
+        start = time.perf_counter()
+        call()
+        if device.startswith("cuda"):
+            torch.cuda.synchronize()
+        return time.perf_counter() - start
+
+    first = timed()
+    repeats = int(min(20, max(3, most_seconds / max(first, 1e-4))))
+    return 1000 * statistics.median(timed() for _ in range(repeats))
+
+
+def row(name: str, ours: float, plain: float | None) -> None:
+    """One line of the table."""
+    compared = "" if plain is None else f"{plain:12.1f} {plain / ours:8.1f} x"
+    print(f"{name:44} {ours:10.1f} {compared}", flush=True)
+
+
+def measure(size: str, variant: str, device: str, *, plain: bool) -> None:
+    """Print the lines of one size and variant."""
+    backward_weights, scale = VARIANTS[variant]
+    torch.manual_seed(0)
+    model = CGNF(SIZES[size], backward_weights=backward_weights, scale=scale).to(device)
+    model.flow.couplings.second.pool.weight.data.uniform_(-0.01, 0.01)
+    weights, parents = dict(model.flow.named_parameters()), model.graph.parents
+    root = torch.zeros(1, 3, device=device)
+    for poses in (1, 32):
+        keypoints = torch.randn(poses, 16, 2, device=device)
+        observed = torch.rand(poses, 16, device=device) < 0.88
+        truth = torch.randn(poses, 16, 3, device=device)
+        latents = torch.randn(poses, SAMPLES, 16, 3, device=device)
+        every = latents.flatten(0, 1), keypoints.repeat_interleave(SAMPLES, 0), observed.repeat_interleave(SAMPLES, 0)
+
+        def log_prob(k=keypoints, o=observed, x=truth) -> object:
+            return model.flow.ready(model.flow.evidence(k, o)).log_prob_per_node(x[:, None])
+
+        def sample(k=keypoints, o=observed, z=latents) -> object:
+            return model.flow.ready(model.flow.evidence(k, o)).inverse(z)
+
+        def plain_log_prob(k=keypoints, o=observed, x=truth) -> object:
+            return plain_cgnf.log_prob(weights, x, k, o, root, parents, scale=scale)
+
+        def plain_sample(all_of_them=every) -> object:
+            return plain_cgnf.inverse(weights, *all_of_them, root, parents, scale=scale)
+
+        with torch.inference_mode():
+            row(
+                f"log_prob of {poses} poses, {size}, {variant}",
+                median(log_prob, device=device),
+                median(plain_log_prob, device=device) if plain else None,
+            )
+            row(
+                f"{SAMPLES} samples of {poses} poses, {size}, {variant}",
+                median(sample, device=device),
+                median(plain_sample, device=device) if plain else None,
+            )
+    measure_step(model, scale, f"{size}, {variant}", device, plain=plain)
+
+
+def measure_step(model: CGNF, scale: str, which: str, device: str, *, plain: bool) -> None:
+    """Print the lines of a training step."""
+    weights, parents = dict(model.flow.named_parameters()), model.graph.parents
+    root = torch.zeros(1, 3, device=device)
+    keypoints = torch.randn(GRAPHS, 16, 2, device=device)
+    share = torch.tensor([1.0, 0.2, 0.4, 0.6, 0.8], device=device).repeat(GRAPHS // 5)
+    observed = torch.rand(GRAPHS, 16, device=device) < 0.88 * share[:, None]
+    truth = torch.randn(GRAPHS // 5, 16, 3, device=device).repeat_interleave(5, 0)
+    optimizer = torch.optim.Adam(model.parameters(), 1e-4, fused=True)
+    objective = FlowObjective(model)
+    context = Context(keypoints, observed)
+
+    def step(graphs_per_pose: int) -> None:
+        optimizer.zero_grad(set_to_none=False)
+        objective.backward(context, truth, graphs_per_pose=graphs_per_pose)
+        torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)
+        optimizer.step()
+
+    def plain_step() -> None:
+        optimizer.zero_grad(set_to_none=False)
+        posterior = plain_cgnf.log_prob(weights, truth, keypoints, observed, root, parents, scale=scale)
+        prior = plain_cgnf.log_prob(weights, truth, keypoints, torch.zeros_like(observed), root, parents, scale=scale)
+        (-0.5 * (posterior + prior).mean()).backward()
+        torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)
+        optimizer.step()
+
+    slow = median(plain_step, device=device) if plain else None
+    row(f"training step, {which}", median(lambda: step(1), device=device), slow)
+    row(f"  the same, priors of 40 poses shared, {which}", median(lambda: step(5), device=device), slow)
+
+
+def main() -> None:
+    """Measure what the command line asks for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sizes", nargs="+", default=["small", "large", "xlarge"], choices=[*SIZES])
+    parser.add_argument("--variants", nargs="+", default=["paper", "released"], choices=[*VARIANTS])
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--no-plain", action="store_true", help="leave the plain formulation out")
+    asked = parser.parse_args()
+    torch.set_num_threads(asked.threads)
+    name = torch.cuda.get_device_name() if asked.device.startswith("cuda") else f"CPU, {asked.threads} thread(s)"
+    print(f"PyTorch {torch.__version__}, {name}, single precision; medians in ms")
+    print(f"{'':44} {'ours':>10} {'plain':>12} {'ratio':>10}")
+    for size in asked.sizes:
+        for variant in asked.variants:
+            measure(size, variant, asked.device, plain=not asked.no_plain)
+    if asked.device.startswith("cuda"):
+        measure_epoch(asked.device)
+
+
+def measure_epoch(device: str, *, poses: int = 4000, steps: int = 20) -> None:
+    """Extrapolate a published epoch on a GPU: 390,000 poses, five graphs and a prior each."""
+    model = CGNF(SIZES["small"]).to(device)
+    optimizer = torch.optim.Adam(model.parameters(), 1e-4, fused=True)
+    objective = FlowObjective(model)
+    truth = torch.randn(poses, 16, 3, device=device).repeat_interleave(5, 0)
+    context = Context(torch.randn(5 * poses, 16, 2, device=device), torch.rand(5 * poses, 16, device=device) < 0.5)
+    for timed in (False, True):
+        torch.cuda.synchronize()
+        start = time.perf_counter()
+        for _ in range(steps):
+            optimizer.zero_grad(set_to_none=False)
+            objective.backward(context, truth, graphs_per_pose=5)
+            optimizer.step()
+        torch.cuda.synchronize()
+        if timed:
+            seconds = (time.perf_counter() - start) / steps * 390_000 / poses
+            print(f"a published epoch of the small model, {poses:,} poses a step: {seconds:.1f} s")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,159 @@
+"""The naive twin of the cGNF: the formulas as they are written down, one node, one relation, one sample at a time.
+
+Weights are a dictionary by the names of :class:`posecal_models.cgnf.flow.GraphFlow`. Nothing is shared, folded or
+reordered: messages of the context are recomputed for every sample, and the bones are walked one relation at a time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+Weights = Mapping[str, Tensor]
+
+
+def linear(weights: Weights, name: str, features: Tensor, block: int | None = None) -> Tensor:
+    weight, bias = weights[f"{name}.weight"], weights[f"{name}.bias"]
+    if block is not None:
+        weight, bias = weight[block], bias[block]
+    return features @ weight.T + bias
+
+
+def embedding(weights: Weights, keypoints: Tensor, observed: Tensor) -> Tensor:
+    """Embed keypoints (M, K, 2) of which some are observed (M, K)."""
+    present = observed.to(keypoints.dtype)
+    keypoints = torch.where(observed[..., None], keypoints, 0)
+    adjacency = weights["embedding.adjacency"] * present[:, :, None] * present[:, None, :]
+    weight = adjacency / adjacency.sum(-1, keepdim=True).clamp(min=1)
+
+    def layer(order: str, features: Tensor) -> Tensor:
+        neighbours = weight @ features
+        return neighbours @ weights[f"embedding.{order}_neighbours.weight"].T + linear(
+            weights, f"embedding.{order}_own", features
+        )
+
+    return layer("second", torch.relu(layer("first", keypoints)))
+
+
+def message_passing(
+    weights: Weights,
+    block: int,
+    layer: str,
+    nodes: Tensor,
+    context: Tensor,
+    observed: Tensor,
+    root: Tensor,
+    parents: tuple[int, ...],
+) -> Tensor:
+    """One layer for M graphs: nodes (M, K, F), context (M, K, C), observed (M, K), root (M, R)."""
+
+    def map_of(name: str, features: Tensor) -> Tensor:
+        return linear(weights, f"couplings.{layer}.{name}", features, block)
+
+    message = torch.relu(map_of("from_self", nodes))
+    child_map = "from_child" if f"couplings.{layer}.from_child.weight" in weights else "from_parent"
+    said_by_parent = torch.relu(map_of("from_parent", nodes))
+    said_by_child = torch.relu(map_of(child_map, nodes))
+    has_parent = [v for v, parent in enumerate(parents) if parent >= 0]
+    their_parent = [parents[v] for v in has_parent]
+    index = torch.tensor(has_parent)
+    message = message.index_add(1, index, said_by_parent[:, their_parent])
+    message = message.index_add(1, torch.tensor(their_parent), said_by_child[:, has_parent])
+    message = message + torch.relu(map_of("from_context", context)) * observed[..., None]
+    next_to_root = torch.tensor([parent < 0 for parent in parents])
+    message = message + torch.relu(map_of("from_root", root))[:, None] * next_to_root[:, None]
+    return map_of("pool", message)
+
+
+def shift_and_scale(
+    weights: Weights,
+    block: int,
+    kept: Tensor,
+    context: Tensor,
+    observed: Tensor,
+    root: Tensor,
+    parents: tuple[int, ...],
+    scale: str,
+) -> tuple[Tensor, Tensor]:
+    """Both layers of one block's coupling net."""
+    nodes = message_passing(weights, block, "first", kept, context, observed, root, parents)
+    context = torch.relu(linear(weights, "couplings.first.next_context", context, block))
+    root = torch.relu(linear(weights, "couplings.first.next_root", root, block))
+    nodes = message_passing(weights, block, "second", nodes, context, observed, root, parents)
+    shift, unconstrained = nodes[..., 0], nodes[..., 1]
+    return shift, unconstrained.exp() if scale == "exp" else torch.sigmoid(unconstrained + 2) + 1e-3
+
+
+def forward(
+    weights: Weights,
+    poses: Tensor,
+    keypoints: Tensor,
+    observed: Tensor,
+    root: Tensor,
+    parents: tuple[int, ...],
+    *,
+    scale: str = "sigmoid",
+) -> tuple[Tensor, Tensor]:
+    """Latents (M, K, D) and log determinants (M, K) of poses (M, K, D)."""
+    context = embedding(weights, keypoints, observed)
+    dimensions = poses.shape[-1]
+    log_determinant = torch.zeros_like(poses[..., 0])
+    for block in range(_blocks(weights)):
+        log_scale = weights["couplings.actnorm_log_scale"][block]
+        shift = weights["couplings.actnorm_shift"][block]
+        poses = poses * log_scale.exp() + shift
+        moved = block % dimensions
+        kept = poses[..., [i for i in range(dimensions) if i != moved]]
+        t, s = shift_and_scale(weights, block, kept, context, observed, root, parents, scale)
+        poses = torch.stack([poses[..., i] * s + t if i == moved else poses[..., i] for i in range(dimensions)], -1)
+        log_determinant = log_determinant + log_scale.sum() + s.log()
+    return poses, log_determinant
+
+
+def inverse(
+    weights: Weights,
+    latents: Tensor,
+    keypoints: Tensor,
+    observed: Tensor,
+    root: Tensor,
+    parents: tuple[int, ...],
+    *,
+    scale: str = "sigmoid",
+) -> Tensor:
+    """Poses (M, K, D) of latents (M, K, D)."""
+    context = embedding(weights, keypoints, observed)
+    dimensions = latents.shape[-1]
+    for block in reversed(range(_blocks(weights))):
+        moved = block % dimensions
+        kept = latents[..., [i for i in range(dimensions) if i != moved]]
+        t, s = shift_and_scale(weights, block, kept, context, observed, root, parents, scale)
+        latents = torch.stack(
+            [(latents[..., i] - t) / s if i == moved else latents[..., i] for i in range(dimensions)], -1
+        )
+        log_scale = weights["couplings.actnorm_log_scale"][block]
+        shift = weights["couplings.actnorm_shift"][block]
+        latents = (latents - shift) * torch.exp(-log_scale)
+    return latents
+
+
+def log_prob(
+    weights: Weights,
+    poses: Tensor,
+    keypoints: Tensor,
+    observed: Tensor,
+    root: Tensor,
+    parents: tuple[int, ...],
+    *,
+    scale: str = "sigmoid",
+) -> Tensor:
+    """Log densities (M,) of poses (M, K, D), nats per pose."""
+    latents, log_determinant = forward(weights, poses, keypoints, observed, root, parents, scale=scale)
+    base = -0.5 * (latents.square() + math.log(2 * math.pi)).sum(-1)
+    return (base + log_determinant).sum(-1)
+
+
+def _blocks(weights: Weights) -> int:
+    return len(weights["couplings.actnorm_shift"])

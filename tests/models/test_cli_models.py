@@ -1,0 +1,193 @@
+"""The command line as a user calls it: what it does, what it says, how it ends."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from posecal_models.cli import app, main
+
+ROOT = Path(__file__).parents[2]
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+
+
+def posecal_models(*arguments: object, cwd: Path) -> subprocess.CompletedProcess:
+    command = [sys.executable, "-m", "posecal_models.cli", *map(str, arguments)]
+    return subprocess.run(command, cwd=cwd, env=ENVIRONMENT, capture_output=True, text=True, timeout=300)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """What README does, smaller: motion, a training, images of the person left out, hypotheses."""
+    where = tmp_path_factory.mktemp("readme")
+    for arguments in (
+        ("motion", "-o", "motion.npz", "--subjects", 3, "--clips", 2, "--frames", 20),
+        ("train", "cgnf-tiny", "--data", "motion.npz", "-o", "tiny", "--set", 'data.test_subjects=["S3"]',
+         "--set", "train.epochs=1", "--threads", 1),
+        ("project", "motion.npz", "-o", "test.npz", "--subject", "S3"),
+        ("sample", "tiny/weights.safetensors", "test.npz", "-o", "hyps.npz", "--n", 5),
+    ):  # fmt: skip
+        done = posecal_models(*arguments, cwd=where)
+        assert done.returncode == 0, done.stderr
+        assert done.stdout == ""
+    return where
+
+
+def test_readme_s_commands_end_in_a_file_that_posecal_evaluates(folder):
+    command = [sys.executable, "-m", "posecal", "evaluate", "hyps.npz", "test.npz", "--format", "json"]
+    done = subprocess.run(command, cwd=folder, env=ENVIRONMENT, capture_output=True, text=True, check=True)
+    report = json.loads(done.stdout)
+    assert (report["hypotheses"], report["poses"]) == (5, 2 * 20 * 4)
+
+
+def test_a_line_an_epoch_is_told_where_there_is_no_terminal(folder):
+    done = posecal_models(
+        "train", "cgnf-tiny", "--data", "motion.npz", "-o", "told", "--set", "train.epochs=2", "--set", "data.every=10",
+        cwd=folder,
+    )  # fmt: skip
+    assert [line.split(":")[0] for line in done.stderr.splitlines()] == ["step 2 of 4, epoch 1", "step 4 of 4, epoch 2"]
+    assert "learning rate" in done.stderr
+
+
+def test_losses_are_drawn(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    assert CliRunner().invoke(app, ["losses", "tiny=tiny", "-o", "losses.png"]).exit_code == 0
+    assert (folder / "losses.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_describing_weights_gives_json(folder):
+    about = json.loads(posecal_models("describe", "tiny/weights.safetensors", cwd=folder).stdout)
+    assert about["estimator"]["kind"] == "cgnf"
+    assert about["notes"]["config"]["data"]["test_subjects"] == ["S3"]
+
+
+def test_help_is_quick_and_needs_no_torch():
+    script = "import sys; sys.argv=['posecal-models','--help']\nfrom posecal_models.cli import main\n"
+    script += "try: main()\nexcept SystemExit: pass\nassert 'torch' not in sys.modules"
+    done = subprocess.run([sys.executable, "-c", script], env=ENVIRONMENT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "train" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("train", "cgnf-smal", "--data", "motion.npz", "-o", "x"), "Did you mean cgnf-small?"),
+        (("train", "cgnf-tiny", "--data", "none.npz", "-o", "x"), "none.npz: is not there"),
+        (("train", "cgnf-tiny", "--data", "motion.npz", "-o", "tiny"), "holds a training already. Pass --resume"),
+        (("train", "cgnf-tiny", "--data", "motion.npz", "-o", "a/b/c"), "can't be made"),
+        (("train", "cgnf-tiny", "--data", "motion.npz", "-o", "x", "--device", "cuda"), "sees no GPU"),
+        (("train", "cgnf-tiny", "--data", "motion.npz", "-o", "x", "--set", 'data.test_subjects=["S9"]'), "S9 not"),
+        (("sample", "none.safetensors", "test.npz", "-o", "h.npz"), "none.safetensors: no such weights"),
+        (("sample", "tiny/checkpoint.safetensors", "test.npz", "-o", "h.npz"), "holds the state of a training"),
+        (("sample", "tiny/weights.safetensors", "motion.npz", "-o", "h.npz"), "motion.npz: lacks keypoints_2d"),
+        (("sample", "tiny/weights.safetensors", "test.npz", "-o", "no/h.npz"), "no"),
+        (("losses", "a=nowhere", "-o", "l.png"), "losses.csv: can't be read"),
+        (("project", "motion.npz", "-o", "t.npz", "--subject", "S9"), "subjects: S9 not there"),
+        (("import", "prohpe", "motion.npz", "-o", "p.npz"), "motion.npz"),
+        (("convert", "motion.npz", "-o", "w.safetensors"), "motion.npz: "),
+    ],
+)  # fmt: skip
+def test_bad_input_gives_one_message_exit_3_and_no_file(folder, monkeypatch, capsys, arguments, words):
+    before = sorted(path.name for path in folder.iterdir())
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(sys, "argv", ["posecal-models", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    said = capsys.readouterr()
+    assert ended.value.code == 3
+    assert words in said.err
+    assert len(said.err.strip().splitlines()) == 1
+    assert said.out == ""
+    assert sorted(path.name for path in folder.iterdir()) == before
+
+
+def test_bad_input_shows_no_traceback_in_a_process_of_its_own(folder):
+    done = posecal_models("sample", "none.safetensors", "test.npz", "-o", "h.npz", cwd=folder)
+    assert (done.returncode, done.stdout) == (3, "")
+    assert done.stderr.startswith("posecal-models: none.safetensors: no such weights.")
+    assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "left"),
+    [
+        ("sample tiny/weights.safetensors test.npz -o full/hyps.npz", []),
+        ("train cgnf-tiny --data motion.npz -o full/run --set train.epochs=1 --set data.every=10", ["run"]),
+    ],
+)
+def test_a_full_disk_gives_one_message_and_nothing_half_written(folder, arguments, left):
+    """In a process of its own whose files may not grow beyond 20 kB, as on a disk without space."""
+    (folder / "full").mkdir(exist_ok=True)
+    script = """
+import resource, signal
+from posecal_models.cli import main
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+main()
+"""
+    command = [sys.executable, "-c", script, *arguments.split()]
+    done = subprocess.run(command, cwd=folder, env=ENVIRONMENT, capture_output=True, text=True)
+    assert done.returncode == 3
+    assert done.stderr.endswith("can't be written (File too large).\n")
+    assert len(done.stderr.splitlines()) == 1
+    assert sorted(path.name for path in (folder / "full").rglob("*")) == left
+    shutil.rmtree(folder / "full")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [("trian",), ("sample", "a"), ("sample", "a", "b", "-o", "c", "--n", "0"), ("import", "bvh", "a", "-o", "b")],
+)
+def test_a_wrong_call_exits_with_2(arguments):
+    assert CliRunner().invoke(app, list(arguments)).exit_code == 2
+
+
+def test_ctrl_c_exits_with_130_and_leaves_a_checkpoint_that_is_whole(folder):
+    command = [
+        sys.executable,
+        "-m",
+        "posecal_models.cli",
+        "train",
+        "cgnf-tiny",
+        "--data",
+        "motion.npz",
+        "-o",
+        "stopped",
+    ]
+    command += ["--set", "train.checkpoint_seconds=0.05", "--set", "train.epochs=1000", "--threads", "1"]
+    process = subprocess.Popen(command, cwd=folder, env=ENVIRONMENT, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60
+    while not (folder / "stopped" / "checkpoint.safetensors").exists() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "Traceback" not in errors
+    assert not list((folder / "stopped").glob(".*"))
+    from posecal_models.checkpoint import read_tensors
+
+    assert read_tensors(folder / "stopped" / "checkpoint.safetensors")[1]["training"]["step"] > 0
+
+
+def test_converting_a_released_checkpoint_lists_what_it_holds_in_vain(tmp_path):
+    import torch
+
+    with np.load(ROOT / "tests" / "data" / "reference_models" / "tiny_state.npz") as file:
+        torch.save({name: torch.from_numpy(file[name]) for name in file.files}, tmp_path / "model.pt")
+    done = posecal_models("convert", "model.pt", "-o", "w.safetensors", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "transform_net.layers.1.layers.c.weight (8, 8)" in done.stderr
+    # per block: child to parent (2·8 + 8) + (8·8 + 8), last updates 2·(8·8 + 8), attention (4 + 1) + (16 + 1)
+    assert "24 tensors with 524 parameters" in done.stderr
+    assert posecal_models("describe", "w.safetensors", cwd=tmp_path).returncode == 0

@@ -1,0 +1,305 @@
+"""Weights files and settings: what comes back, and what is refused."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import save_file
+
+from posecal.errors import PoseDataError, PoseFileError
+from posecal_models.cgnf.flow import SIZES, FlowSize
+from posecal_models.cgnf.model import CGNF
+from posecal_models.checkpoint import (
+    device_named,
+    load_estimator,
+    load_released,
+    named_weights,
+    notes_of,
+    read_tensors,
+    save_estimator,
+    write_tensors,
+)
+from posecal_models.config import Config, named_configs
+from posecal_models.contract import Context
+from posecal_models.estimators import build, describe, of_config
+from posecal_models.gaussian_noise import GaussianNoise
+from posecal_models.graph import PoseGraph
+from posecal_models.simple_baseline import SimpleBaseline
+
+ROOT = Path(__file__).parents[2]
+REFERENCE = Path(__file__).parents[1] / "data" / "reference_models"
+
+
+def estimators():
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        chain = PoseGraph(("a", "b"), (-1, 0), root="r")
+        baseline = SimpleBaseline(("a", "b"), ("b", "a"), width=8, residuals=1, origin="none")
+        found = [
+            CGNF(FlowSize(3, 5, 4, 6), chain, backward_weights=False, scale="sigmoid", origin="none"),
+            CGNF(SIZES["tiny"]),
+            baseline,
+            GaussianNoise(SimpleBaseline(width=8), spread="coordinate"),
+        ]
+    for estimator in found:
+        for buffer in estimator.buffers():
+            if buffer.ndim == 0 and buffer.is_floating_point():
+                buffer.fill_(7.5)
+    return found
+
+
+@pytest.mark.parametrize("index", range(4))
+def test_an_estimator_comes_back_from_its_file(tmp_path, index):
+    estimator = estimators()[index].eval()
+    save_estimator(tmp_path / "w.safetensors", estimator, notes={"poses": 12})
+    back = load_estimator(tmp_path / "w.safetensors")
+    assert describe(back) == describe(estimator)
+    for name, tensor in estimator.state_dict().items():
+        assert torch.equal(back.state_dict()[name], tensor), name
+    assert notes_of(tmp_path / "w.safetensors") == {"poses": 12}
+    count = len(estimator.keypoints)
+    context = Context(torch.randn(3, count, 2), torch.ones(3, count, dtype=torch.bool))
+    generator = torch.Generator()
+    one, two = (e(context).sample(4, generator=generator.manual_seed(1)) for e in (estimator, back))
+    assert torch.equal(one, two)
+
+
+def test_weights_of_another_size_are_refused(tmp_path):
+    small, large = estimators()[1], CGNF(FlowSize(7, 24, 8, 32))
+    about = {"estimator": describe(large)}
+    write_tensors(tmp_path / "w.safetensors", small.state_dict(), about)
+    with pytest.raises(PoseDataError, match=r"weights don't fit the estimator: \d+ tensors of another size"):
+        load_estimator(tmp_path / "w.safetensors")
+
+
+def test_weights_that_lack_a_tensor_are_refused(tmp_path):
+    tensors = estimators()[1].state_dict()
+    tensors.pop("flow.embedding.adjacency")
+    write_tensors(tmp_path / "w.safetensors", tensors, {"estimator": describe(estimators()[1])})
+    with pytest.raises(PoseDataError, match=r"1 missing \(flow\.embedding\.adjacency\)"):
+        load_estimator(tmp_path / "w.safetensors")
+
+
+@pytest.mark.parametrize("cut", [0, 5, 300, -1])
+def test_damaged_weights_are_refused(tmp_path, cut):
+    save_estimator(tmp_path / "w.safetensors", estimators()[1])
+    content = (tmp_path / "w.safetensors").read_bytes()
+    (tmp_path / "w.safetensors").write_bytes(content[:cut])
+    with pytest.raises(PoseFileError, match=r"w\.safetensors: damaged or no safetensors file"):
+        load_estimator(tmp_path / "w.safetensors")
+
+
+def test_a_single_flipped_bit_is_noticed(tmp_path):
+    save_estimator(tmp_path / "w.safetensors", estimators()[1])
+    content = bytearray((tmp_path / "w.safetensors").read_bytes())
+    content[-6] ^= 1
+    (tmp_path / "w.safetensors").write_bytes(content)
+    with pytest.raises(PoseFileError, match=r"w\.safetensors: damaged: its numbers are not those that were written"):
+        load_estimator(tmp_path / "w.safetensors")
+
+
+def test_somebody_else_s_safetensors_are_refused(tmp_path):
+    save_file({"weight": torch.zeros(3)}, tmp_path / "w.safetensors")
+    with pytest.raises(PoseFileError, match="without the header of posecal"):
+        load_estimator(tmp_path / "w.safetensors")
+
+
+def test_missing_weights_are_named_and_the_nearest_told():
+    with pytest.raises(PoseFileError, match=r"nowhere\.safetensors: no such weights"):
+        load_estimator("nowhere.safetensors")
+
+
+def test_a_description_of_something_else_is_refused():
+    with pytest.raises(PoseDataError, match="weights: of 'vae'; expected cgnf"):
+        build({"kind": "vae"})
+    with pytest.raises(PoseDataError, match="lacks or misnames something"):
+        build({"kind": "cgnf"})
+
+
+def test_a_full_disk_leaves_what_was_there(tmp_path):
+    """In a process of its own whose files may not grow beyond 20 kB, as on a disk without space."""
+    write_tensors(tmp_path / "w.safetensors", {"a": torch.zeros(10)}, {"estimator": {}})
+    before = (tmp_path / "w.safetensors").read_bytes()
+    script = """
+import resource, signal, sys, torch
+from posecal.errors import PoseFileError
+from posecal_models.checkpoint import write_tensors
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+try:
+    write_tensors(sys.argv[1], {"a": torch.zeros(100_000)}, {})
+except PoseFileError as problem:
+    print(problem)
+"""
+    assert resource.RLIMIT_FSIZE is not None
+    done = subprocess.run(
+        [sys.executable, "-c", script, str(tmp_path / "w.safetensors")],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        check=True,
+    )
+    assert "w.safetensors: can't be written (File too large)" in done.stdout
+    assert (tmp_path / "w.safetensors").read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir()] == ["w.safetensors"]
+
+
+def test_a_gpu_that_is_not_there_is_refused():
+    if torch.cuda.is_available():
+        pytest.skip("there is one")
+    with pytest.raises(PoseDataError, match=r"device: cuda was asked for and PyTorch .* sees no GPU"):
+        device_named("cuda")
+    assert device_named("auto").type == "cpu"
+
+
+@pytest.mark.parametrize("name", ["gpu", "mps", "cuda:x"])
+def test_an_unknown_device_is_refused(name):
+    with pytest.raises(PoseDataError, match="expected cpu, cuda or auto"):
+        device_named(name)
+
+
+# --- released checkpoints ---------------------------------------------------------------------------------------
+
+
+def released_state() -> dict[str, torch.Tensor]:
+    with np.load(REFERENCE / "tiny_state.npz") as file:
+        return {name: torch.from_numpy(file[name]) for name in file.files}
+
+
+def test_a_released_checkpoint_loads_and_its_dead_tensors_are_listed(tmp_path):
+    torch.save(released_state(), tmp_path / "model.pt")
+    estimator, dead = load_released(tmp_path / "model.pt")
+    assert estimator.size == FlowSize(blocks=2, hidden=8, context=4, embedding=16)
+    assert {name.split("layers.", 1)[1].removesuffix(".weight").removesuffix(".bias") for name in dead} == {
+        "0.layers.x<-x",
+        "1.layers.x<-x",
+        "1.layers.c",
+        "1.layers.r",
+        "0.attention",
+        "1.attention",
+    }
+    with np.load(REFERENCE / "tiny_io.npz") as numbers:
+        keypoints = torch.from_numpy(numbers["c"]) / 0.0139
+        poses = torch.from_numpy(numbers["x"]) / 0.0036
+        context = Context(keypoints, torch.from_numpy(numbers["mask_part"]))
+        # density in mm: that of the scaled pose, and 48 times the log of the scale
+        expected = numbers["part/logp_pose"] + 48 * np.log(0.0036)
+    np.testing.assert_allclose(estimator(context).log_prob(poses).detach(), expected, rtol=1e-5)
+
+
+def test_a_hostile_checkpoint_is_refused_and_runs_nothing(tmp_path):
+    class Runs:
+        def __reduce__(self):
+            return os.mkdir, (str(tmp_path / "it ran"),)
+
+    torch.save({"weight": Runs()}, tmp_path / "model.pt")
+    with pytest.raises(PoseFileError, match=r"model\.pt: can't be read as plain tensors"):
+        load_released(tmp_path / "model.pt")
+    assert not (tmp_path / "it ran").exists()
+
+
+@pytest.mark.parametrize(
+    ("content", "error", "words"),
+    [
+        ({"conv.weight": torch.zeros(1)}, PoseDataError, r"1 tensor is not part of a cGNF \(conv\.weight\)"),
+        ({"_embedding_net.adj": torch.zeros(2, 2)}, PoseDataError, "lacks 'couplings"),
+        ([1, 2], PoseDataError, "holds no state_dict"),
+    ],
+)
+def test_a_checkpoint_of_something_else_is_refused(tmp_path, content, error, words):
+    torch.save(content, tmp_path / "model.pt")
+    with pytest.raises(error, match=words):
+        load_released(tmp_path / "model.pt")
+
+
+def test_a_checkpoint_with_another_number_of_blocks_is_refused(tmp_path):
+    torch.save(released_state(), tmp_path / "model.pt")
+    with pytest.raises(PoseDataError, match=r"model\.pt: 2 blocks; expected 10"):
+        load_released(tmp_path / "model.pt", blocks=10)
+
+
+def test_a_pickle_that_is_no_checkpoint_is_refused(tmp_path):
+    (tmp_path / "model.pt").write_bytes(pickle.dumps({"a": 1}))
+    with pytest.raises((PoseFileError, PoseDataError), match=r"model\.pt"):
+        load_released(tmp_path / "model.pt")
+
+
+# --- configurations ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", named_configs())
+def test_every_named_configuration_builds_its_estimator(name):
+    config = Config.load(name)
+    if config.model.kind == "gaussian-noise":
+        assert of_config(config.model, mean=SimpleBaseline(width=4)).joints
+    elif config.model.size != "xlarge":
+        assert of_config(config.model).joints
+
+
+def test_the_released_configuration_names_every_difference():
+    config = Config.load("cgnf-small-released")
+    assert (config.model.scale, config.model.backward_weights) == ("sigmoid", False)
+    assert (config.train.loss_per, config.train.sample_loss, config.train.augmentation) == ("node", "pairs", "released")
+
+
+def test_all_that_is_wrong_in_a_configuration_is_said_at_once():
+    table = {"model": {"size": "medium", "sizes": 3}, "train": {"epochs": "ten", "batch": True}, "data": {"views": 2.5}}
+    with pytest.raises(PoseDataError) as caught:
+        Config.of_table(table)
+    words = str(caught.value)
+    assert words.startswith("5 problems:")
+    for part in (
+        "model.size is 'medium'; expected one of tiny, small, large, xlarge",
+        "model.sizes is not known. Did you mean size?",
+        "train.epochs is 'ten'; expected int",
+        "train.batch is True; expected int",
+        "data.views is 2.5; expected int",
+    ):
+        assert part in words
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ("train.epochs=0", r"train\.epochs: 0; expected 1 or more"),
+        ("epochs=3", "expected table.name=value"),
+        ("train.epoch=3", "train.epoch is not known. Did you mean epochs"),
+        ("model.scale=tanh", "model.scale is 'tanh'; expected one of sigmoid, exp"),
+        ("data.detector.sigma=-1", r"detector\.sigma: -1.*expected 0 pixels or more"),
+    ],
+)
+def test_a_change_that_does_not_fit_is_refused(change, words):
+    with pytest.raises(PoseDataError, match=words):
+        Config().changed([change])
+
+
+def test_a_change_may_be_text_a_number_or_a_list():
+    config = Config().changed(["model.scale=sigmoid", "train.epochs=3", 'data.test_subjects=["S1", "S2"]'])
+    assert (config.model.scale, config.train.epochs, config.data.test_subjects) == ("sigmoid", 3, ("S1", "S2"))
+
+
+def test_a_file_that_is_not_toml_is_refused(tmp_path):
+    (tmp_path / "a.toml").write_text("[model\nkind=")
+    with pytest.raises(PoseFileError, match=r"a\.toml: not valid TOML"):
+        Config.load(str(tmp_path / "a.toml"))
+
+
+def test_a_baseline_can_t_be_trained_by_likelihood():
+    from posecal_models.objectives import objective_of
+
+    with pytest.raises(PoseDataError, match=r"train\.objective: likelihood of a SimpleBaseline"):
+        objective_of(SimpleBaseline(width=4), Config().train)
+
+
+def test_named_weights_load():
+    for name in named_weights():
+        assert load_estimator(name).joints
+        assert read_tensors(Path("posecal_models/weights") / f"{name}.safetensors")[1]["notes"]

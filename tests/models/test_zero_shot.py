@@ -1,0 +1,77 @@
+"""Questions that a flow was not trained for: the pendulum's three models, and the world whose answer is known."""
+
+from __future__ import annotations
+
+import builtins
+
+import numpy as np
+import pytest
+import torch
+from typer.testing import CliRunner
+
+from posecal.errors import PoseDataError
+from posecal_models import zero_shot
+from posecal_models.cli import app
+
+
+def test_no_model_but_the_first_ever_saw_three_nodes():
+    assert [max(map(len, sets)) for sets in zero_shot.PENDULUM_MODELS.values()] == [3, 1, 2]
+    # of three nodes: none, three alone, three pairs
+    assert len(zero_shot.PENDULUM_MODELS["cGNF, trained with at most two observed"]) == 1 + 3 + 3
+
+
+def test_the_pendulum_s_models_are_judged_on_all_nodes_observed():
+    told = []
+    found = zero_shot.pendulum(steps=3, batch=20, samples=5, progress=told.append)
+    assert told == list(range(1, 10))
+    assert list(found.log_density) == list(found.samples) == list(zero_shot.PENDULUM_MODELS)
+    assert np.isfinite(list(found.log_density.values())).all()
+    assert {drawn.shape for drawn in found.samples.values()} == {(5, len(found.truth), 3, 2)}
+    # rods of 1 m: from the fixed node at 0 each node is 1 m from the one before
+    rods = np.diff(found.truth, axis=1, prepend=0)
+    np.testing.assert_allclose(np.linalg.norm(rods, axis=-1), 1, rtol=1e-6)
+    # and each is seen with a noise of 0.05 m in both directions
+    assert 0.02 < (found.keypoints - found.truth).std() < 0.09
+
+
+def test_nobody_is_nearer_to_the_truth_than_the_true_posterior():
+    """The gap is a Kullback-Leibler divergence: not negative, but for the chance of 300 poses; training closes it."""
+    few, more = (zero_shot.pose_world(steps=steps, batch=50, poses=300) for steps in (5, 60))
+    assert [(row.observed, row.trained) for row in few] == [(0, True), (4, True), (8, True), (12, False), (16, False)]
+    for before, after in zip(few, more, strict=True):
+        assert after.gap > -4 * after.standard_error
+        np.testing.assert_allclose(after.gap, after.true_log_density - after.log_density, rtol=1e-9)
+        assert after.gap < before.gap
+
+
+def test_more_keypoints_tell_the_true_posterior_more():
+    true = [row.true_log_density for row in zero_shot.pose_world(steps=1, batch=20, poses=200)]
+    assert (np.diff(true) > 0).all()
+
+
+def test_a_loss_that_is_not_finite_stops_it():
+    calls = []
+
+    def draw(generator: torch.Generator) -> zero_shot.Batch:
+        calls.append(1)
+        poses = torch.randn(4, 3, 2, generator=generator)
+        return poses * (1 if len(calls) == 1 else torch.nan), poses, torch.ones(4, 3, dtype=torch.bool)
+
+    estimator = zero_shot.CGNF(zero_shot._SIZE, zero_shot._CHAIN, origin="none", dimensions=2)
+    with pytest.raises(PoseDataError, match=r"the loss is nan at step 0\. Lower the learning rate"):
+        zero_shot.fit(estimator, draw, steps=2)
+
+
+def test_without_the_toy_world_it_says_what_to_do(monkeypatch):
+    known = builtins.__import__
+    monkeypatch.setattr("importlib.import_module", lambda name: known("nowhere." + name))
+    with pytest.raises(PoseDataError, match=r"toy\.pendulum is not at hand; expected the folder toy"):
+        zero_shot.pendulum(steps=1)
+
+
+def test_the_command_prints_a_line_for_each_model_and_draws_the_figure(tmp_path):
+    picture = tmp_path / "pendulum.png"
+    done = CliRunner().invoke(app, ["zero-shot", "pendulum", "--steps", "2", "-o", str(picture)])
+    assert done.exit_code == 0
+    assert [line.split(":")[0] for line in done.stdout.splitlines()] == list(zero_shot.PENDULUM_MODELS)
+    assert picture.read_bytes().startswith(b"\x89PNG")
