@@ -93,6 +93,12 @@ _PAGES: dict[str, Page] = {
     "joint_energy_score": _SCORE,
     "crps": _SCORE,
     "variogram_score": _SCORE,
+    "skill": Page(
+        "below 0 (worse than the reference) to 1 (perfect)",
+        "The share of the reference's score that the model saves. Against climatology, a model that ignores the image "
+        "has none, though it passes every calibration test.",
+        "Gneiting and Raftery, doi:10.1198/016214506000001437",
+    ),
     "brier": Page(
         "0 to about 1",
         "Of the event that the median pose is right at every joint, to which the hypotheses give a probability. Its "
@@ -142,7 +148,7 @@ def page(metric: Metric) -> Page:
     if name in _PAGES:
         return _PAGES[name]
     endings = [key for key in _PAGES if name.startswith(key) or name.endswith(key)]
-    return _PAGES[max(endings, key=len)]
+    return _PAGES["skill" if name.endswith("_skill") else max(endings, key=len)]
 
 
 def explain(name: str, protocol: Protocol | None = None, subject: Subject | None = None) -> str:
@@ -172,7 +178,9 @@ def explain(name: str, protocol: Protocol | None = None, subject: Subject | None
     >>> print(explain("signed_area").splitlines()[0])
     signed_area: signed area
     """
-    everything = Subject(200, JOINT_SETS["h36m-17"], root=0, labels=("sequence",), scored=True, marked=True)
+    everything = Subject(
+        200, JOINT_SETS["h36m-17"], root=0, labels=("sequence",), scored=True, marked=True, reference="climatology"
+    )
     known = known_metrics(protocol or Protocol(), subject or everything)
     if name not in known:
         raise PoseDataError(f"explain: {name!r} is not known. {did_you_mean(name, known)}")

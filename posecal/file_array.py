@@ -1,12 +1,14 @@
-"""How are a few poses read out of an array of many gigabytes? Where they lie, and nothing else of it.
+"""How are a few poses read out of an array of many gigabytes? Memory-mapped where they lie, and let go at once.
 
-Read and not memory-mapped: pages that are mapped count as memory of the process, and the kernel maps up to two
-megabytes around each byte that is touched, so that some poses of each of 200 hypotheses would hold half a gigabyte.
+A map of the whole array would not do: its pages count as memory of the process, and the kernel brings up to two
+megabytes around each byte that is touched, so that some poses of each of 200 hypotheses would hold half a gigabyte. So
+each run of bytes that lie together has a map of its own, which lives while it is copied.
 """
 
 from __future__ import annotations
 
 import math
+import mmap
 import weakref
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -73,7 +75,7 @@ class FileArray:
         Raises
         ------
         PoseFileError
-            Where the file ends before the array does.
+            Where the file ends before the array does, or can't be mapped.
         """
         shape, between = (self.shape[::-1], where[::-1]) if self.fortran else (self.shape, where)
         found = np.empty([one.stop - one.start for one in between], dtype=self.dtype)
@@ -84,12 +86,16 @@ class FileArray:
         return found.T if self.fortran else found
 
     def _fill(self, run: memoryview, offset: int) -> None:
-        self.file.seek(offset)
-        while run:
-            number = self.file.readinto(run)
-            if not number:
-                raise PoseFileError(f"{self.name}: the file ends at byte {offset:,}. Was it changed meanwhile?")
-            run, offset = run[number:], offset + number
+        if not run:
+            return
+        before = offset % mmap.ALLOCATIONGRANULARITY
+        try:
+            pages = mmap.mmap(self.file.fileno(), before + len(run), access=mmap.ACCESS_READ, offset=offset - before)
+        except (ValueError, OSError) as error:
+            where = f"bytes {offset:,} to {offset + len(run):,}"
+            raise PoseFileError(f"{self.name}: {where} can't be read ({error}). Was it changed meanwhile?") from None
+        with pages, memoryview(pages) as seen:
+            run[:] = seen[before:]
 
 
 def _starts(shape: tuple[int, ...], between: tuple[slice, ...], cut: int) -> Iterator[int]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -312,10 +312,10 @@ class Training:
         save_estimator(self.folder / "weights.safetensors", self.estimator, tensors=self.best or None, notes=notes)
 
     def _state(self) -> dict[str, Any]:
-        schedule = {name: value for name, value in asdict(self.schedule).items() if name != "config"}
+        schedule = self.schedule
         return {
             "training": {"config": self.config.table(), "step": self.step, "epoch": self.epoch},
-            "schedule": schedule,
+            "schedule": {"best": schedule.best, "waited": schedule.waited, "drops": schedule.drops},
         }
 
     def _write_losses(self) -> None:
@@ -351,8 +351,8 @@ class Training:
                 "Give the configuration it was started with, or another folder."
             )
         self.step, self.epoch = about["training"]["step"], about["training"]["epoch"]
-        for name, value in about["schedule"].items():
-            setattr(self.schedule, name, value)
+        for name in ("best", "waited", "drops"):
+            setattr(self.schedule, name, about["schedule"][name])
         self.estimator.load_state_dict(_under("weights.", tensors))
         self.best = _under("best.", tensors)
         for name, parameter in self.parameters.items():

@@ -297,7 +297,7 @@ def test_a_file_that_shrinks_while_it_is_read_is_refused(tmp_path: Path) -> None
     path = npy(tmp_path, "h.npy", hypotheses())
     array = read_poses(path, "hypotheses").array
     os.truncate(path, 1000)
-    with pytest.raises(PoseFileError, match=r"^h\.npy: the file ends at byte 1,000\. Was it changed meanwhile\?$"):
+    with pytest.raises(PoseFileError, match=r"^h\.npy: bytes .* can't be read .*Was it changed meanwhile\?$"):
         array.part(everything(array.shape))
 
 

@@ -187,12 +187,17 @@ def user_weights(block: Block, joints: BoolArray, prerank: PreRank) -> FloatArra
     Raises
     ------
     PoseDataError
-        Where it does not give one number per pooled pose.
+        Where it fails, or does not give one number per pooled pose.
     """
     points = pool(block, joints) + block.truth[:, joints].astype(np.float64)[..., None]
     found = np.empty((len(points), points.shape[-1]))
     for b, poses in enumerate(points):
-        values = np.asarray(prerank(np.ascontiguousarray(poses.transpose(2, 0, 1))), dtype=np.float64)
+        try:
+            values = np.asarray(prerank(np.ascontiguousarray(poses.transpose(2, 0, 1))), dtype=np.float64)
+        except Exception as error:  # somebody else's code fails in any way
+            raise PoseDataError(
+                f"prerank: it fails on a pool of {found.shape[1]} poses ({type(error).__name__}: {error})."
+            ) from error
         if values.shape != found[b].shape or not np.isfinite(values).all():
             raise PoseDataError(
                 f"prerank: gave {values.shape} for a pool of {found.shape[1]} poses; expected one finite number each."
@@ -219,7 +224,7 @@ def load_prerank(entry: str) -> tuple[str, PreRank]:
     Raises
     ------
     PoseDataError
-        Where there is no such file or function.
+        Where there is no such file or function, or the file fails.
     """
     path, _, name = entry.rpartition(":")
     if not path.endswith(".py") or not name.isidentifier():
@@ -228,6 +233,8 @@ def load_prerank(entry: str) -> tuple[str, PreRank]:
         found = runpy.run_path(path).get(name)
     except OSError as error:
         raise PoseDataError(f"prerank: {path} can't be read ({error.strerror}).") from None
+    except Exception as error:  # somebody else's code fails in any way
+        raise PoseDataError(f"prerank: {path} can't be run ({type(error).__name__}: {error}).") from error
     if not callable(found):
         raise PoseDataError(f"prerank: {path} has no function {name!r}; expected one that takes a pool of poses.")
     return name, found

@@ -14,17 +14,22 @@ __all__ = ["at_least_two", "folds_of", "moving", "sequences"]
 def folds_of(pairs: PosePairs, folds: int = 5) -> Rows:
     """Give the part of each pose, (M,), cutting between sequences, the parts alike in poses.
 
+    Poses without sequences are cut into runs of consecutive frames.
+
     Raises
     ------
     PoseDataError
-        For fewer sequences than parts.
+        For fewer than two parts, or fewer sequences (or poses) than parts.
     """
-    sequence = pairs.labels.get("sequence")
-    if sequence is None:
-        return np.arange(len(pairs.truth)) * folds // len(pairs.truth)
-    names, place, sizes = np.unique(sequence, return_inverse=True, return_counts=True)
+    poses, sequence = len(pairs.truth), pairs.labels.get("sequence")
+    names, place, sizes = np.unique(
+        np.arange(poses) if sequence is None else sequence, return_inverse=True, return_counts=True
+    )
     if not 2 <= folds <= len(names):
-        raise PoseDataError(f"folds: {folds}; expected 2 to {len(names)}, the number of sequences of {pairs.names[1]}.")
+        units = "poses" if sequence is None else "sequences"
+        raise PoseDataError(f"folds: {folds}; expected 2 to {len(names)}, the number of {units} of {pairs.names[1]}.")
+    if sequence is None:
+        return np.arange(poses) * folds // poses
     load = np.zeros(folds, dtype=np.intp)
     of_name = np.zeros(len(names), dtype=np.intp)
     for name in np.argsort(-sizes, kind="stable"):

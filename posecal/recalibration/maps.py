@@ -80,15 +80,17 @@ def read_map(path: str | os.PathLike[str]) -> Map:
         about: Any = json.loads(Path(path).read_text(encoding="utf-8"))
         if about["format"] != FORMAT:
             raise PoseFileError(f"{name}: format {about['format']}; expected {FORMAT}. Fit it again.")
-        numbers = about["factors"] if about["kind"] == "spread" else about["radii"]
+        numbers = about[{"spread": "factors", "radius": "radii"}[about["kind"]]]
         values = np.array([math.nan if value is None else float(value) for value in numbers.values()])
         fitted = int(about["fitted_on"]["poses"]), int(about["fitted_on"]["sequences"])
         if about["kind"] == "spread":
             if not (np.isfinite(values) & (values > 0)).all():
                 raise PoseFileError(f"{name}: a factor is not above 0; expected positive numbers.")
             return SpreadMap(tuple(numbers), values, *fitted)
-        scaled = {"mm": False, "standard deviations": True}[about["unit"]]
-        return RadiusMap(tuple(numbers), values, float(about["alpha"]), scaled, *fitted)
+        alpha, scaled = float(about["alpha"]), {"mm": False, "standard deviations": True}[about["unit"]]
+        if (values < 0).any() or np.isinf(values).any() or not 0 < alpha < 1:
+            raise PoseFileError(f"{name}: a radius is below 0 or alpha is {alpha:g}; expected 0 < alpha < 1.")
+        return RadiusMap(tuple(numbers), values, alpha, scaled, *fitted)
     except FileNotFoundError:
         raise PoseFileError(f"{path}: no such file.") from None
     except PoseFileError:

@@ -225,6 +225,12 @@ def test_a_training_can_be_made_longer(motion_file, tmp_path):
     assert run.epoch == 2
 
 
+def test_a_longer_cosine_falls_to_zero_at_its_new_end(motion_file, tmp_path):
+    training(BASELINE, motion_file, tmp_path / "a", epochs=1).run()
+    run = training(BASELINE, motion_file, tmp_path / "a", epochs=4, resume=True)
+    assert run.schedule.learning_rate(2 * run.steps_per_epoch) == pytest.approx(0.5e-3)
+
+
 def test_a_training_may_begin_with_weights(motion_file, tmp_path):
     training(CGNF, motion_file, tmp_path / "first", epochs=1).run()
     weights = str(tmp_path / "first" / "weights.safetensors")

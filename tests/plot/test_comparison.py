@@ -1,0 +1,53 @@
+"""Models on the axes of accuracy and calibration: tested on the numbers of their points."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from posecal.comparison import Comparison, compare
+from posecal.errors import PoseDataError
+from posecal.plot import accuracy_and_calibration, draw_comparison
+from tests.reports import report_of
+
+NAMES = ["right", "narrow"]
+
+
+def pair(metrics: str = "default") -> Comparison:
+    return compare([report_of(spread, metrics=metrics).totals for spread in (1.0, 0.5)], NAMES)
+
+
+@pytest.fixture
+def ax() -> Axes:
+    return Figure().add_subplot()
+
+
+def test_a_model_is_a_point_at_its_ece_and_minmpjpe_with_its_interval(ax: Axes) -> None:
+    found = pair()
+    accuracy_and_calibration(found, ax=ax)
+    for name in NAMES:
+        (point,) = (line for line in ax.lines if line.get_gid() == name)
+        np.testing.assert_allclose(point.get_xydata(), [[found.value("ece", name), found.value("min_mpjpe", name)]])
+        sure = found.interval("min_mpjpe", name)
+        assert any(np.array_equal(line.get_ydata(), [sure.low, sure.high]) for line in ax.lines)
+
+
+def test_the_region_that_chance_allows_ends_at_the_null_quantile(ax: Axes) -> None:
+    found = pair()
+    accuracy_and_calibration(found, ax=ax)
+    (region,) = (patch for patch in ax.patches if patch.get_gid() == "feasible")
+    assert region.get_x() == 0
+    np.testing.assert_allclose(region.get_width(), found.feasible())
+
+
+def test_both_axes_are_needed(ax: Axes) -> None:
+    with pytest.raises(PoseDataError, match=r"comparison: no ece; expected both min_mpjpe and ece"):
+        accuracy_and_calibration(pair("min_mpjpe"), ax=ax)
+
+
+def test_the_figure_carries_the_signature() -> None:
+    found = pair()
+    words = "".join("".join(text.get_text().split()) for text in draw_comparison(found).texts)
+    assert "".join(found.totals[0].signature.split()) in words

@@ -1,0 +1,75 @@
+"""Every number that posecal knows can be explained."""
+
+from __future__ import annotations
+
+import pytest
+
+from posecal.calibration.battery import BATTERY
+from posecal.errors import PoseDataError
+from posecal.explanation import explain, page
+from posecal.metric import Subject
+from posecal.protocol import Protocol
+from posecal.registry import known_metrics
+from posecal.skeleton import JOINT_SETS
+
+SUBJECT = Subject(
+    200,
+    JOINT_SETS["h36m-17"],
+    root=0,
+    labels=("sequence",),
+    scored=True,
+    marked=True,
+    preranks=("span",),
+    reference="climatology",
+)
+KNOWN = known_metrics(Protocol(), SUBJECT)
+PARTS = ("definition", "unit", "range", "direction", "how to read", "source")
+
+
+@pytest.mark.parametrize("name", KNOWN)
+def test_every_metric_has_its_definition_range_direction_source_and_how_to_read_it(name: str) -> None:
+    lines = explain(name, subject=SUBJECT).splitlines()
+    assert lines[0] == f"{name}: {KNOWN[name].label}"
+    assert f"definition  {KNOWN[name].definition}" in lines
+    for part in PARTS:
+        (line,) = (line for line in lines[1:] if line.startswith(part))
+        assert len(line) > len(part) + 3
+
+
+@pytest.mark.parametrize("name", [name for name in KNOWN if name != "span"])
+def test_it_can_be_explained_without_data(name: str) -> None:
+    assert explain(name).startswith(f"{name}: ")
+
+
+@pytest.mark.parametrize("test", BATTERY, ids=lambda test: test.name)
+def test_a_test_says_what_it_means_when_it_fires(test: object) -> None:
+    assert f"if it fires {test.fires}" in explain(test.name)  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("ece", "Never 0 on finite data"),
+        ("pa_min_mpjpe", "Falls with N for any model"),
+        ("min_mpjpe_at_5", "Falls with N for any model"),
+        ("worst_mpjpe", "it pays for the spread"),
+        ("signed_area_max", "overconfident"),
+        ("coverage_95", "of the balls that hold 90 %"),
+        ("energy_skill", "a model that ignores the image has none"),
+        ("brier_discrimination", "to which the hypotheses give a probability"),
+        ("mean_pose_mpjve", "jitter"),
+        ("radius_90", "Sharpness"),
+    ],
+)
+def test_a_metric_has_the_page_of_its_kind(name: str, words: str) -> None:
+    assert words in page(KNOWN[name]).reading
+
+
+def test_the_definition_is_written_out_for_the_options() -> None:
+    assert "N=7" in explain("ece", subject=Subject(7, ("a", "b"), root=None))
+    assert "80 mm" in explain("pck", Protocol(pck_threshold=80.0))
+
+
+def test_an_unknown_name_is_refused_with_the_nearest() -> None:
+    with pytest.raises(PoseDataError, match=r"explain: 'energy' is not known\. Did you mean"):
+        explain("energy")

@@ -1,0 +1,103 @@
+"""Skill: how much better than drawing the poses of others, and what ignoring the image is worth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from posecal.errors import PoseDataError
+from posecal.protocol import Protocol
+from posecal.reference import climatology, with_skills
+from posecal.report import Report
+from posecal.summation import add_up
+from tests.drawn import skewed
+from tests.samplers import gaussian, pairs_of, sequences
+
+Array = np.ndarray
+SCORES = Protocol(metrics="scores, ece")
+LABELS = np.array(["b", "a", "a", "c", "b", "c", "a", "d"])
+
+
+def read(pairs: object) -> Array:
+    return pairs.hypotheses.read(0, len(pairs.truth))  # type: ignore[attr-defined, no-any-return]
+
+
+def test_climatology_draws_true_poses_of_other_sequences_all_alike() -> None:
+    x, y = skewed(0, 3, 8, 2)
+    found = read(climatology(pairs_of(x, y, labels={"sequence": LABELS}), 600))
+    for m in range(8):
+        drawn = [int(np.flatnonzero((pose == y).all(axis=(1, 2)))[0]) for pose in found[:, m]]
+        others = np.flatnonzero(LABELS[m] != LABELS)
+        counts = np.bincount(drawn, minlength=8)[others]
+        assert counts.sum() == 600
+        share = 1 / len(others)
+        np.testing.assert_allclose(counts / 600, share, atol=4 * np.sqrt(share * (1 - share) / 600))
+
+
+def test_without_sequences_any_other_pose_is_drawn() -> None:
+    x, y = skewed(1, 3, 6, 2)
+    found = read(climatology(pairs_of(x, y), 100))
+    assert found.shape == (100, 6, 2, 3)
+    for m in range(6):
+        drawn = {int(np.flatnonzero((pose == y).all(axis=(1, 2)))[0]) for pose in found[:, m]}
+        assert drawn == set(range(6)) - {m}
+
+
+def test_climatology_has_as_many_hypotheses_and_is_the_same_every_time() -> None:
+    pairs = pairs_of(*skewed(2, 7, 9, 2))
+    np.testing.assert_array_equal(read(climatology(pairs)), read(climatology(pairs)))
+    assert climatology(pairs).shape == pairs.shape
+    assert climatology(pairs).names[0] == "climatology"
+    assert (read(climatology(pairs, seed=1)) != read(climatology(pairs))).any()
+    poses = np.array([3, 1])
+    np.testing.assert_array_equal(read(climatology(pairs).taken(poses)), read(climatology(pairs))[:, poses])
+
+
+def test_one_sequence_has_no_others_to_draw_from() -> None:
+    pairs = pairs_of(*skewed(3, 2, 5, 2), labels={"sequence": ["a"] * 5})
+    with pytest.raises(PoseDataError, match=r"truth: one sequence; expected several to draw poses of others from"):
+        climatology(pairs)
+
+
+# --- skills -----------------------------------------------------------------------------------------------------------
+
+
+def skilled(x: Array, y: Array, S: int) -> Report:
+    pairs = pairs_of(x, y, labels={"sequence": sequences(len(y), S)})
+    ours, theirs = (add_up(p, SCORES, threads=1) for p in (pairs, climatology(pairs)))
+    return Report(with_skills(ours, theirs, "climatology"))
+
+
+def test_a_skill_is_the_share_of_the_reference_s_score_that_is_saved() -> None:
+    x, y = gaussian(4, 8, 40, 3)
+    pairs = pairs_of(x, y, labels={"sequence": sequences(40, 8)})
+    ours, theirs = (Report(add_up(p, SCORES, threads=1)) for p in (pairs, climatology(pairs)))
+    found = skilled(x, y, 8)
+    for score in ("energy_score", "joint_energy_score", "crps", "variogram_score", "brier"):
+        name = score.removesuffix("_score") + "_skill"
+        if theirs.value(score) > 0:
+            np.testing.assert_allclose(found.value(name), 1 - ours.value(score) / theirs.value(score), rtol=1e-9)
+    row = next(row for row in found.rows if row.metric == "energy_skill")
+    assert 0.5 < row.low < row.value < row.high < 1
+    assert "S_ref: the same of climatology" in row.definition
+
+
+def test_a_model_that_ignores_the_image_is_calibrated_and_has_no_skill() -> None:
+    random = np.random.default_rng(5)
+    M, N, S = 240, 20, 60
+    y, x = random.normal(0, 80, (M, 4, 3)), random.normal(0, 80, (N, M, 4, 3))  # the prior, whatever is seen
+    found = skilled(x, y, S)
+    row = next(row for row in found.rows if row.metric == "energy_skill")
+    assert row.low < 0.01
+    assert abs(row.value) < 0.05
+    assert found.null("ece").p > 0.01
+    knowing, truth = gaussian(6, N, M, 4)
+    assert skilled(knowing, truth, S).value("energy_skill") > 0.5
+
+
+def test_a_reference_on_other_poses_is_refused() -> None:
+    x, y = gaussian(7, 4, 20, 2)
+    ours = add_up(pairs_of(x, y, labels={"sequence": sequences(20, 4)}), SCORES)
+    theirs = add_up(pairs_of(x[:, :15], y[:15], labels={"sequence": sequences(15, 3)}), SCORES)
+    with pytest.raises(PoseDataError, match=r"other\.npz: other poses than the model's; expected hypo"):
+        with_skills(ours, theirs, "other.npz")
