@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 from enum import StrEnum
+from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -287,7 +288,8 @@ def zero_shot(
         with counted("training", steps * len(experiments.PENDULUM_MODELS)) as progress:
             found = experiments.pendulum(steps=steps, seed=seed, progress=progress)
         for name, (mean, error) in found.log_density.items():
-            typer.echo(f"{name}: log p(x | c1, c2, c3) = {mean:.2f} ± {error:.2f} nats")
+            words = f"{mean:.2f} ± {error:.2f} nats" if isfinite(mean) else "not finite"
+            typer.echo(f"{name}: log p(x | c1, c2, c3) = {words}")
         if output is not None:
             save(pictures.pendulum(found.samples, found.truth, found.log_density), output)
         return

@@ -229,7 +229,8 @@ def pendulum(samples: Mapping[str, Floats], truth: Floats, log_density: Mapping[
             mean, error = log_density[name]
             words = f"{mean:.2f} ± {error:.2f} nats" if np.isfinite(mean) else "no finite density"
             axes[row, 0].set_title(f"{name}: {words}", loc="left", fontsize=7)
-        axes[0, -1].legend(loc="upper right", markerscale=3, handletextpad=0.1)
+        marks, names = axes[0, 0].get_legend_handles_labels()
+        figure.legend(marks, names, loc="outside right upper", markerscale=3, handletextpad=0.1)
         figure.supxlabel("x (m)", fontsize=8)
         figure.supylabel("y (m)", fontsize=8)
     return figure

@@ -171,7 +171,7 @@ def pendulum(
     seen = torch.from_numpy(held_out.observed.reshape(-1, 3, 2)).float()
     everything = torch.ones(len(truth), 3, dtype=torch.bool)
     pendulums, timesteps = held_out.positions.shape[:2]
-    few = slice(0, len(truth), len(truth) // shown)
+    few = slice(len(truth) // (2 * shown), len(truth), len(truth) // shown)
     log_density, drawn = {}, {}
     for index, (name, sets) in enumerate(PENDULUM_MODELS.items()):
 

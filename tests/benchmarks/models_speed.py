@@ -24,6 +24,7 @@ from posecal_models.cgnf.flow import SIZES
 from posecal_models.cgnf.model import CGNF
 from posecal_models.cgnf.objective import FlowObjective
 from posecal_models.contract import Context
+from posecal_models.cuda_graph import Recorded
 from tests.models import plain_cgnf
 
 GRAPHS, SAMPLES = 200, 200
@@ -146,21 +147,24 @@ def main() -> None:
 def measure_epoch(device: str, *, poses: int = 4000, steps: int = 20) -> None:
     """Extrapolate a published epoch on a GPU: 390,000 poses, five graphs and a prior each."""
     model = CGNF(SIZES["small"]).to(device)
-    optimizer = torch.optim.Adam(model.parameters(), 1e-4, fused=True)
-    objective = FlowObjective(model)
+    parameters = list(model.parameters())
+    optimizer = torch.optim.Adam(parameters, 1e-4, fused=True)
     truth = torch.randn(poses, 16, 3, device=device).repeat_interleave(5, 0)
     context = Context(torch.randn(5 * poses, 16, 2, device=device), torch.rand(5 * poses, 16, device=device) < 0.5)
-    for timed in (False, True):
-        torch.cuda.synchronize()
-        start = time.perf_counter()
-        for _ in range(steps):
-            optimizer.zero_grad(set_to_none=False)
-            objective.backward(context, truth, graphs_per_pose=5)
-            optimizer.step()
-        torch.cuda.synchronize()
-        if timed:
-            seconds = (time.perf_counter() - start) / steps * 390_000 / poses
-            print(f"a published epoch of the small model, {poses:,} poses a step: {seconds:.1f} s")
+    generator = torch.Generator(device)
+    plain = FlowObjective(model)
+    for name, objective in (("", plain), (", recorded", Recorded(plain, parameters, torch.device(device)))):
+        for timed in (False, True):
+            torch.cuda.synchronize()
+            start = time.perf_counter()
+            for _ in range(steps):
+                optimizer.zero_grad(set_to_none=False)
+                objective.backward(context, truth, generator=generator, graphs_per_pose=5)
+                optimizer.step()
+            torch.cuda.synchronize()
+            if timed:
+                seconds = (time.perf_counter() - start) / steps * 390_000 / poses
+                print(f"a published epoch of the small model, {poses:,} poses a step{name}: {seconds:.1f} s")
 
 
 if __name__ == "__main__":

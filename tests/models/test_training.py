@@ -256,3 +256,8 @@ def test_every_process_has_its_share_of_a_batch_that_does_not_divide():
 
     shares = [Crew(rank, 3).share(8) for rank in range(3)]
     assert [row for share in shares for row in range(8)[share]] == list(range(8))
+
+
+def test_a_recording_needs_a_gpu(motion_file, tmp_path):
+    with pytest.raises(PoseDataError, match=r"train\.cuda_graph: true with the device cpu; expected a GPU"):
+        training(CGNF, motion_file, tmp_path / "run", cuda_graph=True)
