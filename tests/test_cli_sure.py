@@ -234,4 +234,4 @@ def test_a_metric_is_explained() -> None:
 def test_an_unknown_metric_is_refused_with_the_nearest() -> None:
     result = CliRunner().invoke(app, ["--explain", "ecee"])
     assert result.exit_code == 2
-    assert "Did you mean ece" in result.stderr
+    assert "Did you mean ece" in " ".join(result.stderr.replace("│", " ").split())
