@@ -148,8 +148,7 @@ def compare(totals: Sequence[Totals], names: Sequence[str]) -> Comparison:
     """
     if len(totals) < 2:
         raise PoseDataError(f"compare: {len(totals)} model; expected at least 2.")
-    if len(set(names)) < len(names):
-        names = [f"{name} ({number})" for number, name in enumerate(names, 1)]
+    names = [name if names.index(name) == at else f"{name} #{at + 1}" for at, name in enumerate(names)]
     first = totals[0]
     for name, other in zip(names[1:], totals[1:], strict=True):
         if other.signature != first.signature:

@@ -218,7 +218,7 @@ def test_one_model_is_nothing_to_compare() -> None:
 
 def test_models_of_the_same_name_are_numbered() -> None:
     found = compare([totals_of(X, Y), totals_of(X + 1, Y)], ["run", "run"])
-    assert found.names == ("run (1)", "run (2)")
+    assert found.names == ("run", "run #2")
 
 
 def test_one_sequence_gives_a_difference_and_no_p_value() -> None:

@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from posecal.cli import compare, evaluate, plots, recalibrate
-from posecal.cli.running import guarded
+from posecal.cli.running import guarded, wrong_call
 
 __all__ = ["app", "main"]
 
@@ -41,7 +41,9 @@ def _explain(metric: str | None) -> None:
     if metric is not None:
         from posecal.explanation import explain
 
-        typer.echo(explain(metric))
+        with wrong_call():
+            page = explain(metric)
+        typer.echo(page)
         raise typer.Exit
 
 

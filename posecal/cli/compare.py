@@ -68,11 +68,11 @@ def compare(
 
     totals: list[Totals] = []
     if all(is_result(path) for path in files):
-        names = [path.stem for path in files]
+        names = _names(files)
         totals = [Totals.load(path) for path in files]
     else:
         *models, truth = files
-        names = [path.stem for path in models]
+        names = _names(models)
         how = join_of(axes, truth_axes, unit, truth_unit, joint_names, root_joint, missing)
         protocol = protocol_of(preset, options or [], where, "all", metrics)
         for path in models:
@@ -88,3 +88,9 @@ def compare(
         say(comparison_sheet(found))
     else:
         typer.echo(comparison_sheet(found).markdown() if form is Form.markdown else found.render(form.value))
+
+
+def _names(files: list[Path]) -> list[str]:
+    """Call models by their files' names, or by their paths where two files are called alike."""
+    stems = [path.stem for path in files]
+    return stems if len(set(stems)) == len(stems) else [str(path.with_suffix("")) for path in files]

@@ -99,7 +99,8 @@ def apply(
     map_ = read_map(map_file)
     poses = read_poses(hypotheses, "hypotheses")
     stored, joints, root = alone(poses, how)
-    members = {} if poses.frame_id is None else {"frame_id": poses.frame_id}
+    known = {"frame_id": poses.frame_id, "scores": poses.scores, **poses.labels, **poses.marks}
+    members = {name: values for name, values in known.items() if values is not None}
     with progress(len(stored.rows), "applying") as advance:
-        apply_map(map_, stored, joints, root, len(stored.rows), output, {**members, **poses.labels}, advance)
+        apply_map(map_, stored, joints, root, len(stored.rows), output, members, advance)
     typer.echo(f"{output}: {len(stored.rows):,} poses.", err=True)

@@ -6,6 +6,7 @@ import errno
 import functools
 import os
 import shutil
+import signal
 import sys
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
@@ -48,6 +49,7 @@ def guarded(command: Callable[P, R]) -> Callable[P, R]:
         try:
             return command(*args, **kwargs)
         except KeyboardInterrupt:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second one would cut the exit code off
             typer.echo("posecal: interrupted.", err=True)
             raise typer.Exit(130) from None
         except Exception as error:
