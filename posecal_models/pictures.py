@@ -62,6 +62,7 @@ def reliability_grid(reports: Mapping[str, Report], *, across: int = 4) -> Figur
     """
     across = min(across, len(reports))
     down = -(-len(reports) // across)
+    across = -(-len(reports) // down)
     with _style():
         figure = Figure(figsize=(2.3 * across, 2.55 * down), layout="constrained")
         axes = figure.subplots(down, across, squeeze=False)
