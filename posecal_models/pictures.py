@@ -191,7 +191,8 @@ def losses(curves: Mapping[str, npt.NDArray[np.void]]) -> Figure:
             ax.set_title(name, loc="left")
             ax.set_xlabel("step")
             low, high = np.nanquantile([curve["training_loss"], curve["validation_loss"]], (0, 0.9))
-            ax.set_ylim(low - 0.1 * (high - low), high + 0.6 * (high - low))
+            if high > low:
+                ax.set_ylim(low - 0.1 * (high - low), high + 0.6 * (high - low))
         axes[0].set_ylabel("loss")
         axes[0].legend()
     return figure
