@@ -62,6 +62,7 @@ def reliability_grid(reports: Mapping[str, Report], *, across: int = 4) -> Figur
     """
     across = min(across, len(reports))
     down = -(-len(reports) // across)
+    across = -(-len(reports) // down)
     with _style():
         figure = Figure(figsize=(2.3 * across, 2.55 * down), layout="constrained")
         axes = figure.subplots(down, across, squeeze=False)
@@ -190,7 +191,8 @@ def losses(curves: Mapping[str, npt.NDArray[np.void]]) -> Figure:
             ax.set_title(name, loc="left")
             ax.set_xlabel("step")
             low, high = np.nanquantile([curve["training_loss"], curve["validation_loss"]], (0, 0.9))
-            ax.set_ylim(low - 0.1 * (high - low), high + 0.6 * (high - low))
+            if high > low:
+                ax.set_ylim(low - 0.1 * (high - low), high + 0.6 * (high - low))
         axes[0].set_ylabel("loss")
         axes[0].legend()
     return figure

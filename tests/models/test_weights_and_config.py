@@ -299,7 +299,34 @@ def test_a_baseline_can_t_be_trained_by_likelihood():
         objective_of(SimpleBaseline(width=4), Config().train)
 
 
-def test_named_weights_load():
-    for name in named_weights():
-        assert load_estimator(name).joints
-        assert read_tensors(Path("posecal_models/weights") / f"{name}.safetensors")[1]["notes"]
+# --- the weights that come with the package ----------------------------------------------------------------------
+
+WEIGHTS = ROOT / "posecal_models" / "weights"
+
+
+def test_the_small_cgnf_is_under_5_mb_and_has_its_card():
+    assert named_weights() == ("cgnf-small",)
+    assert (WEIGHTS / "cgnf-small.safetensors").stat().st_size < 5e6
+    card = " ".join((WEIGHTS / "cgnf-small.md").read_text(encoding="utf-8").split())
+    for words in (
+        "The data used in this project was obtained from mocap.cs.cmu.edu.",
+        "The database was created with funding from NSF EIA-0196217.",
+        ", ".join(load_estimator("cgnf-small").joints),
+        "Cameras",
+        "Limits",
+    ):
+        assert words in card
+
+
+def test_the_small_cgnf_s_prior_stands_upright_and_varies():
+    estimator = load_estimator("cgnf-small")
+    assert isinstance(estimator, CGNF)
+    notes = read_tensors(WEIGHTS / "cgnf-small.safetensors")[1]["notes"]
+    assert notes["config"]["data"]["test_subjects"] == ["S3", "S6", "S49"]
+    poses = estimator.prior(3).sample(20, generator=torch.Generator().manual_seed(0))
+    assert poses.isfinite().all()
+    # y points down: the head of a grown person is half a metre and more above the hip, the feet as much below it
+    heights = dict(zip(estimator.joints, poses[..., 1].flatten(0, 1).median(0).values.tolist(), strict=True))
+    assert -900 < heights["Head"] < -300
+    assert 500 < heights["RFoot"] < 1100
+    assert poses.std(0).mean() > 10
