@@ -111,6 +111,6 @@ def test_poses_that_are_all_unknown_or_all_at_one_point_say_nothing_of_their_uni
 
 
 def test_one_unit_for_both_is_no_word_for_files_that_differ_a_thousandfold() -> None:
-    with pytest.raises(PoseDataError, match=r"differ in size by a factor of 1,000; .*--truth-unit for the other\.$"):
+    with pytest.raises(PoseDataError, match=r"differ in size by a factor of 971; .*--truth-unit for the other\.$"):
         joined(0.001, 1, how=Join(unit="m"))
     assert joined(0.001, 1, how=Join(unit="m", truth_unit="mm")).remarks == ()
