@@ -24,7 +24,7 @@ from posecal.registry import metrics_of
 from posecal.sureness import null
 from posecal.totals import Totals, difference_of_signatures
 
-__all__ = ["Comparison", "Difference", "compare"]
+__all__ = ["Comparison", "Difference", "check_same_poses", "compare"]
 
 LEVEL = 0.05
 """Differences with an adjusted p-value below this count in the ranks."""
@@ -41,7 +41,7 @@ class Difference:
     first, second : str
         The two models.
     value : float
-        The first's number minus the second's.
+        The first's number minus the second's; where 0 is best, how much further from 0 the first's is.
     low, high : float
         95 % interval of the difference, over repetitions of the sequences.
     p : float
@@ -95,9 +95,15 @@ class Comparison:
     def feasible(self, metric: str = "ece") -> float:
         """Give the largest calibration error that a calibrated sampler would show here: its 95 % quantile.
 
-        Each model's own deviations give one; the smallest is the one of the best calibrated.
+        Each model's own deviations give one; this is the smallest, a guide for the eye. Whether a model is beyond it by
+        chance says :meth:`calibrated`.
         """
         return min(null(totals, self.metrics[metric]).high for totals in self.totals)
+
+    def calibrated(self, metric: str = "ece") -> list[str]:
+        """Name the models whose calibration error is not beyond what chance would show them."""
+        tests = [null(totals, self.metrics[metric]).p for totals in self.totals]
+        return [name for name, p in zip(self.names, tests, strict=True) if p >= LEVEL]
 
     def rank(self, metric: str, model: str) -> int:
         """Give a model's rank: 1 and how many are better beyond chance."""
@@ -156,7 +162,7 @@ def compare(totals: Sequence[Totals], names: Sequence[str]) -> Comparison:
                 f"{names[0]} and {name} were not made alike: {difference_of_signatures(first, other)}. "
                 "Evaluate both with the same options; --hypotheses takes as many hypotheses of each."
             )
-        _check_same_poses(first, other, names[0], name)
+        check_same_poses(first, other, names[0], name)
     known = [metrics_of(t.protocol, t.subject) for t in totals]
     shared = {name: metric for name, metric in known[0].items() if all(name in other for other in known)}
     pairs = list(combinations(range(len(totals)), 2))
@@ -164,6 +170,8 @@ def compare(totals: Sequence[Totals], names: Sequence[str]) -> Comparison:
     for metric in shared.values():
         values = [t.value(metric) for t in totals]
         without = [t.without(metric) for t in totals]
+        if metric.direction == "zero":  # nearer to 0 is better: the distances from it are compared
+            values, without = [abs(value) for value in values], [np.abs(some) for some in without]
         found = [jackknife(values[a] - values[b], without[a] - without[b]) for a, b in pairs]
         adjusted = holm([paired_p(interval) for interval in found])
         for (a, b), interval, p in zip(pairs, found, adjusted, strict=True):
@@ -181,12 +189,17 @@ def _better(metric: Metric, first: float, second: float) -> bool | None:
     """Whether the first number is the better one; None where no direction is."""
     if metric.direction == "none":
         return None
-    if metric.direction == "zero":
-        return abs(first) < abs(second)
-    return (first < second) == (metric.direction == "lower")
+    return (first < second) == (metric.direction != "higher")
 
 
-def _check_same_poses(first: Totals, other: Totals, name: str, other_name: str) -> None:
+def check_same_poses(first: Totals, other: Totals, name: str, other_name: str) -> None:
+    """Refuse two evaluations of other poses.
+
+    Raises
+    ------
+    PoseDataError
+        Where sequences, numbers of poses, or the true poses differ.
+    """
     counts = [t.by_sequence(TRUE_POSES) for t in (first, other)]
     labels = [sorted(set(t.cells["sequence"].tolist())) for t in (first, other)]
     if labels[0] != labels[1] or not np.array_equal(counts[0][1], counts[1][1]):

@@ -65,10 +65,11 @@ def _whole(report: Findings) -> Iterator[str]:
 
 def _joints(report: Findings) -> Iterator[str]:
     tests = report.joint_tests()
-    sides: dict[str, list[str]] = {"overconfident": [], "underconfident": []}
+    sides: dict[str, list[str]] = {"overconfident": [], "underconfident": [], "off, on neither side throughout,": []}
     for joint, (area, p) in sorted(tests.items(), key=lambda entry: -abs(entry[1][0])):
         if p < LEVEL:
-            sides[_side(area)].append(joint)
+            clear = abs(area) > report.value("ece", joint=joint) / 2
+            sides[_side(area) if clear else "off, on neither side throughout,"].append(joint)
     named = [f"{side} at {_several(joints)}" for side, joints in sides.items() if joints]
     if named:
         yield f"Joint by joint: {', '.join(named)} (adjusted for {len(tests)} joints)."

@@ -156,8 +156,9 @@ def join(hypotheses: Poses, truth: Poses, how: Join | None = None) -> PosePairs:
         fps=fps,
         names=(hypotheses.name, truth.name),
     )
-    declared = (hypotheses.unit or how.unit) is not None, (truth.unit or how.truth_unit or how.unit) is not None
-    remarks += doubts(pairs, *declared)
+    said = (hypotheses.unit or how.unit) is not None, (truth.unit or how.truth_unit or how.unit) is not None
+    each = (hypotheses.unit is not None and truth.unit is not None) or how.truth_unit is not None
+    remarks += doubts(pairs, *said, each=each)
     if root is None and how.root_joint != "none":
         remarks.append("no root joint is known, so positions are taken as they stand; --root-joint names one.")
     return replace(pairs, remarks=tuple(remarks))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["brief_number", "number", "p_value"]
+__all__ = ["brief_number", "counted", "number", "p_value"]
 
 
 def number(value: float, unit: str = "") -> str:
@@ -22,3 +22,8 @@ def p_value(value: float) -> str:
 def brief_number(value: float, unit: str) -> str:
     """Write a number of a wide table: one digit after the point for lengths, three for shares."""
     return "–" if math.isnan(value) else f"{value:z.1f}" if unit else f"{value:z.3f}"
+
+
+def counted(number: int, one: str, many: str = "") -> str:
+    """Write how many there are of something: ``1 pose``, ``2,000 poses``."""
+    return f"{number:,} {one if number == 1 else many or f'{one}s'}"

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from posecal.block import FloatArray
+from posecal.comparison import check_same_poses
 from posecal.errors import PoseDataError
 from posecal.metrics.score_table import PAIRED
 from posecal.pairs import PosePairs, Rows
@@ -118,8 +119,9 @@ def with_skills(totals: Totals, reference: Totals, name: str) -> Totals:
     PoseDataError
         Where the two are not over the same poses.
     """
-    if len(totals.poses) != len(reference.poses) or not np.array_equal(totals.poses, reference.poses):
-        raise PoseDataError(f"{name}: other poses than the model's; expected hypotheses of the same frames.")
+    check_same_poses(totals, reference, "the model", name)
+    if any(not np.array_equal(labels, reference.cells[label]) for label, labels in totals.cells.items()):
+        raise PoseDataError(f"{name}: its poses are labelled in another way; expected the labels of the model's.")
     found = replace(totals, subject=replace(totals.subject, reference=name), sums=dict(totals.sums))
     found.counts = dict(totals.counts)
     for statistic in PAIRED:

@@ -18,7 +18,7 @@ TINY = 10.0
 """Poses of this size, in what should be mm, must be metres: a person's joints lie some 400 mm from their centre."""
 
 
-def doubts(pairs: PosePairs, declared: bool, true_declared: bool) -> list[str]:
+def doubts(pairs: PosePairs, declared: bool, true_declared: bool, *, each: bool) -> list[str]:
     """Look for wrong units.
 
     Parameters
@@ -27,6 +27,8 @@ def doubts(pairs: PosePairs, declared: bool, true_declared: bool) -> list[str]:
         What was joined.
     declared, true_declared : bool
         Whether the hypotheses' and the truth's units were said, by a file or by the user.
+    each : bool
+        Whether each was said on its own, not one for both.
 
     Returns
     -------
@@ -53,8 +55,11 @@ def doubts(pairs: PosePairs, declared: bool, true_declared: bool) -> list[str]:
     remarks = [f"{words} Is its unit right?" for words, _ in tiny]
     if size > 0 and ours > 0 and not 0.05 < ours / size < 20:
         differ = f"{name} and {true_name} differ in size by a factor of {max(ours / size, size / ours):,.0f}"
-        if not (declared and true_declared):
-            raise PoseDataError(f"{differ}; expected one unit. Store unit in both, or pass --unit and --truth-unit.")
+        if not each:
+            raise PoseDataError(
+                f"{differ}; expected one unit. Store unit in both, or pass --unit for the one and --truth-unit for the "
+                "other."
+            )
         remarks.append(f"{differ}. Are their units right?")
     return remarks or _bones(pairs)
 

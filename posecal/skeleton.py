@@ -55,6 +55,10 @@ JOINT_SETS: dict[str, tuple[str, ...]] = {
     "h36m-17": _H36M_17,
     "h36m-16": _H36M_17[1:],
     "h36m-14": tuple(name for name in _H36M_17 if name not in {"Hip", "Spine", "Neck/Nose"}),
+    "lsp-14": (
+        *("RFoot", "RKnee", "RHip", "LHip", "LKnee", "LFoot", "RWrist", "RElbow", "RShoulder"),
+        *("LShoulder", "LElbow", "LWrist", "Thorax", "Head"),
+    ),
     "3dhp-14": (
         *("Head", "Thorax", "RShoulder", "RElbow", "RWrist", "LShoulder", "LElbow", "LWrist"),
         *("RHip", "RKnee", "RFoot", "LHip", "LKnee", "LFoot"),

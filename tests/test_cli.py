@@ -668,3 +668,23 @@ def test_poses_are_grouped_by_any_label_and_by_spread_and_sight(by: str) -> None
     counts = {"sequence": 12, "action": 3, "spread": 3, "spread:2": 2, "spread=25,30": 3, "sight": 2}
     assert len(groups) == counts[by]
     assert {group.partition("=")[0] for group in groups} == {re.split("[:=]", by)[0]}
+
+
+# --- flags and presets ----------------------------------------------------------------------------------------
+
+
+def test_a_flag_that_is_given_wins_over_the_preset() -> None:
+    text = done(*EVALUATE, "--preset=cgnf-occluded", "--where=all", "--metrics=mpjpe", "--format=json")
+    like = ("--set", "joints=h36m-16", "--set", "root=drop")
+    plain = done(*EVALUATE, *like, "--metrics=mpjpe", "--format=json")
+    assert rows(text)["mpjpe", None, None] == rows(plain)["mpjpe", None, None]
+
+
+def test_a_group_shows_metrics_that_the_whole_does_not() -> None:
+    assert "MPJPE" in done(*EVALUATE, "--metrics=mpjpe", "--by=sight")
+
+
+def test_a_saved_result_in_the_place_of_poses_is_refused_with_what_takes_it() -> None:
+    assert "is a saved result and holds no poses. posecal report shows it" in refused(
+        "evaluate", "result.npz", "gt.npz"
+    )

@@ -228,3 +228,27 @@ def test_one_sequence_gives_a_difference_and_no_p_value() -> None:
     assert math.isnan(found.p)
     assert math.isnan(found.low)
     assert found.better is None
+
+
+def test_a_number_that_is_best_at_zero_is_compared_by_its_distance_from_zero() -> None:
+    """Too narrow by as much as too wide: the signed areas differ beyond any doubt, their sizes don't."""
+    centre = X.mean(axis=0)
+    found = compare([totals_of(centre + s * (X - centre), Y, "signed_area") for s in (0.8, 1.3)], ["narrow", "wide"])
+    narrow, wide = (found.value("signed_area", name) for name in found.names)
+    assert narrow < -0.03
+    assert wide > 0.03
+    (difference,) = found.differences
+    assert difference.value == pytest.approx(abs(narrow) - abs(wide))
+    assert difference.better is None
+
+
+def test_models_are_not_ranked_by_an_event_that_each_chooses_itself() -> None:
+    """Far off and knowing it has a perfect Brier score."""
+    far = compare([totals_of(X, Y, "brier"), totals_of(5000.0 + 20 * X, Y, "brier")], ["right", "far"])
+    assert far.value("brier", "far") < far.value("brier", "right")
+    assert far.differences[0].better is None
+
+
+def test_models_are_called_calibrated_by_their_own_test(three: Comparison) -> None:
+    assert "narrow" not in three.calibrated()
+    assert "right" in three.calibrated()

@@ -108,3 +108,9 @@ def test_poses_that_are_all_unknown_or_all_at_one_point_say_nothing_of_their_uni
             Poses("gt.npz", MemoryArray(array), joints=JOINTS),
         )
         assert all("metres" not in remark for remark in pairs.remarks)
+
+
+def test_one_unit_for_both_is_no_word_for_files_that_differ_a_thousandfold() -> None:
+    with pytest.raises(PoseDataError, match=r"differ in size by a factor of 971; .*--truth-unit for the other\.$"):
+        joined(0.001, 1, how=Join(unit="m"))
+    assert joined(0.001, 1, how=Join(unit="m", truth_unit="mm")).remarks == ()

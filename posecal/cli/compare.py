@@ -41,8 +41,11 @@ def compare(
             show_default=False,
         ),
     ],
-    where: Annotated[Where, option("Which joints to score.")] = Where.all,
-    metrics: Annotated[str, option("default, battery, scores, all, or names, with commas.")] = "default, scores",
+    where: Annotated[Where | None, option("Which joints to score.", show_default="all")] = None,
+    metrics: Annotated[
+        str | None,
+        option("default, battery, scores, all, or names, with commas.", show_default="default and, from N = 2, scores"),
+    ] = None,
     preset: Annotated[str | None, option("A published protocol; see posecal presets.")] = None,
     options: Annotated[
         list[str] | None, option("Any option that posecal presets lists. Repeatable.", "--set", metavar="OPTION=VALUE")
@@ -72,11 +75,17 @@ def compare(
         totals = [Totals.load(path) for path in files]
     else:
         *models, truth = files
+        if len(models) < 2:
+            raise typer.BadParameter(
+                "expected hypotheses of two or more models and, last, the truth; or two or more saved results."
+            )
         names = _names(models)
         how = join_of(axes, truth_axes, unit, truth_unit, joint_names, root_joint, missing)
-        protocol = protocol_of(preset, options or [], where, "all", metrics)
-        for path in models:
-            pairs = read_pairs(path, truth, how, most)
+        protocol = protocol_of(preset, options or [], where, None, metrics)
+        models_of = [read_pairs(path, truth, how, most) for path in models]
+        if protocol.metrics == "default" and all(pairs.shape[0] > 1 for pairs in models_of):
+            protocol = protocol.changed({"metrics": "default, scores"})
+        for path, pairs in zip(models, models_of, strict=True):
             with progress(len(pairs.truth), path.name) as advance:
                 totals.append(add_up(pairs, protocol, threads=threads, progress=advance))
     found = compare_totals(totals, names)

@@ -37,7 +37,7 @@ from posecal.cli.running import check_outputs, guarded, join_of, progress, proto
 
 __all__ = ["demo", "evaluate", "merge", "presets", "report"]
 
-Metrics = Annotated[str, option("default, battery, scores, all, or names, with commas.")]
+Metrics = Annotated[str | None, option("default, battery, scores, all, or names, with commas.", show_default="default")]
 
 
 @guarded
@@ -45,9 +45,12 @@ def evaluate(
     hypotheses: Hypotheses,
     truth: Truth,
     by: By = None,
-    where: Annotated[Where, option("Which joints to score.")] = Where.all,
-    joints: Annotated[str, option("all, a joint set, names with commas, or common: those in both files.")] = "all",
-    metrics: Metrics = "default",
+    where: Annotated[Where | None, option("Which joints to score.", show_default="all")] = None,
+    joints: Annotated[
+        str | None,
+        option("all, a joint set, names with commas, or common: those in both files.", show_default="all"),
+    ] = None,
+    metrics: Metrics = None,
     battery: Annotated[bool, option("Add the tests for what the ECE can't see.", "--battery")] = False,
     scores: Annotated[bool, option("Add the proper scores.", "--scores")] = False,
     skill: Annotated[

@@ -114,7 +114,7 @@ def join_of(
     joint_names: str | None = None,
     root_joint: str | None = None,
     missing: Missing = Missing.error,
-    joints: str = "all",
+    joints: str | None = None,
 ) -> Join:
     """Give what the flags say of the files."""
     from posecal.joining import Join
@@ -126,9 +126,17 @@ def join_of(
 
 def read_pairs(hypotheses: Path, truth: Path, how: Join, most: int | None = None) -> PosePairs:
     """Open two files and join them."""
+    from posecal.errors import PoseFileError
     from posecal.io import read_poses
     from posecal.joining import join
+    from posecal.totals import is_result
 
+    for path in (hypotheses, truth):
+        if is_result(path):
+            raise PoseFileError(
+                f"{path.name} is a saved result and holds no poses. posecal report shows it; posecal compare takes "
+                "results alone, without a truth."
+            )
     pairs = join(read_poses(hypotheses, "hypotheses"), read_poses(truth, "truth"), how)
     return pairs if most is None else pairs.with_hypotheses(most)
 
@@ -136,9 +144,9 @@ def read_pairs(hypotheses: Path, truth: Path, how: Join, most: int | None = None
 def protocol_of(
     preset: str | None,
     options: list[str],
-    where: Where = Where.all,
-    joints: str = "all",
-    metrics: str = "default",
+    where: Where | None = None,
+    joints: str | None = None,
+    metrics: str | None = None,
     own: Collection[str] = (),
 ) -> Protocol:
     """Give the protocol of a preset, changed by options and flags; ``own`` are names of the user's own metrics."""
@@ -152,11 +160,11 @@ def protocol_of(
         if not equals:
             raise typer.BadParameter(f"{entry!r}: expected OPTION=VALUE, such as best=sequence.", param_hint="--set")
         said[key.strip()] = value.strip()
-    if where is not Where.all:
+    if where is not None:
         said["where"] = where.value
-    if joints not in {"all", "common"}:
+    if joints not in {None, "common"}:
         said["joints"] = joints
-    if metrics != "default":
+    if metrics is not None:
         said["metrics"] = metrics
     with wrong_call():
         protocol = (Protocol() if preset is None else named(preset).protocol).changed(said)

@@ -356,7 +356,9 @@ def brier_score(
 
     Notes
     -----
-    Differs from the published code: none; the pose papers don't report it.
+    Whether a model knows when its own median can be relied on. The event is each model's own, so models are not ranked
+    by it: one that is always wrong and knows it has a score of 0. Differs from the published code: none; the pose
+    papers don't report it.
 
     References
     ----------

@@ -118,9 +118,9 @@ def score_metrics(scope: Scope) -> Iterator[Metric]:
         name="brier",
         label=f"Brier score, {threshold:g} mm",
         unit="",
-        direction="lower",
+        direction="none",
         family="scores",
-        brief=f"of: median pose right to {threshold:g} mm at every joint",
+        brief=f"of: own median right to {threshold:g} mm at every joint; no ranking, the event is the model's own",
         definition=f"mean over poses of (p − o)² − p (1 − p) / (N − 1); o, p: {event}",
         statistic=Statistic("brier", lambda block: fair_brier(block, scope.moving, threshold)),
         finish=item(),
@@ -134,7 +134,7 @@ def score_metrics(scope: Scope) -> Iterator[Metric]:
             name=name,
             label=name.replace("_", ", ").replace("brier", "Brier"),
             unit="",
-            direction="lower" if place == 0 else "higher",
+            direction="none",
             family="scores",
             brief=words.removeprefix("part of the Brier score that "),
             definition=f"{words}, by isotonic regression of o on p, equal p pooled (CORP); o, p: {event}",
@@ -143,8 +143,8 @@ def score_metrics(scope: Scope) -> Iterator[Metric]:
         )
 
 
-PAIRED = ("energies", "crps", "variogram", "brier")
-"""The statistics that are kept beside a reference's, for skills."""
+PAIRED = ("energies", "crps", "variogram")
+"""The statistics that are kept beside a reference's, for skills; not the Brier score's, whose event is the model's."""
 
 
 def skill_metrics(scope: Scope) -> Iterator[Metric]:

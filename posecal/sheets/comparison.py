@@ -59,9 +59,6 @@ def _said(comparison: Comparison) -> list[str]:
         winners = [m for m in comparison.names if all(comparison.rank(name, o) > 1 for o in comparison.names if o != m)]
         best = [model for model in winners if comparison.rank(name, model) == 1]
         found.append(f"{label}: {best[0]} is best beyond chance." if best else f"{label}: none is best beyond chance.")
-    if "ece" in comparison.metrics and not math.isnan(limit := comparison.feasible()):
-        calibrated = [model for model in comparison.names if comparison.value("ece", model) <= limit]
-        found.append(
-            f"ECE that chance allows here: up to {limit:.3f}; so calibrated: {', '.join(calibrated) or 'none'}."
-        )
+    if "ece" in comparison.metrics and not math.isnan(comparison.feasible()):
+        found.append(f"Not miscalibrated beyond chance: {', '.join(comparison.calibrated()) or 'none'}.")
     return found

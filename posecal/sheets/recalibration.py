@@ -6,7 +6,7 @@ import math
 
 from posecal.block import FloatArray
 from posecal.findings import Findings
-from posecal.numbers import number
+from posecal.numbers import counted, number
 from posecal.recalibration.radius import RadiusMap
 from posecal.recalibration.spread import SpreadMap
 from posecal.tables import Sheet, Table
@@ -22,9 +22,9 @@ def spread_sheet(found: SpreadMap, judged: tuple[Totals, Totals, list[FloatArray
     words, tables = [], []
     rows: list[tuple[str, ...]]
     if len(factors) == 1:
-        words.append(f"Spread factor {moving[0][1]:.4f} for all joints, fitted on {found.poses:,} poses.")
+        words.append(f"Spread factor {moving[0][1]:.4f} for all joints, fitted on {counted(found.poses, 'pose')}.")
     else:
-        words.append(f"A spread factor for each of {len(moving)} joints, fitted on {found.poses:,} poses.")
+        words.append(f"A spread factor for each of {len(moving)} joints, fitted on {counted(found.poses, 'pose')}.")
         rows = [(joint, f"{factor:.4f}") for joint, factor in moving]
         tables.append(Table("Factors", (("joint", False), ("factor", True)), rows))
     if judged is None:

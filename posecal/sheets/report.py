@@ -11,7 +11,7 @@ import math
 from posecal.conclusion import verdict
 from posecal.findings import Findings
 from posecal.metric import Metric
-from posecal.numbers import brief_number, number, p_value
+from posecal.numbers import brief_number, counted, number, p_value
 from posecal.registry import GROUPS
 from posecal.rows import Row
 from posecal.tables import Sheet, Table
@@ -59,12 +59,12 @@ def title(report: Findings) -> str:
     totals = report.totals
     subject, poses = totals.subject, int(totals.poses.sum())
     sequences = len(set(totals.cells["sequence"].tolist()))
-    of = f" in {sequences:,} sequences" if totals.sequences else ""
+    of = f" in {counted(sequences, 'sequence')}" if totals.sequences else ""
     origin = "as given" if subject.root is None else f"relative to {subject.joints[subject.root]}"
     where = "" if totals.protocol.where == "all" else f", {totals.protocol.where} joints only"
     return (
-        f"posecal {totals.version} · N = {subject.n_hypotheses} hypotheses · M = {poses:,} poses{of} · "
-        f"K = {len(subject.joints)} joints, {origin}{where}"
+        f"posecal {totals.version} · N = {counted(subject.n_hypotheses, 'hypothesis', 'hypotheses')} · "
+        f"M = {counted(poses, 'pose')}{of} · K = {counted(len(subject.joints), 'joint')}, {origin}{where}"
     )
 
 
@@ -100,7 +100,9 @@ def tables(report: Findings, *, joints: bool = False) -> list[Table]:
     for family, name in FAMILIES.items():
         rows = [metric for metric in shown if metric.family == family]
         if rows:
-            second = {"calibration": "by chance, or 95 %", "battery": "by chance"}.get(family, "95 % interval")
+            second = {"calibration": "by chance, or 95 %", "battery": "by chance; p adjusted"}.get(
+                family, "95 % interval"
+            )
             columns = ((name, False), ("value", True), (second, False), ("", False), ("what it is", False))
             found.append(Table(name, columns, [_row(report, metric) for metric in rows]))
     for label in report.by:
@@ -109,7 +111,8 @@ def tables(report: Findings, *, joints: bool = False) -> list[Table]:
             if row.joint is None and row.group is not None and row.group.startswith(f"{label}="):
                 grouped.setdefault(row.group.partition("=")[2], {})[row.metric] = row
         names = [name for name in BY_GROUP if all(name in group for group in grouped.values())]
-        columns = ((label, False), ("poses", True), *((report.metrics[name].label, True) for name in names))
+        labels = {row.metric: row.label for rows in grouped.values() for row in rows.values()}
+        columns = ((label, False), ("poses", True), *((labels[name], True) for name in names))
         found.append(Table(f"By {label}", columns, [_group_row(*group, names) for group in grouped.items()]))
     if joints:
         names = [name for name in BY_JOINT if name in report.metrics]
