@@ -164,6 +164,8 @@ class PosePairs:
         Frames per second.
     where : bool array (M, K) or None
         The joints that count.
+    usable : bool array (M, K) or None
+        The joints that poses are aligned by, where some of them don't count; by default those that count.
     names : tuple of two str
         What messages call the hypotheses and the truth.
     remarks : tuple of str
@@ -182,6 +184,7 @@ class PosePairs:
     fps: float | None
     names: tuple[str, str]
     where: BoolArray | None = None
+    usable: BoolArray | None = None
     remarks: tuple[str, ...] = ()
 
     @property
@@ -202,6 +205,7 @@ class PosePairs:
             occluded=None if self.occluded is None else self.occluded[poses],
             scores=None if self.scores is None else self.scores[:, poses],
             where=None if self.where is None else self.where[poses],
+            usable=None if self.usable is None else self.usable[poses],
         )
 
     def with_hypotheses(self, most: int) -> PosePairs:
