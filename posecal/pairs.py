@@ -63,6 +63,18 @@ class Poses:
     scores: FloatArray | None = None
     fps: float | None = None
 
+    @property
+    def beside(self) -> dict[str, npt.NDArray[np.generic]]:
+        """What is said of the frames beside their coordinates, as members of a file."""
+        found: dict[str, npt.NDArray[np.generic]] = {**self.labels, **self.marks}
+        if self.frame_id is not None:
+            found["frame_id"] = self.frame_id
+        if self.scores is not None:
+            found["scores"] = self.scores
+        if self.fps is not None:
+            found["fps"] = np.array(self.fps)
+        return found
+
 
 class Hypotheses(Protocol):
     """N hypotheses of M poses, read some poses at a time."""
