@@ -129,7 +129,7 @@ def add_up(
 def _statistics(protocol: Protocol, subject: Subject, preranks: Mapping[str, PreRank] | None) -> dict[str, Statistic]:
     found = {TRUE_POSES.name: TRUE_POSES}
     found |= {s.name: s for metric in metrics_of(protocol, subject, preranks).values() for s in metric.statistics}
-    if "default" in protocol.metrics or "all" in protocol.metrics:
+    if {"default", "all"}.intersection(protocol.wanted):
         found |= {curve.statistic.name: curve.statistic for curve in curves_of(protocol, subject).values()}
     return found
 

@@ -224,6 +224,11 @@ def test_only_statistics_that_are_asked_for_are_added_up(some: World) -> None:
     assert {"errors_by_n", "pck_curve", "cps_curve"} <= set(add_up(some.pairs).sums)
 
 
+def test_a_name_with_all_in_it_does_not_ask_for_all(some: World) -> None:
+    found = add_up(some.pairs, Protocol(metrics="fall"), preranks={"fall": lambda pool: pool[:, 0, 2]})
+    assert set(found.sums) == {"truth", "fall"}
+
+
 def test_poses_are_grouped_by_their_predicted_spread(some: World) -> None:
     totals = add_up(some.pairs, Protocol(metrics="mpjpe"), by=["spread:2"])
     x, moving = oracles.relative(some.x, some.root), np.arange(len(JOINTS)) != some.root
