@@ -99,9 +99,9 @@ class Block:
 
     @cached_property
     def whole(self) -> Block:
-        """The same poses with every usable joint, to align them by: those without coordinates that are finite are not.
+        """The same poses with every usable joint whose coordinates are finite, to which alignments are fitted.
 
-        The block itself where no usable joint goes uncounted.
+        The block itself where only the joints that count are usable.
         """
         return self if self._whole is None else self._whole()
 

@@ -271,6 +271,17 @@ def test_occluded_joints_that_nobody_marked_are_refused(some: World) -> None:
         add_up(replace(some.pairs, occluded=None), Protocol(where="occluded"))
 
 
+def test_joints_that_are_not_scored_and_have_no_coordinates_take_no_part_in_the_fit(some: World) -> None:
+    occluded = some.occluded & (np.arange(len(JOINTS)) != some.root)
+    x, y = some.x.copy(), some.y.copy()
+    x[1, occluded & (np.arange(M) % 2 == 0)[:, None]], y[occluded & (np.arange(M) % 2 == 1)[:, None]] = np.nan, np.inf
+    holed = replace(some, x=x, y=y, occluded=occluded)
+    found = add_up(holed.pairs, Protocol(where="visible", metrics="pa_mpjpe, cps"))
+    expected = add_up(replace(holed, where=~occluded).pairs, Protocol(metrics="pa_mpjpe, cps"))
+    for name in ("pa_errors", "cps"):
+        np.testing.assert_array_equal(found.sums[name], expected.sums[name])
+
+
 def test_no_joint_to_score_is_refused(some: World) -> None:
     with pytest.raises(PoseDataError, match=r"where: no joint of truth is visible; expected some to score\."):
         add_up(replace(some, occluded=np.ones_like(some.occluded)).pairs, Protocol(where="visible"))

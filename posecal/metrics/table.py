@@ -261,7 +261,7 @@ def _correct(scope: Scope) -> Iterator[Metric]:
         unit="" if p.cps_unit == "share" else "mm",
         direction="higher",
         family="accuracy",
-        brief=f"area to 300 mm of: all of {scope.number(scope.cps)} within τ",
+        brief=f"area to 300 mm of: all of {scope.counted(scope.cps)} within τ",
         definition=f"mean over poses of the area over τ = 1 … 300 mm of 1[each of {scope.counted(scope.cps)} within "
         f"τ]{_aligned_words(scope, align, scope.cps)}, {_SELECTED[taken]} at each τ"
         + ("; over 300 mm" if size > 1 else ""),
