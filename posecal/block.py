@@ -58,6 +58,8 @@ class Block:
         The model's own score of each hypothesis; higher is better.
     occluded : bool array (B, K), optional
         The joints whose keypoints were not seen; none by default.
+    usable : bool array (B, K), optional
+        Those to which alignments are fitted, those that count among them; those that count by default.
 
     Attributes
     ----------
@@ -80,6 +82,7 @@ class Block:
         follows: BoolArray | None = None,
         scores: FloatArray | None = None,
         occluded: BoolArray | None = None,
+        usable: BoolArray | None = None,
     ) -> None:
         self.occluded = np.zeros(truth.shape[:2], dtype=bool) if occluded is None else occluded
         self.where = np.ones(truth.shape[:2], dtype=bool) if where is None else where
@@ -90,6 +93,17 @@ class Block:
             self.truth = np.where(self.where[..., None], self.truth, 0)
         self._root, self._previous, self._follows, self._scores = root, previous, follows, scores
         self._shared: dict[Hashable, Any] = {}
+        self._whole: Callable[[], Block] | None = None
+        if usable is not None:
+            self._whole = partial(_finite, partial(Block, hypotheses, truth, root=root, scores=scores), usable)
+
+    @cached_property
+    def whole(self) -> Block:
+        """The same poses with every usable joint whose coordinates are finite, to which alignments are fitted.
+
+        The block itself where only the joints that count are usable.
+        """
+        return self if self._whole is None else self._whole()
 
     def stretched(self, factor: float) -> Block:
         """Give the same poses with the spread of the hypotheses about their median multiplied."""
@@ -98,6 +112,7 @@ class Block:
         other.where, other.occluded, other.truth = self.where, self.occluded, self.truth
         other._root, other._previous, other._follows, other._scores = self._root, None, self._follows, self._scores
         other._shared = {}
+        other._whole = None if self._whole is None else lambda: self.whole.stretched(factor)
         other.offsets = centre + times * (self.offsets - centre)
         other.__dict__["sorted"] = centre + times * (self.sorted - centre)  # stretching keeps the order
         return other
@@ -186,6 +201,12 @@ class Block:
         if self._previous is not None:
             before[:1] = _offsets(*self._previous[:2], self._root)
         return np.where((self.where & self.where_before)[..., None, None], self.offsets - before, 0)
+
+
+def _finite(lay_out: Callable[[BoolArray], Block], where: BoolArray) -> Block:
+    """Lay out the joints of a mask whose coordinates are all finite."""
+    block = lay_out(where)
+    return lay_out(where & ~block.non_finite) if block.non_finite.any() else block
 
 
 def _offsets(hypotheses: FloatArray, truth: FloatArray, root: int | None) -> FloatArray:
@@ -293,12 +314,13 @@ def blocks_of(
     follows: BoolArray | None = None,
     previous: Before | None = None,
     occluded: BoolArray | None = None,
+    usable: BoolArray | None = None,
 ) -> Iterator[Callable[[], Block]]:
     """Cut checked arrays in the paper's layout into blocks, in the order of their poses.
 
     Parameters
     ----------
-    hypotheses, truth, where, root, scores, follows, previous, occluded
+    hypotheses, truth, where, root, scores, follows, previous, occluded, usable
         As for :class:`Block`, of M poses instead of B.
 
     Yields
@@ -322,6 +344,7 @@ def blocks_of(
             follows=None if follows is None else follows[poses],
             previous=previous,
             occluded=None if occluded is None else occluded[poses],
+            usable=None if usable is None else usable[poses],
         )
 
 

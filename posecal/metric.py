@@ -193,8 +193,10 @@ class Scope:
         The options.
     subject : Subject
         What is measured.
+    fit : bool array (K,)
+        The joints that make up a pose: alignments are fitted to them, scored or not.
     body : bool array (K,)
-        The joints that make up a pose, in means over joints and in alignments.
+        Those that are scored: the same, without the root where that is dropped.
 
     Raises
     ------
@@ -204,14 +206,12 @@ class Scope:
 
     protocol: Protocol
     subject: Subject
+    fit: BoolArray = field(init=False)
     body: BoolArray = field(init=False)
 
     def __post_init__(self) -> None:
-        body = self._mask("joints", self.protocol.joints)
-        root = self.subject.root
-        if root is not None and self.protocol.root == "drop":
-            body[root] = False
-        object.__setattr__(self, "body", body)
+        object.__setattr__(self, "fit", self._mask("joints", self.protocol.joints))
+        object.__setattr__(self, "body", self.fit if self.protocol.root == "count" else self.moving)
         for option, mask in (
             ("joints", self.body),
             ("joints without the root", self.moving),
@@ -227,8 +227,8 @@ class Scope:
 
     @cached_property
     def moving(self) -> BoolArray:
-        """The joints of the body without the root."""
-        mask = self.body.copy()
+        """The joints of a pose without the root."""
+        mask = self.fit.copy()
         if self.subject.root is not None:
             mask[self.subject.root] = False
         return mask
@@ -246,17 +246,16 @@ class Scope:
         """The joints of CPS."""
         return self._mask("cps_joints", self.protocol.cps_joints) & self.body
 
-    @property
-    def where(self) -> str:
-        """Words for a mask of joints that differs by pose."""
-        return "" if self.protocol.where == "all" else f"{self.protocol.where} ones of "
-
     def counted(self, mask: BoolArray) -> str:
-        """Words for a mask of joints: how many, and whether the root is one."""
-        return f"the {self.where}{self.number(mask)}"
+        """Words for the scored ones of a mask of joints, with an article."""
+        return f"the {self.number(mask)}"
 
     def number(self, mask: BoolArray) -> str:
-        """Words for a mask of joints, without an article."""
+        """Words for the scored ones of a mask of joints: of which, how many, and whether the root is one."""
+        return self.size(mask) if self.protocol.where == "all" else f"{self.protocol.where} ones of {self.size(mask)}"
+
+    def size(self, mask: BoolArray) -> str:
+        """Words for a mask of joints, scored or not: how many, and whether the root is one."""
         words = f"{mask.sum()} joint{'s' if mask.sum() > 1 else ''}"
         root = self.subject.root
         if root is None:

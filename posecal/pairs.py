@@ -63,6 +63,18 @@ class Poses:
     scores: FloatArray | None = None
     fps: float | None = None
 
+    @property
+    def beside(self) -> dict[str, npt.NDArray[np.generic]]:
+        """What is said of the frames beside their coordinates, as members of a file."""
+        found: dict[str, npt.NDArray[np.generic]] = {**self.labels, **self.marks}
+        if self.frame_id is not None:
+            found["frame_id"] = self.frame_id
+        if self.scores is not None:
+            found["scores"] = self.scores
+        if self.fps is not None:
+            found["fps"] = np.array(self.fps)
+        return found
+
 
 class Hypotheses(Protocol):
     """N hypotheses of M poses, read some poses at a time."""
@@ -164,6 +176,8 @@ class PosePairs:
         Frames per second.
     where : bool array (M, K) or None
         The joints that count.
+    usable : bool array (M, K) or None
+        The joints that poses are aligned by, where some of them don't count; by default those that count.
     names : tuple of two str
         What messages call the hypotheses and the truth.
     remarks : tuple of str
@@ -182,6 +196,7 @@ class PosePairs:
     fps: float | None
     names: tuple[str, str]
     where: BoolArray | None = None
+    usable: BoolArray | None = None
     remarks: tuple[str, ...] = ()
 
     @property
@@ -202,6 +217,7 @@ class PosePairs:
             occluded=None if self.occluded is None else self.occluded[poses],
             scores=None if self.scores is None else self.scores[:, poses],
             where=None if self.where is None else self.where[poses],
+            usable=None if self.usable is None else self.usable[poses],
         )
 
     def with_hypotheses(self, most: int) -> PosePairs:

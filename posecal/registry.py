@@ -83,7 +83,7 @@ def metrics_of(
         For an unknown name, or a metric that needs what the subject lacks; all such names at once.
     """
     known = known_metrics(protocol, subject, preranks)
-    words = [word.strip() for word in protocol.metrics.split(",")]
+    words = protocol.wanted
     families = {metric.family for metric in known.values()}
     possible = {*known, "default", "all", *families.intersection(GROUPS)}
     raise_all(f"metrics: {word} {_lacks(word, subject, known)}" for word in words if word not in possible)
@@ -116,7 +116,7 @@ def check_names(protocol: Protocol, own: Collection[str] = ()) -> None:
     joints, n = JOINT_SETS["h36m-17"], ROUND_SIZES[-1] + 1
     anything = Subject(n, joints, root=0, labels=("sequence",), fps=1.0, scored=True, marked=True, reference="another")
     known = [*known_metrics(Protocol(), anything), *GROUPS, *own]
-    unknown = [word for word in (word.strip() for word in protocol.metrics.split(",")) if word not in known]
+    unknown = [word for word in protocol.wanted if word not in known]
     if unknown:
         raise PoseDataError(f"metrics: {', '.join(unknown)} not known. {did_you_mean(unknown[0], known)}")
 
@@ -124,8 +124,9 @@ def check_names(protocol: Protocol, own: Collection[str] = ()) -> None:
 def _lacks(name: str, subject: Subject, known: dict[str, Metric]) -> str:
     if "mpjve" in name and "sequence" not in subject.labels:
         return "needs sequences. Store a label sequence in the truth's file."
-    if ("weighted_pose" in name or "mode_mpjpe" in name) and not subject.scored:
-        return "needs the model's scores. Store scores beside the hypotheses, or set mode to an index."
+    if not subject.scored and ("weighted_pose" in name or "mode_mpjpe" in name):
+        otherwise = ", or set mode to an index" if "mode_mpjpe" in name else ""
+        return f"needs the model's scores. Store scores beside the hypotheses{otherwise}."
     if subject.n_hypotheses < 2 and name in {*GROUPS, *known_metrics(Protocol(), replace(subject, n_hypotheses=2))}:
         return "needs at least 2 hypotheses; there is 1."
     return f"is not known. {did_you_mean(name, known)}"

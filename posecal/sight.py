@@ -66,7 +66,7 @@ def sight_metrics(scope: Scope, sight: str) -> Iterator[Metric]:
     curves = Statistic("sight_inside", inside_both, per_joint=True)
     errors = Statistic("sight_errors", errors_both, per_joint=True)
     radii = Statistic("sight_radii", radii_both, per_joint=True)
-    of = f"mean over poses of the mean over their {sight} ones of {scope.number(scope.moving)}"
+    of = f"mean over poses of the mean over their {sight} ones of {scope.size(scope.moving)}"
     for name, label, which, words in (
         ("min_mpjpe", "minMPJPE", 0, f"of ‖x − y‖, of the best of N={n} hypotheses for it"),
         ("mpjpe", "MPJPE", 1, f"of ‖x − y‖, mean of N={n}"),

@@ -129,7 +129,7 @@ def add_up(
 def _statistics(protocol: Protocol, subject: Subject, preranks: Mapping[str, PreRank] | None) -> dict[str, Statistic]:
     found = {TRUE_POSES.name: TRUE_POSES}
     found |= {s.name: s for metric in metrics_of(protocol, subject, preranks).values() for s in metric.statistics}
-    if "default" in protocol.metrics or "all" in protocol.metrics:
+    if {"default", "all"}.intersection(protocol.wanted):
         found |= {curve.statistic.name: curve.statistic for curve in curves_of(protocol, subject).values()}
     return found
 
@@ -157,6 +157,7 @@ def walk(pairs: PosePairs) -> Iterator[tuple[slice, Callable[[], Block]]]:
             follows=follows[poses],
             previous=previous,
             occluded=None if pairs.occluded is None else pairs.occluded[poses],
+            usable=None if pairs.usable is None else pairs.usable[poses],
         )
         for number, block in enumerate(blocks):
             yield slice(start + number * size, min(start + (number + 1) * size, poses.stop)), block
@@ -218,7 +219,7 @@ def _scored(pairs: PosePairs, protocol: Protocol) -> PosePairs:
         if not kept.size:
             raise PoseDataError(f"frames: no pose of {name} has the label {protocol.frames}; expected some.")
         pairs = pairs.taken(kept)
-    where = pairs.where
+    where, usable = pairs.where, None
     if protocol.where != "all":
         if pairs.occluded is None:
             raise PoseDataError(
@@ -226,13 +227,14 @@ def _scored(pairs: PosePairs, protocol: Protocol) -> PosePairs:
                 "bool (M, K)."
             )
         chosen = pairs.occluded if protocol.where == "occluded" else ~pairs.occluded
+        usable = np.ones_like(chosen) if where is None else where
         where = chosen if where is None else chosen & where
     if where is not None and not where.any():
         what = "counts" if protocol.where == "all" else f"is {protocol.where}"
         raise PoseDataError(f"where: no joint of {name} {what}; expected some to score.")
     bad = ~np.isfinite(pairs.truth).all(axis=2)
     _refuse_non_finite(pairs, name, np.argwhere(bad if where is None else bad & where))
-    return replace(pairs, where=where)
+    return replace(pairs, where=where, usable=usable)
 
 
 def _refuse_non_finite(pairs: PosePairs, name: str, bad: npt.NDArray[np.intp]) -> None:

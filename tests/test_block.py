@@ -90,6 +90,33 @@ def test_weights_share_a_pose_among_the_joints_that_count() -> None:
     np.testing.assert_allclose(block.weights(only), [[0.5, 0.5, 0], [1, 0, 0], [0, 0, 0], [0, 0, 0]])
 
 
+def test_the_whole_of_a_block_holds_the_joints_that_can_be_used_but_do_not_count(arrays: tuple[Array, Array]) -> None:
+    x, y = (array.copy() for array in arrays)
+    where, usable = np.zeros((M, K), dtype=bool), np.ones((M, K), dtype=bool)
+    where[:, 1], usable[2, 0] = True, False
+    x[:, 2, 0], y[3, 2] = np.nan, np.inf  # one can't be used, one has no coordinates to use
+    usable[3, 2] = True
+    block = Block(x, y, where, usable=usable, root=1)
+    expected = usable.copy()
+    expected[3, 2] = False
+    np.testing.assert_array_equal(block.whole.where, expected)
+    offsets = oracles.relative(x, 1) - oracles.relative(y, 1)
+    np.testing.assert_allclose(block.whole.offsets[expected], offsets.transpose(1, 2, 3, 0)[expected])
+    assert not block.offsets[~where].any()
+    assert not block.non_finite.any()
+    np.testing.assert_allclose(
+        block.stretched(2).whole.offsets[expected], Block(x, y, expected, root=1).stretched(2).offsets[expected]
+    )
+
+
+def test_a_block_of_which_every_usable_joint_counts_is_its_own_whole(arrays: tuple[Array, Array]) -> None:
+    block = Block(*arrays, np.random.default_rng(0).random((M, K)) < 0.5)
+    assert block.whole is block
+    assert block.stretched(2).whole is not block.whole
+    stretched = block.stretched(2)
+    assert stretched.whole is stretched
+
+
 def test_what_is_shared_is_computed_once(arrays: tuple[Array, Array]) -> None:
     block, calls = Block(*arrays), []
     for _ in range(2):

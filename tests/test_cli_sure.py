@@ -143,7 +143,7 @@ def test_a_spread_is_fitted_judged_on_held_out_sequences_and_applied(folder: Pat
 def test_what_a_file_says_of_its_hypotheses_goes_with_them(folder: Path) -> None:
     done(folder, "recalibrate fit narrow.npz gt.npz -o map.json")
     said = {"scores": np.arange(N * M, dtype="f4").reshape(N, M), "occluded": np.arange(M * K).reshape(M, K) % 3 == 0}
-    said |= {"action": np.repeat(["walk", "sit"], M // 2)}
+    said |= {"action": np.repeat(["walk", "sit"], M // 2), "fps": np.array(25.0)}
     with np.load(folder / "narrow.npz") as narrow:
         np.savez(folder / "scored.npz", hypotheses=narrow["hypotheses"], joints=JOINTS, axes="NMKD", **said)
     done(folder, "recalibrate apply scored.npz map.json -o mended.npz")

@@ -224,6 +224,11 @@ def test_only_statistics_that_are_asked_for_are_added_up(some: World) -> None:
     assert {"errors_by_n", "pck_curve", "cps_curve"} <= set(add_up(some.pairs).sums)
 
 
+def test_a_name_with_all_in_it_does_not_ask_for_all(some: World) -> None:
+    found = add_up(some.pairs, Protocol(metrics="fall"), preranks={"fall": lambda pool: pool[:, 0, 2]})
+    assert set(found.sums) == {"truth", "fall"}
+
+
 def test_poses_are_grouped_by_their_predicted_spread(some: World) -> None:
     totals = add_up(some.pairs, Protocol(metrics="mpjpe"), by=["spread:2"])
     x, moving = oracles.relative(some.x, some.root), np.arange(len(JOINTS)) != some.root
@@ -264,6 +269,17 @@ def test_frames_of_which_there_is_none_are_refused(some: World) -> None:
 def test_occluded_joints_that_nobody_marked_are_refused(some: World) -> None:
     with pytest.raises(PoseDataError, match=r"where: truth does not say which joints are occluded; expected a member"):
         add_up(replace(some.pairs, occluded=None), Protocol(where="occluded"))
+
+
+def test_joints_that_are_not_scored_and_have_no_coordinates_take_no_part_in_the_fit(some: World) -> None:
+    occluded = some.occluded & (np.arange(len(JOINTS)) != some.root)
+    x, y = some.x.copy(), some.y.copy()
+    x[1, occluded & (np.arange(M) % 2 == 0)[:, None]], y[occluded & (np.arange(M) % 2 == 1)[:, None]] = np.nan, np.inf
+    holed = replace(some, x=x, y=y, occluded=occluded)
+    found = add_up(holed.pairs, Protocol(where="visible", metrics="pa_mpjpe, cps"))
+    expected = add_up(replace(holed, where=~occluded).pairs, Protocol(metrics="pa_mpjpe, cps"))
+    for name in ("pa_errors", "cps"):
+        np.testing.assert_array_equal(found.sums[name], expected.sums[name])
 
 
 def test_no_joint_to_score_is_refused(some: World) -> None:

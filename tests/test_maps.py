@@ -147,7 +147,9 @@ def test_pieces_give_the_same_file_as_the_whole(
 
 
 def test_joints_that_the_map_lacks_are_named(tmp_path: Path) -> None:
-    with pytest.raises(PoseDataError, match=r"map: it lacks the joints LFoot\. Fit one on these joints"):
+    with pytest.raises(
+        PoseDataError, match=r"hypotheses has joints that the map lacks: LFoot\. Fit a map on these joints"
+    ):
         applied(SpreadMap(JOINTS[:2], np.ones(2), 9, 3), tmp_path)
     assert not (tmp_path / "out.npz").exists()
 

@@ -28,9 +28,42 @@ def test_by_default_a_pose_is_all_its_joints_and_all_but_the_root_move() -> None
     assert names(scope, "moving") == set(H36M) - {"Hip"}
 
 
-def test_a_dropped_root_is_no_part_of_the_pose() -> None:
+def test_a_dropped_root_is_not_scored_but_takes_part_in_the_fit() -> None:
     scope = Scope(Protocol(root="drop"), PERSON)
     assert names(scope, "body") == names(scope, "moving") == set(H36M) - {"Hip"}
+    assert names(scope, "fit") == set(H36M)
+
+
+def test_an_alignment_is_fitted_to_no_joint_that_the_pose_leaves_out() -> None:
+    scope = Scope(Protocol(joints="h36m-14", root="drop"), PERSON)
+    assert names(scope, "fit") == names(scope, "body") == set(JOINT_SETS["h36m-14"])
+
+
+@pytest.mark.parametrize(
+    ("protocol", "words"),
+    [
+        (Protocol(root="drop"), "after Procrustes alignment (scale, rotation, translation), fitted to 17 joints (root"),
+        (Protocol(where="visible"), "(scale, rotation, translation), fitted to 17 joints (root counted)"),
+        (
+            Protocol(),
+            "the 17 joints (root counted) of ‖x − y‖ after Procrustes alignment (scale, rotation, translation)",
+        ),
+    ],
+)
+def test_a_definition_says_what_the_alignment_is_fitted_to_where_that_is_not_what_is_scored(
+    protocol: Protocol, words: str
+) -> None:
+    known = known_metrics(protocol, PERSON)
+    assert words in known["pa_min_mpjpe"].definition
+    assert "fitted to 17 joints" in known["cps"].definition  # 16 of which are scored
+    assert "fitted" not in known["min_mpjpe"].definition
+    assert ("fitted" in known["pa_mpjpe"].definition) == (protocol != Protocol())
+
+
+def test_a_brief_says_which_joints_are_scored() -> None:
+    known = known_metrics(Protocol(where="occluded"), PERSON)
+    for name in ("min_mpjpe", "pa_mpjpe", "pck", "cps", "ece", "radius_50"):
+        assert "occluded ones of 1" in known[name].brief, name
 
 
 def test_without_a_root_nothing_is_dropped() -> None:

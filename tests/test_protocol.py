@@ -107,6 +107,10 @@ def test_a_changed_protocol_leaves_the_first_as_it_was() -> None:
     assert before == Protocol()
 
 
+def test_the_metrics_that_are_wanted_are_the_words_of_a_list() -> None:
+    assert Protocol(metrics=" ece,pck , all").wanted == ("ece", "pck", "all")
+
+
 def test_options_as_text_make_the_same_protocol() -> None:
     protocol = Protocol(best="batch:3", pck_threshold=99.5, metrics="pck, auc")
     assert Protocol().changed(protocol.options) == protocol

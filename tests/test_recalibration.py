@@ -141,8 +141,16 @@ def test_the_root_keeps_its_spread() -> None:
 @pytest.mark.parametrize("spread", [0.0, 0.02], ids=["no spread", "far too narrow"])
 def test_where_no_factor_calibrates_none_is_given(spread: float) -> None:
     x, y = gaussian(10, 6, 40, 2, spread=spread)
-    with pytest.raises(PoseDataError, match=r"spread: no factor from 0\.1 to 10 calibrates a joint"):
+    with pytest.raises(PoseDataError, match=r"spread: no factor from 0\.1 to 10 calibrates all joints together\. Do"):
         fit_spread(pairs_of(x, y), threads=1)
+
+
+def test_joints_that_no_factor_calibrates_are_named() -> None:
+    x, y = gaussian(10, 6, 40, 4, spread=0.8)
+    x[:, :, 1:3] = x[:1, :, 1:3]  # they agree on two joints
+    joints = ["Hip", "Head", "LFoot", "RKnee"]
+    with pytest.raises(PoseDataError, match=r"no factor from 0\.1 to 10 calibrates Head, LFoot\. Do the hypotheses"):
+        fit_spread(pairs_of(x, y, joints=joints, root_joint="none"), per_joint=True, threads=1)
 
 
 def test_one_hypothesis_has_no_spread_to_mend() -> None:

@@ -123,7 +123,11 @@ def test_min_mpjpe_is_given_at_round_numbers_up_to_n() -> None:
             r"metrics: mpjve needs sequences\. Store a label sequence in the truth's file\.",
         ),
         ("mode_mpjpe", Subject(7, H36M, 0), r"mode_mpjpe needs the model's scores\..* or set mode to an index\."),
-        ("n_weighted_pose_mpjpe", Subject(7, H36M, 0), r"n_weighted_pose_mpjpe needs the model's scores\."),
+        (
+            "n_weighted_pose_mpjpe",
+            Subject(7, H36M, 0),
+            r"n_weighted_pose_mpjpe needs the model's scores\. Store scores beside the hypotheses\.$",
+        ),
         ("ece_paper", Subject(1, H36M, 0), r"metrics: ece_paper needs at least 2 hypotheses; there is 1\."),
         ("coverage_50", Subject(1, H36M, 0), r"coverage_50 needs at least 2 hypotheses"),
         ("radius_50", Subject(1, H36M, 0), r"radius_50 needs at least 2 hypotheses"),

@@ -30,7 +30,8 @@ class Twin:
     def __init__(self, some: World, protocol: Protocol) -> None:
         self.world, self.protocol = some, protocol
         self.x, self.y = oracles.relative(some.x, some.root), oracles.relative(some.y, some.root)
-        self.counted = np.ones(some.y.shape[:2], dtype=bool) if some.where is None else some.where
+        usable = np.ones(some.y.shape[:2], dtype=bool) if some.where is None else some.where
+        self.counted, self.fitted = usable, usable & self.joints(protocol.joints)
         if protocol.where == "occluded":
             self.counted = self.counted & some.occluded
         if protocol.where == "visible":
@@ -99,7 +100,7 @@ class Twin:
 
     def define_errors(self, prefix: str, align: str) -> None:
         p, names = self.protocol, self.world.sequence
-        x = oracles.aligned(self.x, self.y, self.body, align)
+        x = oracles.aligned(self.x, self.y, self.fitted, align)
         e = oracles.pose_errors(x, self.y, self.body)
         kind, _, clips = p.best.partition(":")
         if kind == "joint":
@@ -117,7 +118,7 @@ class Twin:
         index = None if p.mode == "score" else int(p.mode)
         for of in ("mean_pose", "median_pose", "weighted_pose", "mode"):
             pose = oracles.one_pose(self.x, of, self.world.scores, index if of == "mode" else None)
-            moved = oracles.aligned(pose, self.y, self.body, align)
+            moved = oracles.aligned(pose, self.y, self.fitted, align)
             self.over_poses(f"{prefix}{of}_mpjpe", oracles.pose_errors(moved, self.y, self.body)[0])
         if not prefix:
             d = oracles.joint_errors(x, self.y)
@@ -134,7 +135,7 @@ class Twin:
             self.over_poses("auc", oracles.auc_integral(d, self.pck_joints, p.pck_best, self.links))
         else:
             self.over_poses("auc", oracles.auc(d, self.pck_joints, p.pck_best, self.links, strict=strict))
-        d = oracles.joint_errors(oracles.aligned(self.x, self.y, self.body, p.cps_align), self.y)
+        d = oracles.joint_errors(oracles.aligned(self.x, self.y, self.fitted, p.cps_align), self.y)
         area = oracles.cps(d, self.cps_joints, p.cps_best, self.links)
         self.over_poses("cps", area, 1 / 300 if p.cps_unit == "share" else 1.0)
 

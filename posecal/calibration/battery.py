@@ -26,7 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.block import Block, BoolArray, FloatArray, squared_norms
-from posecal.calibration.ranks import LEVELS
+from posecal.calibration.ranks import rank_weights, shared_ranks
 from posecal.errors import PoseDataError
 
 __all__ = ["BATTERY", "PreRank", "Test", "coordinate_weights", "load_prerank", "user_weights", "weights_of_ranks"]
@@ -56,14 +56,13 @@ def weights_of_ranks(prerank: FloatArray) -> FloatArray:
     Returns
     -------
     array (..., Q)
-        Weights clip(((N+1) q - n_less) / (n_equal + 1), 0, 1).
+        As :func:`posecal.calibration.ranks.rank_weights` gives them.
     """
     others, truth = prerank[..., :-1], prerank[..., -1:]
     size = np.maximum(np.abs(others).max(axis=-1, keepdims=True), np.abs(truth))
     tie = 64 * np.finfo(prerank.dtype).eps * size  # sums of the same numbers in another order tie
-    less = (others < truth - tie).sum(axis=-1)[..., None]
-    equal = (np.abs(others - truth) <= tie).sum(axis=-1)[..., None]
-    return np.asarray(np.clip((LEVELS * prerank.shape[-1] - less) / (equal + 1), 0, 1))
+    less, equal = (others < truth - tie).sum(axis=-1), (np.abs(others - truth) <= tie).sum(axis=-1)
+    return rank_weights(others.shape[-1], less, equal)
 
 
 def coordinate_weights(block: Block, joints: BoolArray) -> FloatArray:
@@ -71,33 +70,22 @@ def coordinate_weights(block: Block, joints: BoolArray) -> FloatArray:
 
     NaN for joints that don't count.
     """
-    less = (block.offsets < 0).sum(axis=-1)[..., None]
-    equal = (block.offsets == 0).sum(axis=-1)[..., None]
-    weights = np.clip((LEVELS * (block.n_hypotheses + 1) - less) / (equal + 1), 0, 1)
+    less, equal = (block.offsets < 0).sum(axis=-1), (block.offsets == 0).sum(axis=-1)
+    weights = rank_weights(block.n_hypotheses, less, equal)
     return np.where((block.where & joints)[:, :, None, None], weights, np.nan)
 
 
 def _ranks(points: FloatArray) -> FloatArray:
     """Rank of each point in its pool, 0 … N, ties sharing the mean, for each coordinate: (B, J·D, N + 1)."""
-    flat = points.reshape(len(points), -1, points.shape[-1])
-    order = np.argsort(flat, axis=-1)
-    ranks = np.empty(flat.shape)
-    np.put_along_axis(ranks, order, np.broadcast_to(np.arange(flat.shape[-1], dtype=np.float64), flat.shape), axis=-1)
-    ordered = np.take_along_axis(flat, order, axis=-1)
-    tied = (ordered[..., 1:] == ordered[..., :-1]).any(axis=-1)
-    if tied.any():
-        from scipy.stats import rankdata
-
-        ranks[tied] = rankdata(flat[tied], axis=-1) - 1
-    return ranks
+    return shared_ranks(points.reshape(len(points), -1, points.shape[-1]))
 
 
-def average_rank(points: FloatArray, truth: FloatArray) -> FloatArray:  # noqa: ARG001 (one shape for all pre-ranks)
+def average_rank(points: FloatArray) -> FloatArray:
     """Mean over coordinates of the rank in the pool, (B, N + 1)."""
     return np.asarray(_ranks(points).mean(axis=1))
 
 
-def band_depth(points: FloatArray, truth: FloatArray) -> FloatArray:  # noqa: ARG001
+def band_depth(points: FloatArray) -> FloatArray:
     """Mean over coordinates of (rank - 1)(N + 1 - rank), ranks from 1: how central a point is, (B, N + 1)."""
     ranks = _ranks(points)
     return np.asarray((ranks * (points.shape[-1] - 1 - ranks)).mean(axis=1))
@@ -115,7 +103,7 @@ def pair_distance(points: FloatArray, truth: FloatArray) -> FloatArray:
     return found
 
 
-def mahalanobis(points: FloatArray, truth: FloatArray) -> FloatArray:  # noqa: ARG001
+def mahalanobis(points: FloatArray) -> FloatArray:
     """Squared Mahalanobis distance to the pooled mean, with the pooled covariance shrunk to its diagonal."""
     flat = points.reshape(len(points), -1, points.shape[-1])
     centred = flat - flat.mean(axis=-1, keepdims=True)
@@ -137,7 +125,7 @@ def tarp_box(points: FloatArray, truth: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(squared_norms(points - reference[..., None]).sum(axis=1)))
 
 
-def tarp_hypothesis(points: FloatArray, truth: FloatArray) -> FloatArray:  # noqa: ARG001
+def tarp_hypothesis(points: FloatArray) -> FloatArray:
     """Distance to the first hypothesis, which is held out of the pool, (B, N)."""
     left = points[..., 1:] - points[..., :1]
     return np.asarray(np.sqrt(squared_norms(left).sum(axis=1)))
@@ -158,8 +146,11 @@ class Test:
     fires : str
         What it means when the test rejects.
     prerank : callable or None
-        From the pool (B, J, D, N + 1), 0 for joints that don't count, and the truth (B, J, D), NaN for them, to a
-        number of each point; None for the coordinates.
+        From the pool (B, J, D, N + 1), 0 for joints that don't count, to a number of each point; None where
+        ``prerank_of_poses`` is one, and for the coordinates.
+    prerank_of_poses : callable or None
+        The same from the pool and the true poses (B, J, D), NaN for joints that don't count: of what depends on where
+        poses are, and not only on how they differ.
     """
 
     __test__ = False  # not one of pytest's
@@ -168,15 +159,19 @@ class Test:
     label: str
     definition: str
     fires: str
-    prerank: Callable[[FloatArray, FloatArray], FloatArray] | None
+    prerank: Callable[[FloatArray], FloatArray] | None = None
+    prerank_of_poses: Callable[[FloatArray, FloatArray], FloatArray] | None = None
 
     def weights(self, block: Block, joints: BoolArray) -> FloatArray:
         """Weights of the truth's rank, (B, 1, Q), or (B, K, D, Q) for the coordinates."""
-        if self.prerank is None:
-            return coordinate_weights(block, joints)
         counted = block.where[:, joints]
-        truth = np.where(counted[..., None], block.truth[:, joints].astype(np.float64), np.nan)
-        found = weights_of_ranks(self.prerank(pool(block, joints), truth))
+        if self.prerank is not None:
+            found = weights_of_ranks(self.prerank(pool(block, joints)))
+        elif self.prerank_of_poses is not None:
+            truth = np.where(counted[..., None], block.truth[:, joints].astype(np.float64), np.nan)
+            found = weights_of_ranks(self.prerank_of_poses(pool(block, joints), truth))
+        else:
+            return coordinate_weights(block, joints)
         found[~counted.any(axis=1)] = np.nan
         return found[:, None]
 
@@ -246,7 +241,6 @@ BATTERY: tuple[Test, ...] = (
         "coordinate PIT",
         "rank of each coordinate itself, per joint and axis",
         "single coordinates are off to one side, or too narrow or too wide along an axis",
-        None,
     ),
     Test(
         "average_rank",
@@ -267,7 +261,7 @@ BATTERY: tuple[Test, ...] = (
         "pair distance",
         "sum over joint pairs of (√distance − its mean in the pool)²",
         "distances between joints are not predicted as they vary: joints move together less or more than they should",
-        pair_distance,
+        prerank_of_poses=pair_distance,
     ),
     Test(
         "mahalanobis",
@@ -288,7 +282,7 @@ BATTERY: tuple[Test, ...] = (
         "TARP, box",
         "distance of the whole pose to a random point of the pool's bounding box",
         "seen from a random point, the truth lies nearer or farther than the hypotheses do",
-        tarp_box,
+        prerank_of_poses=tarp_box,
     ),
 )
 """The tests, in the order of a report."""

@@ -20,7 +20,7 @@ import numpy as np
 from posecal.block import FloatArray
 from posecal.calibration.curve import CalibrationCurve
 from posecal.calibration.error import OverJoints, ece
-from posecal.calibration.ranks import LEVELS, Definition, known_definition
+from posecal.calibration.ranks import LEVELS, Definition, known_definition, rank_weights
 from posecal.errors import PoseDataError
 
 __all__ = ["Floor", "expected_curve", "perfect_sampler"]
@@ -160,7 +160,7 @@ def perfect_sampler(
         raise PoseDataError(f"poses: M = {n_poses}, K = {n_joints}; expected at least one of each.")
     if known == "exchangeable":
         chances = np.full(n_hypotheses + 1, 1 / (n_hypotheses + 1))
-        weights = np.clip(LEVELS * (n_hypotheses + 1) - np.arange(n_hypotheses + 1)[:, None], 0, 1)
+        weights = rank_weights(n_hypotheses, np.arange(n_hypotheses + 1))
     else:
         edges = np.concatenate([[0.0], np.maximum.accumulate(np.clip(mean, 0, 1)), [1.0]])
         chances = np.diff(edges)

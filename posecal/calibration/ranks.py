@@ -37,7 +37,16 @@ import numpy.typing as npt
 from posecal.block import Block, BoolArray, FloatArray, squared_norms
 from posecal.errors import PoseDataError, did_you_mean
 
-__all__ = ["DEFINITIONS", "LEVELS", "Definition", "inside", "known_definition", "nearness"]
+__all__ = [
+    "DEFINITIONS",
+    "LEVELS",
+    "Definition",
+    "inside",
+    "known_definition",
+    "nearness",
+    "rank_weights",
+    "shared_ranks",
+]
 
 Counts = npt.NDArray[np.intp]
 Definition = Literal["exchangeable", "paper", "reference"]
@@ -144,11 +153,59 @@ def _count(chosen: BoolArray) -> Counts:
     return total
 
 
+def rank_weights(n_hypotheses: int, less: npt.ArrayLike, equal: npt.ArrayLike = 0) -> FloatArray:
+    r"""Say how far inside each level a truth of some rank lies, ties shared.
+
+    .. math:: \operatorname{clip}\left(\frac{(N + 1)\, q - n_<}{n_= + 1}, 0, 1\right)
+
+    Parameters
+    ----------
+    n_hypotheses : int
+        N.
+    less, equal : arrays of int (...)
+        How many of the hypotheses come before the truth, and how many beside it.
+
+    Returns
+    -------
+    array (..., Q)
+        Weights for the levels of :data:`LEVELS`.
+
+    Examples
+    --------
+    Of three hypotheses one comes before the truth and one beside it: (4 q - 1) / 2.
+
+    >>> rank_weights(3, 1, 1)[[0, 5, 10, 15, 20]]
+    array([0. , 0. , 0.5, 1. , 1. ])
+    """
+    weights = (LEVELS * (n_hypotheses + 1) - np.asarray(less)[..., None]) / (np.asarray(equal)[..., None] + 1)
+    return np.asarray(np.clip(weights, 0, 1, out=weights))
+
+
+def shared_ranks(values: FloatArray) -> FloatArray:
+    """Rank of each value along the last axis, from 0, ties sharing the mean.
+
+    Examples
+    --------
+    >>> shared_ranks(np.array([4.0, 1, 4, 2]))
+    array([2.5, 0. , 2.5, 1. ])
+    """
+    order = np.argsort(values, axis=-1)
+    ranks = np.empty(values.shape)
+    np.put_along_axis(
+        ranks, order, np.broadcast_to(np.arange(values.shape[-1], dtype=np.float64), values.shape), axis=-1
+    )
+    ordered = np.take_along_axis(values, order, axis=-1)
+    tied = (ordered[..., 1:] == ordered[..., :-1]).any(axis=-1)
+    if tied.any():
+        from scipy.stats import rankdata
+
+        ranks[tied] = rankdata(values[tied], axis=-1) - 1
+    return ranks
+
+
 def _exchangeable(block: Block) -> FloatArray:
     found = nearness(block)
-    less, equal = found.less[..., None], (found.at_most[..., 0] - found.less)[..., None]
-    weights = (LEVELS * (block.n_hypotheses + 1) - less) / (equal + 1)
-    return np.asarray(np.clip(weights, 0, 1, out=weights))
+    return rank_weights(block.n_hypotheses, found.less, found.at_most[..., 0] - found.less)
 
 
 def _paper(block: Block) -> FloatArray:

@@ -171,7 +171,7 @@ def battery_metrics(scope: Scope, preranks: Mapping[str, PreRank] | None = None)
         yield _rank_metric(scope, test, lambda block, test=test: test.weights(block, scope.moving))  # type: ignore[misc]
     for name in scope.subject.preranks:
         own = (preranks or {}).get(name)
-        test = Test(name, name, "the user's own", "the truth does not rank as one of the hypotheses would", None)
+        test = Test(name, name, "the user's own", "the truth does not rank as one of the hypotheses would")
 
         def weights(block: Block, own: PreRank | None = own, name: str = name) -> FloatArray:
             if own is None:

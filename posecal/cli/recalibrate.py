@@ -99,8 +99,6 @@ def apply(
     map_ = read_map(map_file)
     poses = read_poses(hypotheses, "hypotheses")
     stored, joints, root = alone(poses, how)
-    known = {"frame_id": poses.frame_id, "scores": poses.scores, **poses.labels, **poses.marks}
-    members = {name: values for name, values in known.items() if values is not None}
     with progress(len(stored.rows), "applying") as advance:
-        apply_map(map_, stored, joints, root, len(stored.rows), output, members, advance)
+        apply_map(map_, stored, joints, root, len(stored.rows), output, poses.beside, advance)
     typer.echo(f"{output}: {len(stored.rows):,} poses.", err=True)

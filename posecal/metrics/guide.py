@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.block import FloatArray
+from posecal.calibration.ranks import shared_ranks
 from posecal.errors import PoseDataError
 
 __all__ = ["DROPPED", "rank_correlation", "sparsification", "sparsification_area"]
@@ -25,13 +26,6 @@ def _pair(spread: npt.ArrayLike, error: npt.ArrayLike) -> tuple[FloatArray, Floa
         raise PoseDataError(f"spread {s.shape} and error {e.shape}: expected (M,) both.")
     known = ~(np.isnan(s) | np.isnan(e))
     return s[known], e[known]
-
-
-def _ranks(values: FloatArray) -> FloatArray:
-    """Ranks from 1, ties sharing their mean."""
-    _, place, count = np.unique(values, return_inverse=True, return_counts=True)
-    last: FloatArray = np.cumsum(count) - (count - 1) / 2
-    return last[place]
 
 
 def rank_correlation(spread: npt.ArrayLike, error: npt.ArrayLike) -> float:
@@ -66,7 +60,7 @@ def rank_correlation(spread: npt.ArrayLike, error: npt.ArrayLike) -> float:
     s, e = _pair(spread, error)
     if len(np.unique(s)) < 2 or len(np.unique(e)) < 2:
         return float("nan")
-    return round(float(np.corrcoef(_ranks(s), _ranks(e))[0, 1]), 12)
+    return round(float(np.corrcoef(shared_ranks(s), shared_ranks(e))[0, 1]), 12)
 
 
 def sparsification(spread: npt.ArrayLike, error: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:

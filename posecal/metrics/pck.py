@@ -99,6 +99,7 @@ def joint_score(
     align: Alignment = "none",
     joints: BoolArray | None = None,
     body: BoolArray | None = None,
+    fit: BoolArray | None = None,
 ) -> FloatArray:
     """Mean over a pose's joints of a score of their errors, of the hypothesis that ``select`` takes.
 
@@ -115,7 +116,9 @@ def joint_score(
     joints : bool array (K,), optional
         The joints that are scored.
     body : bool array (K,), optional
-        The joints that make up the pose: the alignment is fitted to them, and ``linked`` chooses by them.
+        The joints that minMPJPE is of, by which ``linked`` chooses.
+    fit : bool array (K,), optional
+        The joints to which the alignment is fitted, of those that are usable; those of ``body`` by default.
 
     Returns
     -------
@@ -123,16 +126,17 @@ def joint_score(
         Scores, with the trailing axes that the score adds; NaN for poses without a joint that counts.
     """
     weights = block.weights(joints).astype(np.float64)
+    fit = body if fit is None else fit
     found: FloatArray
     if select == "own":
-        found = score(_best_ordered(block, align, joints, body)).sum(axis=1)
+        found = score(_best_ordered(block, align, joints, fit)).sum(axis=1)
         number = np.maximum(np.count_nonzero(weights, axis=1), 1)
         found /= number.reshape(-1, *[1] * (found.ndim - 1))
     elif select == "linked":
-        errors = linked(block, joint_errors(block, align, None, body), body)
+        errors = linked(block, joint_errors(block, align, None, fit), body)
         found = np.einsum("bk,bk...->b...", weights, score(errors))
     else:
-        scores = score(joint_errors(block, align, None, body))
+        scores = score(joint_errors(block, align, None, fit))
         found = np.einsum("bk,bkn...->b...", weights, scores) / block.n_hypotheses
     found[~weights.any(axis=1)] = np.nan
     return found
@@ -145,12 +149,13 @@ def pose_score(
     align: Alignment = "none",
     joints: BoolArray | None = None,
     body: BoolArray | None = None,
+    fit: BoolArray | None = None,
 ) -> FloatArray:
     """Score the largest error among a pose's joints, of the hypothesis that ``select`` takes.
 
     Parameters
     ----------
-    block, score, select, align, joints, body
+    block, score, select, align, joints, body, fit
         As for :func:`joint_score`.
 
     Returns
@@ -159,7 +164,8 @@ def pose_score(
         Scores; NaN for poses without a joint that counts.
     """
     weights = block.weights(joints)
-    errors = np.where(weights[..., None] > 0, joint_errors(block, align, None, body), 0)
+    aligned = joint_errors(block, align, None, body if fit is None else fit)
+    errors = np.where(weights[..., None] > 0, aligned, 0)
     worst = errors.max(axis=1)
     if select == "own":
         found = score(worst.min(axis=-1))
@@ -172,18 +178,18 @@ def pose_score(
     return found
 
 
-def _best_ordered(block: Block, align: Alignment, joints: BoolArray | None, body: BoolArray | None) -> FloatArray:
+def _best_ordered(block: Block, align: Alignment, joints: BoolArray | None, fit: BoolArray | None) -> FloatArray:
     """Smallest, over the hypotheses, of the i-th smallest joint error, (B, K); infinite for joints left out."""
 
     def compute() -> FloatArray:
-        errors = joint_errors(block, align, None, body)
+        errors = joint_errors(block, align, None, fit)
         counted = block.weights(joints) > 0
         if joints is not None:
             errors, counted = errors[:, joints], counted[:, joints]
         ordered = np.sort(np.where(counted[..., None], errors, np.inf), axis=1)
         return np.asarray(ordered.min(axis=-1))
 
-    masks = (None if mask is None else mask.tobytes() for mask in (joints, body))
+    masks = (None if mask is None else mask.tobytes() for mask in (joints, fit))
     return block.share(("best_ordered", align, *masks), compute)
 
 

@@ -89,7 +89,7 @@ def joint_errors(
     block: Block,
     align: Alignment = "none",
     of: OfPoses | None = None,
-    body: BoolArray | None = None,
+    fit: BoolArray | None = None,
     mode: int | None = None,
 ) -> FloatArray:
     """Distance from the truth per joint, after an alignment, of each hypothesis or of one pose made of them.
@@ -102,8 +102,8 @@ def joint_errors(
         How each pose is moved onto the truth first; see :mod:`posecal.align`.
     of : str, optional
         One of :data:`OF_POSES`; each hypothesis by default.
-    body : bool array (K,), optional
-        The joints that make up the pose, to which the alignment is fitted; all by default.
+    fit : bool array (K,), optional
+        The joints to which the alignment is fitted, of those that are usable; all by default.
     mode : int, optional
         As for :func:`pose_of`.
 
@@ -114,11 +114,12 @@ def joint_errors(
     """
     if align == "none" and of is None:
         return block.errors
-    key = ("joint_errors", align, of, None if body is None or align == "none" else body.tobytes(), mode)
+    key = ("joint_errors", align, of, None if fit is None or align == "none" else fit.tobytes(), mode)
 
     def compute() -> FloatArray:
-        offsets = block.offsets if of is None else pose_of(block, of, mode)
-        return aligned_errors(offsets, block.truth, block.weights(body), align)
+        whole = block if align == "none" else block.whole
+        offsets = whole.offsets if of is None else pose_of(whole, of, mode)
+        return aligned_errors(offsets, whole.truth, whole.weights(fit), align)
 
     return block.share(key, compute)
 
@@ -129,22 +130,34 @@ def pose_errors(
     of: OfPoses | None = None,
     body: BoolArray | None = None,
     mode: int | None = None,
+    fit: BoolArray | None = None,
 ) -> FloatArray:
     """Mean over a pose's joints of :func:`joint_errors`.
+
+    Parameters
+    ----------
+    block, align, of, mode
+        As for :func:`joint_errors`.
+    body : bool array (K,), optional
+        The joints that the mean is over; all by default.
+    fit : bool array (K,), optional
+        The joints to which the alignment is fitted; those of ``body`` by default.
 
     Returns
     -------
     array (B, n)
         Errors, mm; NaN for poses without a joint that counts.
     """
+    fit = body if fit is None else fit
 
     def compute() -> FloatArray:
         weights = block.weights(body)
-        errors = (weights[:, None] @ joint_errors(block, align, of, body, mode))[:, 0]
+        errors = (weights[:, None] @ joint_errors(block, align, of, fit, mode))[:, 0]
         errors[~weights.any(axis=1)] = np.nan
         return errors
 
-    return block.share(("pose_errors", align, of, None if body is None else body.tobytes(), mode), compute)
+    masks = (None if mask is None else mask.tobytes() for mask in (body, None if align == "none" else fit))
+    return block.share(("pose_errors", align, of, *masks, mode), compute)
 
 
 def linked(block: Block, values: FloatArray, body: BoolArray | None = None) -> FloatArray:
@@ -186,7 +199,7 @@ def mpjpe(
         ``none``, ``similarity`` (PA-MPJPE), ``rigid``, ``reflection``, ``scale`` (N-MPJPE), ``norm_root`` or
         ``rms_mean``; see :mod:`posecal.align`.
     where : bool array (M, K), optional
-        The joints that count.
+        The joints that count: those that the mean is over and, too, those that the alignment is fitted to.
     root : int, optional
         The joint to subtract from every pose first.
     mode : int

@@ -9,7 +9,7 @@ from typing import cast
 import numpy as np
 
 from posecal.align import Alignment
-from posecal.block import Block, FloatArray
+from posecal.block import Block, BoolArray, FloatArray
 from posecal.errors import PoseDataError
 from posecal.metric import Curve, Metric, Scope, Statistic, item
 from posecal.metrics.best_of import ROUND_SIZES, curve_sizes
@@ -55,15 +55,20 @@ def accuracy_metrics(scope: Scope) -> Iterator[Metric]:
 
 
 def _error_words(scope: Scope, align: Alignment) -> str:
-    return f"mean over {scope.counted(scope.body)} of ‖x − y‖{_ALIGNED[align]}"
+    return f"mean over {scope.counted(scope.body)} of ‖x − y‖{_aligned_words(scope, align, scope.body)}"
+
+
+def _aligned_words(scope: Scope, align: Alignment, scored: BoolArray) -> str:
+    fitted_to_scored = scope.protocol.where == "all" and np.array_equal(scored, scope.fit)
+    return _ALIGNED[align] + ("" if align == "none" or fitted_to_scored else f", fitted to {scope.size(scope.fit)}")
 
 
 def _of_errors(scope: Scope, align: Alignment, prefix: str) -> Iterator[Metric]:
-    n, body, error = scope.subject.n_hypotheses, scope.body, _error_words(scope, align)
+    n, body, fit, error = scope.subject.n_hypotheses, scope.body, scope.fit, _error_words(scope, align)
     by_link = prefix == "pa_" and scope.protocol.align_best == "linked"
 
     def of_n(block: Block) -> FloatArray:
-        errors = pose_errors(block, align, body=body)
+        errors = pose_errors(block, align, body=body, fit=fit)
         least = linked(block, errors, body) if by_link else errors.min(axis=-1)
         return np.stack(
             [least, errors.mean(axis=-1), np.median(errors, axis=-1), errors.max(axis=-1)],
@@ -72,8 +77,10 @@ def _of_errors(scope: Scope, align: Alignment, prefix: str) -> Iterator[Metric]:
         )
 
     def of_joints(block: Block) -> FloatArray:
-        errors = joint_errors(block, align, body=body)
-        best = np.take_along_axis(errors, pose_errors(block, align, body=body).argmin(axis=-1)[:, None, None], axis=-1)
+        errors = joint_errors(block, align, fit=fit)
+        best = np.take_along_axis(
+            errors, pose_errors(block, align, body=body, fit=fit).argmin(axis=-1)[:, None, None], axis=-1
+        )
         found = np.stack([best[..., 0], errors.mean(axis=-1)], axis=-1, dtype=np.float64)
         return np.where((block.where & body)[..., None], found, np.nan)
 
@@ -118,11 +125,11 @@ def _best_over(scope: Scope, metric: Metric, align: Alignment, prefix: str) -> M
 
         def per_joint(block: Block) -> FloatArray:
             weights = block.weights(scope.body)
-            found = (weights * joint_errors(block, align, body=scope.body).min(axis=-1)).sum(axis=1, dtype=np.float64)
+            found = (weights * joint_errors(block, align, fit=scope.fit).min(axis=-1)).sum(axis=1, dtype=np.float64)
             return np.where(weights.any(axis=1), found, np.nan)
 
         def of_joints(block: Block) -> FloatArray:
-            least = joint_errors(block, align, body=scope.body).min(axis=-1)
+            least = joint_errors(block, align, fit=scope.fit).min(axis=-1)
             return np.where(block.where & scope.body, least, np.nan)
 
         joints = Statistic(f"{prefix}joint_errors_of_best_joints", of_joints, True)
@@ -139,7 +146,9 @@ def _best_over(scope: Scope, metric: Metric, align: Alignment, prefix: str) -> M
     span = "sequence" if kind == "sequence" else f"batch of {clips} sequences"
     return replace(
         metric,
-        statistic=Statistic(f"{prefix}errors_of_n", lambda block: pose_errors(block, align, body=scope.body)),
+        statistic=Statistic(
+            f"{prefix}errors_of_n", lambda block: pose_errors(block, align, body=scope.body, fit=scope.fit)
+        ),
         finish=lambda mean: float(mean.min()),
         by_joint=None,
         clips=int(clips or 1),
@@ -176,7 +185,7 @@ def _of_one_pose(scope: Scope, align: Alignment, prefix: str) -> Iterator[Metric
             definition=f"mean over poses of the error of the {pose}; error: {_error_words(scope, align)}",
             statistic=Statistic(
                 f"{prefix}{of}_error",
-                lambda block, of=of: pose_errors(block, align, of, scope.body, index)[:, 0],  # type: ignore[misc]
+                lambda block, of=of: pose_errors(block, align, of, scope.body, index, scope.fit)[:, 0],  # type: ignore[misc]
             ),
             finish=item(),
             headline=prefix == "" and of == "mean_pose",
@@ -252,10 +261,13 @@ def _correct(scope: Scope) -> Iterator[Metric]:
         unit="" if p.cps_unit == "share" else "mm",
         direction="higher",
         family="accuracy",
-        brief=f"area to 300 mm of: all of {scope.number(scope.cps)} within τ",
+        brief=f"area to 300 mm of: all of {scope.counted(scope.cps)} within τ",
         definition=f"mean over poses of the area over τ = 1 … 300 mm of 1[each of {scope.counted(scope.cps)} within "
-        f"τ]{_ALIGNED[align]}, {_SELECTED[taken]} at each τ" + ("; over 300 mm" if size > 1 else ""),
-        statistic=Statistic("cps", lambda block: pose_score(block, cps_area, taken, align, scope.cps, scope.body)),
+        f"τ]{_aligned_words(scope, align, scope.cps)}, {_SELECTED[taken]} at each τ"
+        + ("; over 300 mm" if size > 1 else ""),
+        statistic=Statistic(
+            "cps", lambda block: pose_score(block, cps_area, taken, align, scope.cps, scope.body, scope.fit)
+        ),
         finish=lambda mean: float(mean) / size,
         headline=True,
     )
@@ -323,10 +335,11 @@ def accuracy_curves(scope: Scope) -> Iterator[Curve]:
         name="cps_curve",
         at=THRESHOLDS,
         axes=("threshold τ [mm]", "share of correct poses"),
-        definition=f"share of poses with each of {scope.counted(scope.cps)} within τ{_ALIGNED[align]}, "
+        definition=f"share of poses with each of {scope.counted(scope.cps)} within "
+        f"τ{_aligned_words(scope, align, scope.cps)}, "
         f"{_SELECTED[taken]} at each τ",
         statistic=Statistic(
-            "cps_curve", lambda block: pose_score(block, complete, taken, align, scope.cps, scope.body)
+            "cps_curve", lambda block: pose_score(block, complete, taken, align, scope.cps, scope.body, scope.fit)
         ),
     )
 

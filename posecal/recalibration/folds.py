@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from posecal.block import BoolArray
+from posecal.block import BoolArray, FloatArray
 from posecal.errors import PoseDataError
 from posecal.pairs import PosePairs, Rows
 
-__all__ = ["at_least_two", "folds_of", "moving", "sequences"]
+__all__ = ["at_least_two", "folds_of", "for_joints", "moving", "sequences"]
 
 
 def folds_of(pairs: PosePairs, folds: int = 5) -> Rows:
@@ -44,6 +44,20 @@ def moving(pairs: PosePairs) -> BoolArray:
     if pairs.root is not None:
         mask[pairs.root] = False
     return mask
+
+
+def for_joints(names: tuple[str, ...], values: FloatArray, joints: tuple[str, ...], whose: str) -> FloatArray:
+    """Give a map's values, which it has by name, in the order of some joints.
+
+    Raises
+    ------
+    PoseDataError
+        Where the map lacks one of them.
+    """
+    missing = [joint for joint in joints if joint not in names]
+    if missing:
+        raise PoseDataError(f"{whose} has joints that the map lacks: {', '.join(missing)}. Fit a map on these joints.")
+    return values[[names.index(joint) for joint in joints]]
 
 
 def sequences(pairs: PosePairs) -> int:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -18,10 +18,11 @@ import numpy.typing as npt
 import posecal
 from posecal.archive import Archive
 from posecal.block import Block, FloatArray, block_length
-from posecal.errors import PoseDataError, PoseFileError
+from posecal.errors import PoseFileError
 from posecal.io import written_whole
 from posecal.metrics.spread import joint_deviations
 from posecal.pairs import Hypotheses
+from posecal.recalibration.folds import for_joints
 from posecal.recalibration.radius import RadiusMap
 from posecal.recalibration.spread import SpreadMap, stretched
 from posecal.summation import WINDOW_BYTES
@@ -108,7 +109,7 @@ def apply_map(
     root: int | None,
     n_poses: int,
     path: str | os.PathLike[str],
-    members: dict[str, npt.NDArray[np.generic]],
+    members: Mapping[str, npt.NDArray[np.generic]],
     progress: Callable[[int], object] | None = None,
 ) -> None:
     """Apply a map to hypotheses, into a file that posecal reads; some poses at a time, whole or not at all.
@@ -127,8 +128,8 @@ def apply_map(
         M.
     path : path
         An ``.npz`` file: ``hypotheses`` (M, N, K, D), or ``centre`` (M, K, D) and ``radius`` (M, K), mm.
-    members : dict of arrays
-        What else goes into the file: frame ids, say.
+    members : mapping of arrays
+        What else goes into the file: :attr:`posecal.pairs.Poses.beside`, say.
     progress : callable, optional
         Called with the number of poses that are done.
 
@@ -141,9 +142,8 @@ def apply_map(
     """
     first = hypotheses.read(0, 1)
     n, _, k, d = first.shape
-    missing = [joint for joint in joints if joint not in map_.joints]
-    if missing:
-        raise PoseDataError(f"map: it lacks the joints {', '.join(missing)}. Fit one on these joints.")
+    values = map_.factors if isinstance(map_, SpreadMap) else map_.radii
+    values = for_joints(map_.joints, values, joints, "hypotheses")
     window = max(1, WINDOW_BYTES // (n * k * d * first.dtype.itemsize))
 
     def windows() -> Iterator[FloatArray]:
@@ -157,13 +157,11 @@ def apply_map(
         with Archive(file) as archive:
             common = {"joints": np.array(joints), "unit": np.array("mm"), **members}
             if isinstance(map_, SpreadMap):
-                factors = map_.factors[[map_.joints.index(joint) for joint in joints]]
-                parts = (stretched(found, factors, root).swapaxes(0, 1) for found in windows())
+                parts = (stretched(found, values, root).swapaxes(0, 1) for found in windows())
                 archive.add_pieces("hypotheses", (n_poses, n, k, d), first.dtype, parts)
                 common["axes"] = np.array("MNKD")
             else:
-                radii = map_.radii[[map_.joints.index(joint) for joint in joints]]
-                found = [_balls(found, radii, root, scaled=map_.scaled) for found in windows()]
+                found = [_balls(found, values, root, scaled=map_.scaled) for found in windows()]
                 common["centre"] = np.concatenate([centre for centre, _ in found])
                 common["radius"] = np.concatenate([radius for _, radius in found])
                 common["alpha"] = np.array(map_.alpha)

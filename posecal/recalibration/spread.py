@@ -21,7 +21,7 @@ from posecal.calibration.ranks import LEVELS
 from posecal.errors import PoseDataError
 from posecal.pairs import Hypotheses, PosePairs, Rows
 from posecal.protocol import Protocol
-from posecal.recalibration.folds import at_least_two, folds_of, moving, sequences
+from posecal.recalibration.folds import at_least_two, folds_of, for_joints, moving, sequences
 from posecal.summation import add_up, walk
 from posecal.totals import Totals
 
@@ -52,8 +52,8 @@ class SpreadMap:
 
     def applied(self, pairs: PosePairs) -> PosePairs:
         """Give pairs whose hypotheses are stretched when they are read."""
-        factors = _for_joints(self.joints, self.factors, pairs.joints, pairs.names[0])
-        return replace(pairs, hypotheses=Stretched(pairs.hypotheses, factors, pairs.root), scores=pairs.scores)
+        factors = for_joints(self.joints, self.factors, pairs.joints, pairs.names[0])
+        return replace(pairs, hypotheses=Stretched(pairs.hypotheses, factors, pairs.root))
 
 
 @dataclass(frozen=True)
@@ -124,13 +124,6 @@ def stretched(hypotheses: FloatArray, factors: FloatArray, root: int | None = No
     return moved
 
 
-def _for_joints(names: tuple[str, ...], values: FloatArray, joints: tuple[str, ...], where: str) -> FloatArray:
-    missing = [joint for joint in joints if joint not in names]
-    if missing:
-        raise PoseDataError(f"{where} has joints that the map lacks: {', '.join(missing)}. Fit a map on these joints.")
-    return values[[names.index(joint) for joint in joints]]
-
-
 def _curves(pairs: PosePairs, folds: Rows, threads: int | None) -> tuple[FloatArray, npt.NDArray[np.int64]]:
     """Sums of the ``inside`` weights for every factor, (F, G, K, Q), and their counts (F, K), by part."""
     mask = moving(pairs)
@@ -155,12 +148,22 @@ def _curves(pairs: PosePairs, folds: Rows, threads: int | None) -> tuple[FloatAr
     return sums, counts
 
 
-def _best_factors(sums: FloatArray, counts: npt.NDArray[np.int64], *, per_joint: bool) -> FloatArray:
+def _best_factors(
+    sums: FloatArray, counts: npt.NDArray[np.int64], joints: tuple[str, ...], *, per_joint: bool
+) -> FloatArray:
     """Factors (K,) at which the curves (G, K, Q) are closest to the diagonal; 1 for joints that don't count."""
     used = counts > 0
     distance = ((sums[:, used] / counts[used][:, None] - LEVELS) ** 2).mean(axis=-1)  # (G, K used)
     if not per_joint:
         distance = np.repeat(distance.mean(axis=1, keepdims=True), used.sum(), axis=1)
+    uncalibrated = np.flatnonzero(used)[np.isin(distance.argmin(axis=0), (0, len(FACTORS) - 1))]
+    if uncalibrated.size:
+        which = (
+            ", ".join(joints[k].removeprefix("joint ") for k in uncalibrated) if per_joint else "all joints together"
+        )
+        raise PoseDataError(
+            f"spread: no factor from {FACTORS[0]:g} to {FACTORS[-1]:g} calibrates {which}. Do the hypotheses all agree?"
+        )
     factors = np.ones(len(counts))
     factors[used] = [_minimum(column) for column in distance.T]
     return factors
@@ -169,10 +172,6 @@ def _best_factors(sums: FloatArray, counts: npt.NDArray[np.int64], *, per_joint:
 def _minimum(distance: FloatArray) -> float:
     """Where a function of the factors is smallest, by a parabola in the logarithm through the best three."""
     best = int(distance.argmin())
-    if best in (0, len(FACTORS) - 1):
-        raise PoseDataError(
-            f"spread: no factor from {FACTORS[0]:g} to {FACTORS[-1]:g} calibrates a joint. Do its hypotheses all agree?"
-        )
     left, middle, right = distance[best - 1 : best + 2]
     bend = left - 2 * middle + right
     shift = 0.5 * (left - right) / bend if bend > 0 else 0.0
@@ -208,7 +207,7 @@ def fit_spread(pairs: PosePairs, *, per_joint: bool = False, threads: int | None
     """
     at_least_two(pairs)
     sums, counts = _curves(pairs, np.zeros(len(pairs.truth), dtype=np.intp), threads)
-    factors = _best_factors(sums[0], counts[0], per_joint=per_joint)
+    factors = _best_factors(sums[0], counts[0], pairs.joints, per_joint=per_joint)
     return SpreadMap(pairs.joints, factors, len(pairs.truth), sequences(pairs))
 
 
@@ -253,7 +252,8 @@ def cross_fitted(
     before = add_up(pairs, protocol, threads=threads)
     after, factors = [], []
     for fold in range(folds):
-        found = _best_factors(sums.sum(axis=0) - sums[fold], counts.sum(axis=0) - counts[fold], per_joint=per_joint)
+        others = sums.sum(axis=0) - sums[fold], counts.sum(axis=0) - counts[fold]
+        found = _best_factors(*others, pairs.joints, per_joint=per_joint)
         held_out = pairs.taken(np.flatnonzero(part == fold))
         mended = SpreadMap(pairs.joints, found, 0, 0).applied(held_out)
         after.append(add_up(mended, protocol, threads=threads))

@@ -161,11 +161,35 @@ def test_the_body_limits_both_the_fit_and_the_mean(arrays: tuple[Array, Array]) 
     block, w = Block(x, y), np.tile(body, (M, 1))
     moved = oracles.aligned(x, y, w, "similarity")
     np.testing.assert_allclose(
-        joint_errors(block, "similarity", body=body).transpose(2, 0, 1), oracles.joint_errors(moved, y), rtol=1e-9
+        joint_errors(block, "similarity", fit=body).transpose(2, 0, 1), oracles.joint_errors(moved, y), rtol=1e-9
     )
     np.testing.assert_allclose(
         pose_errors(block, "similarity", body=body).T, oracles.pose_errors(moved, y, w), rtol=1e-9
     )
+
+
+@pytest.mark.parametrize("align", ALIGNMENTS)
+@pytest.mark.parametrize("of", [None, *OF_POSES])
+def test_joints_that_are_not_scored_take_part_in_the_fit(
+    arrays: tuple[Array, Array], where: Mask, align: Alignment, of: OfPoses | None
+) -> None:
+    """Two occluded joints alone would fit anything."""
+    x, y = arrays
+    scored, body = where & (np.arange(K) > 2), np.array([True, False, True, True, True])
+    block = Block(x, y, scored, usable=where)
+    pose = x if of is None else oracles.one_pose(x, of, index=3)
+    moved = oracles.aligned(pose, y, where & body, align)
+    found = pose_errors(block, align, of, np.arange(K) != 3, 3, fit=body)
+    np.testing.assert_allclose(
+        found.T, oracles.pose_errors(moved, y, scored & (np.arange(K) != 3)), rtol=1e-9, atol=1e-6
+    )
+
+
+def test_two_fits_do_not_share_a_result(arrays: tuple[Array, Array]) -> None:
+    block, body = Block(*arrays), np.arange(K) > 0
+    for fit in (np.arange(K) < 4, body, None):
+        fresh = pose_errors(Block(*arrays), "similarity", body=body, fit=fit)
+        np.testing.assert_array_equal(pose_errors(block, "similarity", body=body, fit=fit), fresh)
 
 
 def test_two_bodies_do_not_share_a_result(arrays: tuple[Array, Array]) -> None:
