@@ -70,7 +70,7 @@ def title(report: Findings) -> str:
 
 def headline(report: Findings) -> list[Metric]:
     """Choose the metrics of the first tables: the headlines, and what was asked for by name or family."""
-    words = {word.strip() for word in report.totals.protocol.metrics.split(",")}
+    words = set(report.totals.protocol.wanted)
     named = words - set(GROUPS)
     return [
         metric
