@@ -156,7 +156,7 @@ class Findings:
         metric = self.metrics.get("ece") or self.metrics.get("signed_area")
         if metric is None or metric.by_joint is None:
             return {}
-        areas = signed_area(self.totals.mean(metric.statistic)[:-1])
+        areas = signed_area(self.totals.averaged(metric.statistic)[:-1])
         scored = [k for k, area in enumerate(areas) if not np.isnan(area)]
         adjusted = holm([joint_null(self.totals, metric, k).p for k in scored])
         joints = self.totals.subject.joints
@@ -252,7 +252,7 @@ class Findings:
         if name not in self.totals.sums:
             raise PoseDataError(f"curve: the report has no {name}; it is among the default metrics.")
         curve = self._curves[name]
-        return curve, self.totals.mean(curve.statistic)
+        return curve, self.totals.averaged(curve.statistic)
 
     def rank_curves(self, test: str) -> FloatArray:
         """Give the curves of a test of the battery, (R, Q): one, or one per coordinate.
@@ -265,7 +265,7 @@ class Findings:
         if test not in self.metrics or self.metrics[test].family != "battery":
             known = [name for name, metric in self.metrics.items() if metric.family == "battery"]
             raise PoseDataError(f"{test} is no test in the report. {did_you_mean(test, known)}")
-        curves = self.totals.mean(self.metrics[test].statistic).reshape(-1, LEVELS.size)
+        curves = self.totals.averaged(self.metrics[test].statistic).reshape(-1, LEVELS.size)
         return curves[~np.isnan(curves).any(axis=1)]
 
     def sparsification(self) -> tuple[FloatArray, FloatArray]:
@@ -297,4 +297,4 @@ class Findings:
 
     def _mean(self, name: str, cells: Cells) -> FloatArray:
         statistic = next(s for metric in self.metrics.values() for s in metric.statistics if s.name == name)
-        return self.totals.mean(statistic, cells)
+        return self.totals.averaged(statistic, cells)

@@ -107,8 +107,8 @@ def floors(totals: Totals, metrics: Metrics) -> Iterator[Row]:
         if name not in metrics:
             continue
         metric = metrics[name]
-        counts = totals.counts[metric.statistic.name].sum(axis=0)[:-1]
-        poses, joints = int(counts.max(initial=0)), int((counts > 0).sum())
+        worths = totals.worth(metric.statistic)[:-1]
+        poses, joints = round(worths.max(initial=0)), int((worths > 0).sum())
         if not poses:
             continue
         over = cast(OverJoints, totals.protocol.summary_over_joints)

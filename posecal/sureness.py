@@ -39,7 +39,7 @@ def interval(totals: Totals, metric: Metric, cells: Cells = None) -> Interval:
 
 def deviations(
     totals: Totals, statistic: Statistic, cells: Cells = None, offset: FloatArray | None = None
-) -> tuple[FloatArray, npt.NDArray[np.int64]]:
+) -> tuple[FloatArray, npt.NDArray[np.integer] | FloatArray]:
     """Give the deviations of each sequence from calibration, (S, J, Q), and their counts (S, J)."""
     sums, counts = totals.by_sequence(statistic, cells)
     inner = int(np.prod(sums.shape[2:-1], dtype=int))  # axes of a joint, say

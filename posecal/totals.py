@@ -14,6 +14,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,9 @@ __all__ = ["FORMAT", "Totals", "difference_of_signatures", "is_result"]
 
 FORMAT = 1
 """The version of the file format."""
+
+CURVES = ("calibration", "battery")
+"""Families of metrics that are read off curves."""
 
 Cells = Mapping[str, npt.NDArray[np.str_]]
 
@@ -121,6 +125,49 @@ class Totals:
         chosen = slice(None) if cells is None else cells
         return _mean(self.sums[statistic.name][chosen].sum(axis=0), self.counts[statistic.name][chosen].sum(axis=0))
 
+    def averaged(self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None = None) -> FloatArray:
+        """Mean of a statistic; by the option ``average``, the mean of its groups' means, for each joint by itself."""
+        sums, counts = self._weighed(statistic, cells)
+        return _mean(sums.sum(axis=0), counts.sum(axis=0))
+
+    def _weighed(
+        self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None
+    ) -> tuple[FloatArray, npt.NDArray[np.integer] | FloatArray]:
+        """Sums and counts of some cells; by the option ``average``, scaled so that each group counts as much."""
+        chosen = np.ones(len(self.poses), dtype=bool) if cells is None else cells
+        sums, counts = self.sums[statistic.name][chosen], self.counts[statistic.name][chosen]
+        if self.protocol.average == "poses":
+            return sums, counts
+        place = self._group_of[chosen]
+        number = np.zeros((self._group_of.max(initial=-1) + 1, *counts.shape[1:]))
+        np.add.at(number, place, counts)
+        even = number.sum(axis=0) / np.maximum((number > 0).sum(axis=0), 1)
+        weight = (even / np.maximum(number, 1))[place]
+        return sums * np.expand_dims(weight, tuple(range(weight.ndim, sums.ndim))), counts * weight
+
+    @cached_property
+    def _group_of(self) -> npt.NDArray[np.intp]:
+        """The group of each cell, by the option ``average``."""
+        place = np.zeros(len(self.poses), dtype=np.intp)
+        for number, (_, group) in enumerate(self.groups(self.protocol.average)):
+            place[group] = number
+        return place
+
+    def worth(self, statistic: Statistic) -> FloatArray:
+        r"""Poses that a mean over them all would need for the variance of the average, were poses independent.
+
+        .. math:: G^2 \Big/ \textstyle\sum_g 1/n_g
+
+        of G groups with n_g poses that count; a number, or one for each joint, (J,).
+        """
+        counts = self.counts[statistic.name]
+        if self.protocol.average == "poses":
+            return counts.sum(axis=0).astype(np.float64)
+        number = np.zeros((self._group_of.max(initial=-1) + 1, *counts.shape[1:]))
+        np.add.at(number, self._group_of, counts)
+        shares = np.where(number > 0, 1 / np.maximum(number, 1), 0).sum(axis=0)
+        return np.where(shares > 0, (number > 0).sum(axis=0) ** 2 / np.maximum(shares, 1e-300), 0)
+
     def count(self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None = None) -> int:
         """Poses that count in a statistic: at the joint where most do."""
         if statistic.kept:
@@ -134,7 +181,13 @@ class Totals:
         return chosen[~np.isnan(chosen).any(axis=1)]
 
     def value(self, metric: Metric, cells: npt.NDArray[np.bool_] | None = None) -> float:
-        """Give a metric over the poses of some cells; by the option ``average``, the mean of its groups' values."""
+        """Give a metric over the poses of some cells.
+
+        By the option ``average`` it is the mean of its groups' values; what is read off calibration curves is read
+        off the mean of the groups' curves.
+        """
+        if metric.family in CURVES:
+            return metric.finish(self.averaged(metric.statistic, cells))
         cells = np.ones(len(self.poses), dtype=bool) if cells is None else cells
         if self.protocol.average == "poses":
             return self._pooled(metric, cells)
@@ -164,13 +217,7 @@ class Totals:
         if metric.by_joint is None:
             return np.full(len(self.subject.joints), np.nan)
         statistic, finish = metric.by_joint
-        if self.protocol.average == "poses":
-            return finish(self.mean(statistic, cells))
-        cells = np.ones(len(self.poses), dtype=bool) if cells is None else cells
-        groups = [finish(self.mean(statistic, cells & group)) for _, group in self.groups(self.protocol.average)]
-        values = np.stack(groups)
-        counted = ~np.isnan(values)
-        return _mean(np.where(counted, values, 0).sum(axis=0), counted.sum(axis=0))
+        return finish(self.averaged(statistic, cells))
 
     @property
     def signature(self) -> str:
@@ -195,13 +242,17 @@ class Totals:
 
     def by_sequence(
         self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None = None
-    ) -> tuple[FloatArray, npt.NDArray[np.int64]]:
-        """Add up a statistic over each sequence among some cells: sums (S, …) and counts (S,) or (S, J)."""
+    ) -> tuple[FloatArray, npt.NDArray[np.integer] | FloatArray]:
+        """Add up a statistic over each sequence among some cells: sums (S, …) and counts (S,) or (S, J).
+
+        By the option ``average`` they are weighted, so that all groups together count as much as their poses do, and
+        each as much as any other.
+        """
         chosen = np.ones(len(self.poses), dtype=bool) if cells is None else cells
         _, place = np.unique(self.cells["sequence"][chosen], return_inverse=True)
-        sums, counts = self.sums[statistic.name][chosen], self.counts[statistic.name][chosen]
+        sums, counts = self._weighed(statistic, chosen)
         added = np.zeros((place.max(initial=-1) + 1, *sums.shape[1:]))
-        number = np.zeros((len(added), *counts.shape[1:]), dtype=np.int64)
+        number = np.zeros((len(added), *counts.shape[1:]), dtype=counts.dtype)
         np.add.at(added, place, sums)
         np.add.at(number, place, counts)
         return added, number
@@ -380,7 +431,7 @@ def _natural(text: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", text)]
 
 
-def _mean(sums: FloatArray, counts: npt.NDArray[np.int64]) -> FloatArray:
+def _mean(sums: FloatArray, counts: npt.NDArray[np.integer] | FloatArray) -> FloatArray:
     number = np.expand_dims(counts, tuple(range(np.ndim(counts), np.ndim(sums))))
     return np.where(number > 0, sums / np.maximum(number, 1), np.nan)
 
