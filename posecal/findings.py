@@ -24,6 +24,7 @@ from posecal.metrics.guide import sparsification
 from posecal.metrics.score_table import Reliability, reliability_of_counts
 from posecal.registry import curves_of, metrics_of, sights_of
 from posecal.rows import Cells, Row, by_joint, floors, nulls, over_poses, worth
+from posecal.sight import SIGHTS
 from posecal.sureness import joint_null, null
 from posecal.totals import Totals
 
@@ -57,6 +58,8 @@ class Findings:
         for label in self.by:
             if label == "sight":
                 self.sights = sights_of(totals.protocol, totals.subject)
+                if any(m.statistic.name not in totals.sums for ms in self.sights.values() for m in ms.values()):
+                    raise PoseDataError("by: this result holds no numbers by sight. Evaluate with --by sight.")
             else:
                 self.groups |= {f"{label}={value}": cells for value, cells in totals.groups(label)}
 
@@ -70,11 +73,13 @@ class Findings:
         """What a careful reader should know about the data."""
         totals, found = self.totals, list(self.totals.remarks)
         sequences = len(set(totals.cells["sequence"].tolist()))
+        units = totals.units()
         if not totals.sequences:
-            found.append("no sequence labels: frames are taken as independent. In a video they are not.")
-        elif sequences < FEWEST:
+            consecutive = units.replace("of frames", "of consecutive frames")
+            found.append(f"no sequence labels: {consecutive} are taken as independent. In a video they are not.")
+        if sequences < FEWEST:
             found.append(
-                f"{sequences} sequences allow no test: even if all of them err alike, chance would do that in "
+                f"{units} allow{'s' * (sequences == 1)} no test: even if all err alike, chance would do that in "
                 f"{2 / 2**sequences:.0%} of cases. At least {FEWEST} are needed for a p-value."
             )
         n = totals.subject.n_hypotheses
@@ -96,7 +101,7 @@ class Findings:
         for group, cells in self.groups.items():
             yield from (over_poses(totals, metric, group, cells) for metric in metrics.values())
         for sight, seen in self.sights.items():
-            yield from (over_poses(totals, metric, f"sight={sight}") for metric in seen.values())
+            yield from (over_poses(totals, metric, f"sight={sight}", row=SIGHTS.index(sight)) for metric in seen.values())
         for metric in metrics.values():
             yield from by_joint(totals, metric)
         yield from floors(totals, metrics)

@@ -70,8 +70,10 @@ class Row:
     high: float = math.nan
 
 
-def over_poses(totals: Totals, metric: Metric, group: str | None = None, cells: Cells = None) -> Row:
-    """Give a metric over a group of poses, with its interval where it has one."""
+def over_poses(
+    totals: Totals, metric: Metric, group: str | None = None, cells: Cells = None, row: int | None = None
+) -> Row:
+    """Give a metric over a group of poses, with its interval where it has one; ``row`` is that of its statistic."""
     sure = None if metric.deviation is not None else interval(totals, metric, cells)
     return Row(
         metric=metric.name,
@@ -82,7 +84,7 @@ def over_poses(totals: Totals, metric: Metric, group: str | None = None, cells: 
         unit=metric.unit,
         direction=metric.direction,
         definition=metric.definition,
-        poses=totals.count(metric.statistic, cells),
+        poses=totals.count(metric.statistic, cells, row),
         low=math.nan if sure is None else sure.low,
         high=math.nan if sure is None else sure.high,
     )
@@ -136,7 +138,7 @@ def nulls(totals: Totals, metrics: Metrics, null: Callable[[str], Null]) -> Iter
         words = (
             ("null", "of a calibrated sampler", found.mean, f"mean of {metric.label} over {how}"),
             ("null_95", "of a calibrated sampler, 95 %", found.high, f"95 % quantile of {metric.label} over {how}"),
-            ("p", "p-value", found.p, f"share of {how} that make {metric.label} as large; {found.sequences} sequences"),
+            ("p", "p-value", found.p, f"share of {how} that make {metric.label} as large; {totals.units(found.sequences)}"),
         )
         for ending, label, value, definition in words:
             yield replace(

@@ -106,6 +106,24 @@ class Totals:
         """Names of the labels that poses can be grouped by."""
         return tuple(name for name in self.cells if self.sequences or name != "sequence")
 
+    def units(self, number: int | None = None) -> str:
+        """Say how many of what is taken as independent: ``16 sequences``, ``100 runs of frames`` or ``5 frames``.
+
+        Parameters
+        ----------
+        number : int, optional
+            How many; all there are by default.
+        """
+        names, place = np.unique(self.cells["sequence"], return_inverse=True)
+        number = len(names) if number is None else number
+        if self.sequences:
+            one, many = "sequence", "sequences"
+        elif np.bincount(place, self.poses).max(initial=0) > 1:
+            one, many = "run of frames", "runs of frames"
+        else:
+            one, many = "frame", "frames"
+        return f"{number:,} {one if number == 1 else many}"
+
     def groups(self, label: str) -> Iterator[tuple[str, npt.NDArray[np.bool_]]]:
         """Give each value of a label, in their natural order, with its cells.
 
@@ -166,14 +184,18 @@ class Totals:
         number = np.zeros((self._group_of.max(initial=-1) + 1, *counts.shape[1:]))
         np.add.at(number, self._group_of, counts)
         shares = np.where(number > 0, 1 / np.maximum(number, 1), 0).sum(axis=0)
-        return np.where(shares > 0, (number > 0).sum(axis=0) ** 2 / np.maximum(shares, 1e-300), 0)
+        worth: FloatArray = (number > 0).sum(axis=0) ** 2 / np.where(shares > 0, shares, np.inf)
+        return worth
 
-    def count(self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None = None) -> int:
-        """Poses that count in a statistic: at the joint where most do."""
+    def count(
+        self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None = None, row: int | None = None
+    ) -> int:
+        """Poses that count in a statistic: in one of its rows, or at the joint where most do."""
         if statistic.kept:
             return len(self._kept(statistic, cells))
         chosen = slice(None) if cells is None else cells
-        return int(np.max(self.counts[statistic.name][chosen].sum(axis=0), initial=0))
+        counted = self.counts[statistic.name][chosen].sum(axis=0)
+        return int(np.max(counted, initial=0) if row is None else counted[row])
 
     def _kept(self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None) -> FloatArray:
         values = self.kept[statistic.name]
@@ -283,7 +305,8 @@ class Totals:
         Returns
         -------
         Totals
-            What one run over all poses gives. A sequence may be split over shards.
+            What one run over all poses gives. A sequence may be split over shards; runs of frames without sequence
+            labels stay those of their shard.
 
         Raises
         ------
@@ -309,9 +332,13 @@ class Totals:
         rows: dict[tuple[str, ...], int] = {}
         seen: dict[tuple[object, ...], str] = {}
         where = []
-        for name, part in zip(names, parts, strict=True):
+        sequences = all(part.sequences for part in parts)
+        apart = len(parts) > 1 and not sequences
+        for number, (name, part) in enumerate(zip(names, parts, strict=True), 1):
             cells = list(zip(*(part.cells[key].tolist() for key in keys), strict=True))
-            where.append(np.array([rows.setdefault(cell, len(rows)) for cell in cells], dtype=np.intp))
+            own = part.cells | {"sequence": [f"{number}/{run}" for run in part.cells["sequence"]]} if apart else part.cells
+            keyed = zip(*(own[key] for key in keys), strict=True)
+            where.append(np.array([rows.setdefault(cell, len(rows)) for cell in keyed], dtype=np.intp))
             for place, cell in enumerate(cells):
                 print_ = (cell, int(part.poses[place]), *(float(s[place].sum()) for s in part.sums.values()))
                 if print_ in seen:
@@ -329,7 +356,7 @@ class Totals:
             cells={key: values[:, place] for place, key in enumerate(keys)},
             poses=poses,
             remarks=tuple(dict.fromkeys(remark for part in parts for remark in part.remarks)),
-            sequences=all(part.sequences for part in parts),
+            sequences=sequences,
         )
         for part, cells_of in zip(parts, where, strict=True):
             np.add.at(poses, cells_of, part.poses)

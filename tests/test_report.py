@@ -179,6 +179,29 @@ def test_the_floors_say_n_and_that_they_are_of_a_perfect_sampler() -> None:
     assert floor.definition.startswith("expected ECE of a perfect sampler: N=12, 36 independent poses and 16 ")
 
 
+def test_the_poses_by_sight_are_those_with_such_a_joint() -> None:
+    """Every third pose has nothing hidden, and all have something to see."""
+    here = world()
+    occluded = here.occluded & (np.arange(36) % 3 > 0)[:, None]
+    occluded[np.arange(36) % 3 > 0, 2] = True
+    report = posecal.evaluate(sample(here, 3), here.truth, joints="h36m-17", occluded=occluded, by=["sight"])
+    poses = {(row.group, row.poses) for row in report.rows if (row.group or "").startswith("sight=")}
+    assert poses == {("sight=occluded", 24), ("sight=visible", 36)}
+
+
+def test_a_result_without_numbers_by_sight_says_how_to_get_them() -> None:
+    with pytest.raises(PoseDataError, match=r"^by: this result holds no numbers by sight\. Evaluate with --by sight\.$"):
+        Report(report_of().totals, ["sight"])
+
+
+def test_a_cut_of_the_spread_that_was_not_kept_is_refused() -> None:
+    kept = report_of(by=("spread",)).totals
+    assert Report(kept, ["spread"]).by == ("spread",)
+    for other in ("spread:5", "spread=40,60"):
+        with pytest.raises(PoseDataError, match=r"^by: 'spread:.*' is not a label of these poses"):
+            Report(kept, [other])
+
+
 # --- averaged over groups -------------------------------------------------------------------------------------
 
 
@@ -318,8 +341,17 @@ def test_few_hypotheses_are_remarked_on_up_to_twenty() -> None:
 
 
 def test_poses_without_sequences_are_remarked_on() -> None:
-    assert any(remark.startswith("no sequence labels: ") for remark in unlabelled().remarks)
+    (remark,) = (remark for remark in unlabelled().remarks if remark.startswith("no sequence labels: "))
+    assert remark == "no sequence labels: 5 frames are taken as independent. In a video they are not."
+    (remark,) = (r for r in unlabelled(poses=201).remarks if r.startswith("no sequence labels: "))
+    assert "100 runs of consecutive frames are taken as independent" in remark
     assert not any("sequence" in remark for remark in some().remarks)
+
+
+def test_one_sequence_is_one_sequence() -> None:
+    here = world()
+    one = posecal.evaluate(sample(here, 2)[:, :3], here.truth[:3], labels={"sequence": here.sequence[:3]})
+    assert any(remark.startswith("1 sequence allows no test: ") for remark in one.remarks)
 
 
 def test_too_few_sequences_for_a_test_are_remarked_on() -> None:
