@@ -23,7 +23,7 @@ from posecal.metric import Curve, Metric
 from posecal.metrics.guide import sparsification
 from posecal.metrics.score_table import Reliability, reliability_of_counts
 from posecal.registry import curves_of, metrics_of, sights_of
-from posecal.rows import Cells, Row, by_joint, floors, nulls, over_poses, worth
+from posecal.rows import Cells, Row, adjusted, by_joint, floors, nulls, over_poses, worth
 from posecal.sight import SIGHTS
 from posecal.sureness import joint_null, null
 from posecal.totals import Totals
@@ -101,12 +101,30 @@ class Findings:
         for group, cells in self.groups.items():
             yield from (over_poses(totals, metric, group, cells) for metric in metrics.values())
         for sight, seen in self.sights.items():
-            yield from (over_poses(totals, metric, f"sight={sight}", row=SIGHTS.index(sight)) for metric in seen.values())
+            row = SIGHTS.index(sight)
+            yield from (over_poses(totals, metric, f"sight={sight}", row=row) for metric in seen.values())
         for metric in metrics.values():
             yield from by_joint(totals, metric)
         yield from floors(totals, metrics)
-        yield from nulls(totals, metrics, self.null)
+        yield from self._beside()
         yield from worth(totals, metrics)
+
+    def _beside(self) -> Iterator[Row]:
+        """What a calibrated sampler would show: for all errors over all poses, for the ECE in each group too."""
+        totals, metrics = self.totals, self.metrics
+        for name, metric in metrics.items():
+            if metric.deviation is not None:
+                yield from nulls(totals, metric, self.null(name), over_poses(totals, metric))
+        tests = {name: metric for name, metric in metrics.items() if metric.family == "battery"}
+        yield from adjusted(totals, tests, {name: p for name, (_, p) in self.battery().items()})
+        for group, cells in self.groups.items():
+            if group is not None and "ece" in metrics and not math.isnan((found := self.null("ece", group)).p):
+                yield from nulls(totals, metrics["ece"], found, over_poses(totals, metrics["ece"], group, cells))
+        for sight, seen in self.sights.items():
+            found, row = null(totals, seen["ece"]), SIGHTS.index(sight)
+            if not math.isnan(found.p):
+                of = over_poses(totals, seen["ece"], f"sight={sight}", row=row)
+                yield from nulls(totals, seen["ece"], found, of)
 
     def definition(self, metric: str) -> str:
         """Give the definition of a metric.

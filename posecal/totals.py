@@ -187,9 +187,7 @@ class Totals:
         worth: FloatArray = (number > 0).sum(axis=0) ** 2 / np.where(shares > 0, shares, np.inf)
         return worth
 
-    def count(
-        self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None = None, row: int | None = None
-    ) -> int:
+    def count(self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None = None, row: int | None = None) -> int:
         """Poses that count in a statistic: in one of its rows, or at the joint where most do."""
         if statistic.kept:
             return len(self._kept(statistic, cells))
@@ -289,6 +287,20 @@ class Totals:
         rest, number = sums.sum(axis=0) - sums, counts.sum(axis=0) - counts
         return np.array([metric.finish(_mean(a, n)) for a, n in zip(rest, number, strict=True)])
 
+    def joints_without(self, metric: Metric) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+        """Give a metric per joint with each sequence left out in turn, (S, K), and whether the joint counts in it."""
+        assert metric.by_joint is not None
+        statistic, finish = metric.by_joint
+        K, names = len(self.subject.joints), self.cells["sequence"]
+        sums, counts = self.by_sequence(statistic)
+        if self.protocol.average == "poses":
+            rest, number = sums.sum(axis=0) - sums, counts.sum(axis=0) - counts
+            without = [finish(_mean(a, n)) for a, n in zip(rest, number, strict=True)]
+        else:
+            without = [self.by_joint(metric, names != name) for name in np.unique(names)]
+        by_joint = counts if counts.ndim > 1 else np.broadcast_to(counts[:, None], (len(counts), K))
+        return np.stack(without), by_joint[:, :K] > 0
+
     # --- joining shards ---------------------------------------------------------------------------------------
 
     @staticmethod
@@ -336,9 +348,9 @@ class Totals:
         apart = len(parts) > 1 and not sequences
         for number, (name, part) in enumerate(zip(names, parts, strict=True), 1):
             cells = list(zip(*(part.cells[key].tolist() for key in keys), strict=True))
-            own = part.cells | {"sequence": [f"{number}/{run}" for run in part.cells["sequence"]]} if apart else part.cells
-            keyed = zip(*(own[key] for key in keys), strict=True)
-            where.append(np.array([rows.setdefault(cell, len(rows)) for cell in keyed], dtype=np.intp))
+            at = keys.index("sequence")
+            own = [(*c[:at], f"{number}/{c[at]}", *c[at + 1 :]) for c in cells] if apart else cells
+            where.append(np.array([rows.setdefault(cell, len(rows)) for cell in own], dtype=np.intp))
             for place, cell in enumerate(cells):
                 print_ = (cell, int(part.poses[place]), *(float(s[place].sum()) for s in part.sums.values()))
                 if print_ in seen:

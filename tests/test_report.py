@@ -12,11 +12,13 @@ from typing import Any, cast
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import stats
 
 import posecal
-from posecal.calibration import LEVELS, perfect_sampler
+from posecal.calibration import LEVELS, perfect_sampler, signed_area
 from posecal.demo import make_world, sample
 from posecal.errors import PoseDataError
+from posecal.inference import holm
 from posecal.protocol import Protocol
 from posecal.report import Report, Row
 from posecal.totals import Totals, difference_of_signatures
@@ -168,6 +170,78 @@ def test_each_number_s_interval_holds_it() -> None:
     assert all(row.low <= row.value <= row.high for row in held)
 
 
+def test_a_joint_s_signed_area_has_the_t_interval_of_its_sequences_areas() -> None:
+    """Sequences are equally long: the areas are means of the sequences' areas, and their interval is Student's."""
+    here, report = world(), report_of(0.5, by=("sequence",))
+    groups = [f"sequence={name}" for name in np.unique(here.sequence)]
+    areas = np.array([signed_area(report.calibration(group=group).coverage) for group in groups])
+    for k, joint in enumerate(posecal.JOINT_SETS["h36m-17"]):
+        if k:
+            low, high = stats.t(len(groups) - 1).interval(0.95)
+            (row,) = (r for r in report.rows if (r.metric, r.group, r.joint) == ("signed_area", None, joint))
+            middle, error = areas[:, k].mean(), stats.sem(areas[:, k])
+            np.testing.assert_allclose([row.low, row.high], [middle + error * low, middle + error * high], rtol=1e-9)
+
+
+def test_a_joint_s_ece_has_no_interval() -> None:
+    assert all(math.isnan(row.low) for row in some().rows if row.metric == "ece" and row.joint is not None)
+
+
+def test_a_joint_s_interval_is_over_the_sequences_in_which_it_counts() -> None:
+    """The head is masked but in three sequences: Student's t has two degrees of freedom."""
+    here = world()
+    where = np.ones(here.truth.shape[:2], dtype=bool)
+    where[3 * FRAMES :, 10] = False
+    names = posecal.JOINT_SETS["h36m-17"]
+    report = posecal.evaluate(
+        sample(here, 3), here.truth, joints="h36m-17", labels={"sequence": here.sequence}, where=where
+    )
+    shown = slice(0, 3 * FRAMES)
+    alone = posecal.evaluate(
+        sample(here, 3)[:, shown], here.truth[shown], joints="h36m-17", labels={"sequence": here.sequence[shown]}
+    )
+    found, expected = (
+        next(row for row in r.rows if (row.metric, row.joint) == ("mpjpe", names[10])) for r in (report, alone)
+    )
+    np.testing.assert_allclose([found.low, found.high], [expected.low, expected.high], rtol=1e-9)
+    assert found.low < found.value < found.high
+
+
+def test_the_battery_s_rows_have_the_p_values_of_its_table() -> None:
+    """Holm: the smallest of n p-values is multiplied by n."""
+    report = report_of(0.8, metrics="battery")
+    tests = list(report.battery())
+    raw = [report.value(f"{name}_p") for name in tests]
+    least = tests[int(np.argmin(raw))]
+    assert report.value(f"{least}_p_adjusted") == min(1.0, len(tests) * min(raw))
+    assert [report.value(f"{name}_p_adjusted") for name in tests] == holm(raw)
+    (row,) = (row for row in report.rows if row.metric == f"{least}_p_adjusted")
+    assert f"adjusted for all tests (Holm); {len(tests)} tests" in row.definition
+    assert row.label.endswith(", adjusted p-value")
+
+
+def test_groups_of_enough_sequences_have_what_a_calibrated_sampler_would_show() -> None:
+    here = world()
+    half = np.where(np.isin(here.sequence, np.unique(here.sequence)[:6]), "one", "other")
+    labels = {"sequence": here.sequence, "half": half, "action": here.action}
+    report = posecal.evaluate(
+        sample(here, N, 0.5),
+        here.truth,
+        joints="h36m-17",
+        labels=labels,
+        by=["half", "action", "sight"],
+        occluded=here.occluded,
+    )
+    kept = half == "one"
+    alone = posecal.evaluate(
+        sample(here, N, 0.5)[:, kept], here.truth[kept], joints="h36m-17", labels={"sequence": here.sequence[kept]}
+    )
+    for ending in ("null", "null_95", "p"):
+        np.testing.assert_allclose(report.value(f"ece_{ending}", "half=one"), alone.value(f"ece_{ending}"), rtol=1e-5)
+    groups = {row.group for row in report.rows if row.metric == "ece_p"}
+    assert groups == {None, "half=one", "half=other", "sight=occluded", "sight=visible"}
+
+
 def test_a_wide_and_a_narrow_sampler_lie_on_either_side() -> None:
     assert report_of(0.5).value("signed_area") < -0.1
     assert report_of(1.5).value("signed_area") > 0.1
@@ -190,7 +264,7 @@ def test_the_poses_by_sight_are_those_with_such_a_joint() -> None:
 
 
 def test_a_result_without_numbers_by_sight_says_how_to_get_them() -> None:
-    with pytest.raises(PoseDataError, match=r"^by: this result holds no numbers by sight\. Evaluate with --by sight\.$"):
+    with pytest.raises(PoseDataError, match=r"^by: this result holds no numbers by sight\. Evaluate with"):
         Report(report_of().totals, ["sight"])
 
 
