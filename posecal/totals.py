@@ -184,7 +184,7 @@ class Totals:
         number = np.zeros((self._group_of.max(initial=-1) + 1, *counts.shape[1:]))
         np.add.at(number, self._group_of, counts)
         shares = np.where(number > 0, 1 / np.maximum(number, 1), 0).sum(axis=0)
-        worth: FloatArray = (number > 0).sum(axis=0) ** 2 / np.where(shares > 0, shares, np.inf)
+        worth: FloatArray = np.asarray((number > 0).sum(axis=0) ** 2 / np.where(shares > 0, shares, np.inf))
         return worth
 
     def count(self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None = None, row: int | None = None) -> int:
