@@ -212,8 +212,7 @@ class Totals:
         if self.protocol.average == "poses":
             return self._pooled(metric, cells)
         values = [self._pooled(metric, cells & group) for _, group in self.groups(self.protocol.average)]
-        found = [value for value in values if not np.isnan(value)]
-        return float(np.mean(found)) if found else float("nan")
+        return _known_mean(values)
 
     def _pooled(self, metric: Metric, cells: npt.NDArray[np.bool_]) -> float:
         if metric.statistic.kept:
@@ -281,11 +280,48 @@ class Totals:
         """Give a metric with each sequence left out in turn, (S,)."""
         chosen = np.ones(len(self.poses), dtype=bool) if cells is None else cells
         names = self.cells["sequence"]
-        if metric.clips or metric.statistic.kept or self.protocol.average != "poses":
+        if self.protocol.average != "poses":
+            if metric.family in CURVES:
+                return np.array([metric.finish(mean) for mean in self._averaged_without(metric.statistic, chosen)])
+            groups = [chosen & group for _, group in self.groups(self.protocol.average)]
+            whole = [self._pooled(metric, group) for group in groups]
+            return np.array(
+                [_known_mean(self._left_out(metric, groups, whole, names == n)) for n in np.unique(names[chosen])]
+            )
+        if metric.clips or metric.statistic.kept:
             return np.array([self.value(metric, chosen & (names != name)) for name in np.unique(names[chosen])])
         sums, counts = self.by_sequence(metric.statistic, chosen)
         rest, number = sums.sum(axis=0) - sums, counts.sum(axis=0) - counts
         return np.array([metric.finish(_mean(a, n)) for a, n in zip(rest, number, strict=True)])
+
+    def _left_out(
+        self, metric: Metric, groups: list[npt.NDArray[np.bool_]], whole: list[float], out: npt.NDArray[np.bool_]
+    ) -> list[float]:
+        """A metric of each group without some cells; known already for the groups that hold none of them."""
+        return [
+            self._pooled(metric, group & ~out) if (group & out).any() else value
+            for group, value in zip(groups, whole, strict=True)
+        ]
+
+    def _averaged_without(self, statistic: Statistic, chosen: npt.NDArray[np.bool_]) -> Iterator[FloatArray]:
+        """Mean of the groups' means with each sequence left out in turn: only those of its groups change."""
+        sums, counts = self.sums[statistic.name][chosen], self.counts[statistic.name][chosen]
+        group = self._group_of[chosen]
+        _, sequence = np.unique(self.cells["sequence"][chosen], return_inverse=True)
+        total = np.zeros((group.max(initial=-1) + 1, *sums.shape[1:]))
+        number = np.zeros((len(total), *counts.shape[1:]), dtype=np.int64)
+        np.add.at(total, group, sums)
+        np.add.at(number, group, counts)
+        means, counted = np.nan_to_num(_mean(total, number)), number > 0
+        added, groups = means.sum(axis=0), counted.sum(axis=0)
+        order = np.argsort(sequence, kind="stable")
+        for cells in np.split(order, np.flatnonzero(np.diff(sequence[order])) + 1):
+            own, place = np.unique(group[cells], return_inverse=True)
+            rest, left = total[own], number[own]
+            np.subtract.at(rest, place, sums[cells])
+            np.subtract.at(left, place, counts[cells])
+            changed = np.nan_to_num(_mean(rest, left)) - means[own]
+            yield _mean(added + changed.sum(axis=0), groups + (left > 0).sum(axis=0) - counted[own].sum(axis=0))
 
     def joints_without(self, metric: Metric) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
         """Give a metric per joint with each sequence left out in turn, (S, K), and whether the joint counts in it."""
@@ -297,7 +333,7 @@ class Totals:
             rest, number = sums.sum(axis=0) - sums, counts.sum(axis=0) - counts
             without = [finish(_mean(a, n)) for a, n in zip(rest, number, strict=True)]
         else:
-            without = [self.by_joint(metric, names != name) for name in np.unique(names)]
+            without = [finish(mean) for mean in self._averaged_without(statistic, np.ones(len(names), dtype=bool))]
         by_joint = counts if counts.ndim > 1 else np.broadcast_to(counts[:, None], (len(counts), K))
         return np.stack(without), by_joint[:, :K] > 0
 
@@ -473,6 +509,11 @@ def _natural(text: str) -> list[tuple[int, str]]:
 def _mean(sums: FloatArray, counts: npt.NDArray[np.integer] | FloatArray) -> FloatArray:
     number = np.expand_dims(counts, tuple(range(np.ndim(counts), np.ndim(sums))))
     return np.where(number > 0, sums / np.maximum(number, 1), np.nan)
+
+
+def _known_mean(values: Sequence[float]) -> float:
+    found = [value for value in values if not np.isnan(value)]
+    return float(np.mean(found)) if found else float("nan")
 
 
 def _part(members: dict[str, Any], prefix: str) -> dict[str, Any]:
