@@ -180,7 +180,7 @@ class Totals:
         """
         counts = self.counts[statistic.name]
         if self.protocol.average == "poses":
-            return counts.sum(axis=0).astype(np.float64)
+            return np.asarray(counts.sum(axis=0), dtype=np.float64)
         number = np.zeros((self._group_of.max(initial=-1) + 1, *counts.shape[1:]))
         np.add.at(number, self._group_of, counts)
         shares = np.where(number > 0, 1 / np.maximum(number, 1), 0).sum(axis=0)

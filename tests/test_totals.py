@@ -244,6 +244,16 @@ def test_left_out_in_turn_each_sequence_is_as_if_it_had_not_been_there(protocol:
         np.testing.assert_allclose(found.without(metrics[name]), expected, rtol=1e-9, err_msg=name)
 
 
+@pytest.mark.parametrize("average", ["poses", "action", "sequence"])
+def test_per_joint_each_sequence_is_left_out_as_if_it_had_not_been_there(average: str) -> None:
+    found = world(5, M=20).totals(Protocol(average=average, where="occluded"))
+    names = np.unique(found.cells["sequence"])
+    for name in ("mpjpe", "signed_area"):
+        one = known_metrics(found.protocol, found.subject)[name]
+        expected = [found.by_joint(one, found.cells["sequence"] != left) for left in names]
+        np.testing.assert_allclose(found.joints_without(one)[0], expected, rtol=1e-9, atol=1e-12, err_msg=name)
+
+
 # --- shards ----------------------------------------------------------------------------------------------------------
 
 
