@@ -198,7 +198,8 @@ def floors(totals: Totals, metrics: Metrics) -> Iterator[Row]:
         over = cast(OverJoints, totals.protocol.summary_over_joints)
         n = totals.subject.n_hypotheses
         floor = perfect_sampler(n, poses, joints, definition, over)
-        about = f"N={n}, {poses:,} independent poses and {joints} independent joints (more where they are correlated)"
+        many = f"{poses:,} independent pose{'s' * (poses != 1)} and {joints} independent joint{'s' * (joints != 1)}"
+        about = f"N={n}, {many} (more where they are correlated)"
         for ending, value in (("floor", floor.mean), ("floor_95", floor.high)):
             found = beside(metric, ending)
             said = f"{found.definition}: {about}; {definition} definition"
