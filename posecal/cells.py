@@ -6,6 +6,7 @@ they are asked for. Poses without sequences are kept in runs of consecutive fram
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -44,8 +45,11 @@ class Cells:
 
 
 def label_name(by: str) -> str:
-    """Give the label that an entry of ``--by`` names: ``spread:5`` and ``spread=40,60`` name ``spread``."""
-    return by.partition(":")[0].partition("=")[0] if by.startswith("spread") else by
+    """Give the label that an entry of ``--by`` names: itself, but ``spread:40,60`` for ``spread=40,60``.
+
+    So each way to cut the spread is a label of its own, and ``label=value`` has one equals sign.
+    """
+    return by.replace("=", ":", 1) if by.startswith("spread=") else by
 
 
 def cells_of(pairs: PosePairs, by: Sequence[str], spread: Callable[[], FloatArray]) -> Cells:
@@ -73,8 +77,8 @@ def cells_of(pairs: PosePairs, by: Sequence[str], spread: Callable[[], FloatArra
     """
     labels = dict(pairs.labels)
     for entry in by:
-        if label_name(entry) == "spread" and "spread" not in labels:
-            labels["spread"] = _parts(entry, spread())
+        if re.match("spread(?![^:=])", entry) and label_name(entry) not in labels:
+            labels[label_name(entry)] = _parts(entry, spread())
     wanted = [label_name(entry) for entry in by]
     for name in wanted:
         if name not in labels:

@@ -205,8 +205,8 @@ def check_same_poses(first: Totals, other: Totals, name: str, other_name: str) -
     if labels[0] != labels[1] or not np.array_equal(counts[0][1], counts[1][1]):
         poses = [int(t.poses.sum()) for t in (first, other)]
         raise PoseDataError(
-            f"{name} and {other_name} hold other poses: {poses[0]:,} in {len(labels[0])} sequences and {poses[1]:,} in "
-            f"{len(labels[1])}. Compare models on the same frames; --missing skip may have left some out."
+            f"{name} and {other_name} hold other poses: {poses[0]:,} in {first.units()} and {poses[1]:,} in "
+            f"{other.units()}. Compare models on the same frames; --missing skip may have left some out."
         )
     scale = np.abs(counts[0][0]).max() + 1
     if np.abs(counts[0][0] - counts[1][0]).max() > 1e-4 * scale:

@@ -59,7 +59,7 @@ def _whole(report: Findings) -> Iterator[str]:
     else:
         yield (
             f"Not miscalibrated beyond chance: ECE {error:.3f}, and a calibrated sampler would show up to "
-            f"{found.high:.3f} on these {found.sequences} sequences ({p_value(found.p)}){share}."
+            f"{found.high:.3f} on these {report.totals.units(found.sequences)} ({p_value(found.p)}){share}."
         )
 
 

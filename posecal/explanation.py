@@ -8,6 +8,7 @@ from posecal.errors import PoseDataError, did_you_mean
 from posecal.metric import Metric, Subject
 from posecal.protocol import Protocol
 from posecal.registry import known_metrics
+from posecal.rows import WORTH, Beside, beside, kinds
 from posecal.skeleton import JOINT_SETS
 
 __all__ = ["Page", "explain", "page"]
@@ -137,6 +138,48 @@ _PAGES: dict[str, Page] = {
         "Ilg et al., arXiv:1802.07095",
     ),
 }
+_BY_CHANCE = Page(
+    "0 to about 0.5",
+    "What the error is to be held against: sequences of a calibrated sampler deviate to either side alike, so their "
+    "deviations are given random signs. An error below the 95 % quantile (…_null_95) may be chance.",
+    "posecal; Canay, Romano and Shaikh, doi:10.3982/ECTA13081",
+)
+_P_VALUE = Page(
+    "1/2000 (fewer than 12 sequences: 1 over the number of signs) to 1",
+    "Small: a calibrated sampler would hardly ever show such an error on this data. Large: nothing was found, which a "
+    "model of few sequences can't but show. None with fewer than six sequences. Over several tests read the adjusted "
+    "one, which keeps any false alarm among them at its level.",
+    "posecal; Canay, Romano and Shaikh, doi:10.3982/ECTA13081; Holm, Scand. J. Stat. 6, 65 (1979)",
+)
+_FLOOR = Page(
+    "0 to about 0.5",
+    "What N and M alone cost: the definitions of the paper and of its script are biased at finite N, and every curve "
+    "scatters at finite M. Frames and joints are taken as independent; where they are not, as in video, a perfect "
+    "sampler shows more, and …_null is the number to hold an error against.",
+    "posecal",
+)
+_BESIDE = {
+    "null": _BY_CHANCE,
+    "null_95": _BY_CHANCE,
+    "p": _P_VALUE,
+    "p_adjusted": _P_VALUE,
+    "floor": _FLOOR,
+    "floor_95": _FLOOR,
+}
+_WORTH = {
+    "effective_poses": Page(
+        "about 1 to the number of poses",
+        "Frames of a video resemble their neighbours: so many independent poses would tell as much of calibration. It "
+        "is estimated from how the sequences differ, so of few sequences it is rough.",
+        "posecal",
+    ),
+    "squared_error": Page(
+        "about 0 (calibrated; by chance a little below) to about 0.3",
+        "Unlike an ECE it does not grow as data shrink: what chance adds to the squared distance from the diagonal is "
+        "taken off.",
+        "posecal",
+    ),
+}
 _DIRECTIONS = {"lower": "lower is better", "higher": "higher is better", "zero": "0 is best", "none": "none is better"}
 
 
@@ -157,7 +200,7 @@ def explain(name: str, protocol: Protocol | None = None, subject: Subject | None
     Parameters
     ----------
     name : str
-        A metric.
+        A metric, or a number that stands beside one, such as ``ece_null_95``.
     protocol : Protocol, optional
         The options that its definition is written out for.
     subject : Subject, optional
@@ -182,18 +225,22 @@ def explain(name: str, protocol: Protocol | None = None, subject: Subject | None
         200, JOINT_SETS["h36m-17"], root=0, labels=("sequence",), scored=True, marked=True, reference="climatology"
     )
     known = known_metrics(protocol or Protocol(), subject or everything)
-    if name not in known:
-        raise PoseDataError(f"explain: {name!r} is not known. {did_you_mean(name, known)}")
-    metric = known[name]
-    about = page(metric)
+    pages: dict[str, tuple[Metric | Beside, Page]] = {key: (metric, page(metric)) for key, metric in known.items()}
+    for error in known.values():
+        pages |= {f"{error.name}_{kind}": (beside(error, kind), _BESIDE[kind]) for kind in kinds(error)}
+    pages |= {key: (found, _WORTH[key]) for key, found in WORTH.items()}
+    if name not in pages:
+        raise PoseDataError(f"explain: {name!r} is not known. {did_you_mean(name, pages)}")
+    number, about = pages[name]
+    metric = known.get(name)
     lines = [
-        f"{metric.name}: {metric.label}",
-        f"definition  {metric.definition}",
-        f"unit        {metric.unit or 'none'}",
+        f"{number.name}: {number.label}",
+        f"definition  {number.definition}",
+        f"unit        {(metric.unit if metric else '') or 'none'}",
         f"range       {about.span}",
-        f"direction   {_DIRECTIONS[metric.direction]}",
+        f"direction   {_DIRECTIONS[number.direction]}",
         f"how to read {about.reading}",
     ]
-    if metric.fires:
+    if metric and metric.fires:
         lines.append(f"if it fires {metric.fires}")
     return "\n".join([*lines, f"source      {about.source}"])

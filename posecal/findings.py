@@ -23,7 +23,8 @@ from posecal.metric import Curve, Metric
 from posecal.metrics.guide import sparsification
 from posecal.metrics.score_table import Reliability, reliability_of_counts
 from posecal.registry import curves_of, metrics_of, sights_of
-from posecal.rows import Cells, Row, by_joint, floors, nulls, over_poses, worth
+from posecal.rows import Cells, Row, adjusted, by_joint, floors, nulls, over_poses, worth
+from posecal.sight import SIGHTS
 from posecal.sureness import joint_null, null
 from posecal.totals import Totals
 
@@ -57,6 +58,8 @@ class Findings:
         for label in self.by:
             if label == "sight":
                 self.sights = sights_of(totals.protocol, totals.subject)
+                if any(m.statistic.name not in totals.sums for ms in self.sights.values() for m in ms.values()):
+                    raise PoseDataError("by: this result holds no numbers by sight. Evaluate with --by sight.")
             else:
                 self.groups |= {f"{label}={value}": cells for value, cells in totals.groups(label)}
 
@@ -70,11 +73,13 @@ class Findings:
         """What a careful reader should know about the data."""
         totals, found = self.totals, list(self.totals.remarks)
         sequences = len(set(totals.cells["sequence"].tolist()))
+        units = totals.units()
         if not totals.sequences:
-            found.append("no sequence labels: frames are taken as independent. In a video they are not.")
-        elif sequences < FEWEST:
+            consecutive = units.replace("of frames", "of consecutive frames")
+            found.append(f"no sequence labels: {consecutive} are taken as independent. In a video they are not.")
+        if sequences < FEWEST:
             found.append(
-                f"{sequences} sequences allow no test: even if all of them err alike, chance would do that in "
+                f"{units} allow{'s' * (sequences == 1)} no test: even if all err alike, chance would do that in "
                 f"{2 / 2**sequences:.0%} of cases. At least {FEWEST} are needed for a p-value."
             )
         n = totals.subject.n_hypotheses
@@ -96,12 +101,30 @@ class Findings:
         for group, cells in self.groups.items():
             yield from (over_poses(totals, metric, group, cells) for metric in metrics.values())
         for sight, seen in self.sights.items():
-            yield from (over_poses(totals, metric, f"sight={sight}") for metric in seen.values())
+            row = SIGHTS.index(sight)
+            yield from (over_poses(totals, metric, f"sight={sight}", row=row) for metric in seen.values())
         for metric in metrics.values():
             yield from by_joint(totals, metric)
         yield from floors(totals, metrics)
-        yield from nulls(totals, metrics, self.null)
+        yield from self._beside()
         yield from worth(totals, metrics)
+
+    def _beside(self) -> Iterator[Row]:
+        """What a calibrated sampler would show: for all errors over all poses, for the ECE in each group too."""
+        totals, metrics = self.totals, self.metrics
+        for name, metric in metrics.items():
+            if metric.deviation is not None:
+                yield from nulls(totals, metric, self.null(name), over_poses(totals, metric))
+        tests = {name: metric for name, metric in metrics.items() if metric.family == "battery"}
+        yield from adjusted(totals, tests, {name: p for name, (_, p) in self.battery().items()})
+        for group, cells in self.groups.items():
+            if group is not None and "ece" in metrics and not math.isnan((found := self.null("ece", group)).p):
+                yield from nulls(totals, metrics["ece"], found, over_poses(totals, metrics["ece"], group, cells))
+        for sight, seen in self.sights.items():
+            found, row = null(totals, seen["ece"]), SIGHTS.index(sight)
+            if not math.isnan(found.p):
+                of = over_poses(totals, seen["ece"], f"sight={sight}", row=row)
+                yield from nulls(totals, seen["ece"], found, of)
 
     def definition(self, metric: str) -> str:
         """Give the definition of a metric.
@@ -156,7 +179,7 @@ class Findings:
         metric = self.metrics.get("ece") or self.metrics.get("signed_area")
         if metric is None or metric.by_joint is None:
             return {}
-        areas = signed_area(self.totals.mean(metric.statistic)[:-1])
+        areas = signed_area(self.totals.averaged(metric.statistic)[:-1])
         scored = [k for k, area in enumerate(areas) if not np.isnan(area)]
         adjusted = holm([joint_null(self.totals, metric, k).p for k in scored])
         joints = self.totals.subject.joints
@@ -252,7 +275,7 @@ class Findings:
         if name not in self.totals.sums:
             raise PoseDataError(f"curve: the report has no {name}; it is among the default metrics.")
         curve = self._curves[name]
-        return curve, self.totals.mean(curve.statistic)
+        return curve, self.totals.averaged(curve.statistic)
 
     def rank_curves(self, test: str) -> FloatArray:
         """Give the curves of a test of the battery, (R, Q): one, or one per coordinate.
@@ -265,7 +288,7 @@ class Findings:
         if test not in self.metrics or self.metrics[test].family != "battery":
             known = [name for name, metric in self.metrics.items() if metric.family == "battery"]
             raise PoseDataError(f"{test} is no test in the report. {did_you_mean(test, known)}")
-        curves = self.totals.mean(self.metrics[test].statistic).reshape(-1, LEVELS.size)
+        curves = self.totals.averaged(self.metrics[test].statistic).reshape(-1, LEVELS.size)
         return curves[~np.isnan(curves).any(axis=1)]
 
     def sparsification(self) -> tuple[FloatArray, FloatArray]:
@@ -297,4 +320,4 @@ class Findings:
 
     def _mean(self, name: str, cells: Cells) -> FloatArray:
         statistic = next(s for metric in self.metrics.values() for s in metric.statistics if s.name == name)
-        return self.totals.mean(statistic, cells)
+        return self.totals.averaged(statistic, cells)

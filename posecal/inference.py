@@ -45,7 +45,7 @@ FEWEST = 6
 DRAWS = 2000
 """Random sign patterns; with so few sequences that there are fewer patterns, all of them."""
 
-Counts = npt.NDArray[np.integer]
+Counts = npt.NDArray[np.integer] | FloatArray
 
 
 @dataclass(frozen=True)
@@ -205,7 +205,7 @@ def sign_flips(
     deviations : array (S, J, Q)
         D of each sequence, for J curves (joints, say), summed over its poses.
     counts : array (S, J)
-        Poses of each sequence that count. Curves without any are left out.
+        Poses of each sequence that count, or their weights. Curves without any are left out.
     deviation : Deviation
         What T is.
     offset : array (Q,), optional

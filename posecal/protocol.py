@@ -65,7 +65,9 @@ class Protocol:
     velocity: str = _choice("MPJVE per frame or per second", "frame", "second")
     deviation: str = _choice("diversity with n - 1 or with n", "sample", "population")
     ece_over: str = _choice("over joints, for the ECE", "auto", "median", "mean", "worst", "pooled")
-    average: str = _free("poses", "what the final mean is over", "poses, or a label: the mean of its groups' means")
+    average: str = _free(
+        "poses", "what the final mean is over", "poses, or a label: the mean of its groups' numbers, or curves"
+    )
     metrics: str = _free("default", "the numbers that are reported", "default, all, or names with commas")
 
     def __post_init__(self) -> None:

@@ -54,9 +54,16 @@ def known_metrics(
         found += skill_metrics(scope)
         found += [*spread_metrics(scope), *guide_metrics(scope)]
     if protocol.average != "poses":
-        averaged = f"; the mean of its values for each {protocol.average}"
-        found = [replace(metric, definition=metric.definition + averaged) for metric in found]
+        found = [replace(metric, definition=f"{metric.definition}; {_averaged(metric, protocol)}") for metric in found]
     return {metric.name: metric for metric in found}
+
+
+def _averaged(metric: Metric, protocol: Protocol) -> str:
+    """Say what is averaged over groups: curves before an error is read off them, else the groups' numbers."""
+    what = (
+        "read off the mean of the curves" if metric.family in {"calibration", "battery"} else "the mean of its values"
+    )
+    return f"{what} for each {protocol.average}"
 
 
 def metrics_of(

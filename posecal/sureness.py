@@ -11,7 +11,15 @@ from posecal.inference import Deviation, Interval, Null, effective_poses, jackkn
 from posecal.metric import Metric, Statistic
 from posecal.totals import Totals
 
-__all__ = ["deviations", "independent_poses", "interval", "joint_null", "null", "unbiased_squared_error"]
+__all__ = [
+    "deviations",
+    "independent_poses",
+    "interval",
+    "joint_intervals",
+    "joint_null",
+    "null",
+    "unbiased_squared_error",
+]
 
 Cells = npt.NDArray[np.bool_] | None
 
@@ -37,9 +45,15 @@ def interval(totals: Totals, metric: Metric, cells: Cells = None) -> Interval:
     return jackknife(totals.value(metric, cells), totals.without(metric, cells))
 
 
+def joint_intervals(totals: Totals, metric: Metric) -> list[Interval]:
+    """Give the 95 % interval of a metric at each of K joints, over the sequences in which the joint counts."""
+    values, (without, counted) = totals.by_joint(metric), totals.joints_without(metric)
+    return [jackknife(float(value), without[counted[:, k], k]) for k, value in enumerate(values)]
+
+
 def deviations(
     totals: Totals, statistic: Statistic, cells: Cells = None, offset: FloatArray | None = None
-) -> tuple[FloatArray, npt.NDArray[np.int64]]:
+) -> tuple[FloatArray, npt.NDArray[np.integer] | FloatArray]:
     """Give the deviations of each sequence from calibration, (S, J, Q), and their counts (S, J)."""
     sums, counts = totals.by_sequence(statistic, cells)
     inner = int(np.prod(sums.shape[2:-1], dtype=int))  # axes of a joint, say

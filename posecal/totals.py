@@ -14,6 +14,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,9 @@ __all__ = ["FORMAT", "Totals", "difference_of_signatures", "is_result"]
 
 FORMAT = 1
 """The version of the file format."""
+
+CURVES = ("calibration", "battery")
+"""Families of metrics that are read off curves."""
 
 Cells = Mapping[str, npt.NDArray[np.str_]]
 
@@ -102,6 +106,24 @@ class Totals:
         """Names of the labels that poses can be grouped by."""
         return tuple(name for name in self.cells if self.sequences or name != "sequence")
 
+    def units(self, number: int | None = None) -> str:
+        """Say how many of what is taken as independent: ``16 sequences``, ``100 runs of frames`` or ``5 frames``.
+
+        Parameters
+        ----------
+        number : int, optional
+            How many; all there are by default.
+        """
+        names, place = np.unique(self.cells["sequence"], return_inverse=True)
+        number = len(names) if number is None else number
+        if self.sequences:
+            one, many = "sequence", "sequences"
+        elif np.bincount(place, self.poses).max(initial=0) > 1:
+            one, many = "run of frames", "runs of frames"
+        else:
+            one, many = "frame", "frames"
+        return f"{number:,} {one if number == 1 else many}"
+
     def groups(self, label: str) -> Iterator[tuple[str, npt.NDArray[np.bool_]]]:
         """Give each value of a label, in their natural order, with its cells.
 
@@ -121,12 +143,57 @@ class Totals:
         chosen = slice(None) if cells is None else cells
         return _mean(self.sums[statistic.name][chosen].sum(axis=0), self.counts[statistic.name][chosen].sum(axis=0))
 
-    def count(self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None = None) -> int:
-        """Poses that count in a statistic: at the joint where most do."""
+    def averaged(self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None = None) -> FloatArray:
+        """Mean of a statistic; by the option ``average``, the mean of its groups' means, for each joint by itself."""
+        sums, counts = self._weighed(statistic, cells)
+        return _mean(sums.sum(axis=0), counts.sum(axis=0))
+
+    def _weighed(
+        self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None
+    ) -> tuple[FloatArray, npt.NDArray[np.integer] | FloatArray]:
+        """Sums and counts of some cells; by the option ``average``, scaled so that each group counts as much."""
+        chosen = np.ones(len(self.poses), dtype=bool) if cells is None else cells
+        sums, counts = self.sums[statistic.name][chosen], self.counts[statistic.name][chosen]
+        if self.protocol.average == "poses":
+            return sums, counts
+        place = self._group_of[chosen]
+        number = np.zeros((self._group_of.max(initial=-1) + 1, *counts.shape[1:]))
+        np.add.at(number, place, counts)
+        even = number.sum(axis=0) / np.maximum((number > 0).sum(axis=0), 1)
+        weight = (even / np.maximum(number, 1))[place]
+        return sums * np.expand_dims(weight, tuple(range(weight.ndim, sums.ndim))), counts * weight
+
+    @cached_property
+    def _group_of(self) -> npt.NDArray[np.intp]:
+        """The group of each cell, by the option ``average``."""
+        place = np.zeros(len(self.poses), dtype=np.intp)
+        for number, (_, group) in enumerate(self.groups(self.protocol.average)):
+            place[group] = number
+        return place
+
+    def worth(self, statistic: Statistic) -> FloatArray:
+        r"""Poses that a mean over them all would need for the variance of the average, were poses independent.
+
+        .. math:: G^2 \Big/ \textstyle\sum_g 1/n_g
+
+        of G groups with n_g poses that count; a number, or one for each joint, (J,).
+        """
+        counts = self.counts[statistic.name]
+        if self.protocol.average == "poses":
+            return np.asarray(counts.sum(axis=0), dtype=np.float64)
+        number = np.zeros((self._group_of.max(initial=-1) + 1, *counts.shape[1:]))
+        np.add.at(number, self._group_of, counts)
+        shares = np.where(number > 0, 1 / np.maximum(number, 1), 0).sum(axis=0)
+        worth: FloatArray = np.asarray((number > 0).sum(axis=0) ** 2 / np.where(shares > 0, shares, np.inf))
+        return worth
+
+    def count(self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None = None, row: int | None = None) -> int:
+        """Poses that count in a statistic: in one of its rows, or at the joint where most do."""
         if statistic.kept:
             return len(self._kept(statistic, cells))
         chosen = slice(None) if cells is None else cells
-        return int(np.max(self.counts[statistic.name][chosen].sum(axis=0), initial=0))
+        counted = self.counts[statistic.name][chosen].sum(axis=0)
+        return int(np.max(counted, initial=0) if row is None else counted[row])
 
     def _kept(self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None) -> FloatArray:
         values = self.kept[statistic.name]
@@ -134,13 +201,18 @@ class Totals:
         return chosen[~np.isnan(chosen).any(axis=1)]
 
     def value(self, metric: Metric, cells: npt.NDArray[np.bool_] | None = None) -> float:
-        """Give a metric over the poses of some cells; by the option ``average``, the mean of its groups' values."""
+        """Give a metric over the poses of some cells.
+
+        By the option ``average`` it is the mean of its groups' values; what is read off calibration curves is read
+        off the mean of the groups' curves.
+        """
+        if metric.family in CURVES:
+            return metric.finish(self.averaged(metric.statistic, cells))
         cells = np.ones(len(self.poses), dtype=bool) if cells is None else cells
         if self.protocol.average == "poses":
             return self._pooled(metric, cells)
         values = [self._pooled(metric, cells & group) for _, group in self.groups(self.protocol.average)]
-        found = [value for value in values if not np.isnan(value)]
-        return float(np.mean(found)) if found else float("nan")
+        return _known_mean(values)
 
     def _pooled(self, metric: Metric, cells: npt.NDArray[np.bool_]) -> float:
         if metric.statistic.kept:
@@ -164,13 +236,7 @@ class Totals:
         if metric.by_joint is None:
             return np.full(len(self.subject.joints), np.nan)
         statistic, finish = metric.by_joint
-        if self.protocol.average == "poses":
-            return finish(self.mean(statistic, cells))
-        cells = np.ones(len(self.poses), dtype=bool) if cells is None else cells
-        groups = [finish(self.mean(statistic, cells & group)) for _, group in self.groups(self.protocol.average)]
-        values = np.stack(groups)
-        counted = ~np.isnan(values)
-        return _mean(np.where(counted, values, 0).sum(axis=0), counted.sum(axis=0))
+        return finish(self.averaged(statistic, cells))
 
     @property
     def signature(self) -> str:
@@ -189,19 +255,25 @@ class Totals:
         kept = ("posecal", "N", "K", "origin", "joints", "root", "where", "best", "align", "average")
         shown = {key: value for key, value in parts.items() if key in kept or value != default.get(key)}
         shown["ece"] = f"exchangeable,{self.protocol.summary_over_joints}"
+        if s.reference:
+            shown["reference"] = s.reference
         return " ".join(f"{key}={value.replace(' ', '_')}" for key, value in shown.items())
 
     # --- sequences --------------------------------------------------------------------------------------------
 
     def by_sequence(
         self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None = None
-    ) -> tuple[FloatArray, npt.NDArray[np.int64]]:
-        """Add up a statistic over each sequence among some cells: sums (S, …) and counts (S,) or (S, J)."""
+    ) -> tuple[FloatArray, npt.NDArray[np.integer] | FloatArray]:
+        """Add up a statistic over each sequence among some cells: sums (S, …) and counts (S,) or (S, J).
+
+        By the option ``average`` they are weighted, so that all groups together count as much as their poses do, and
+        each as much as any other.
+        """
         chosen = np.ones(len(self.poses), dtype=bool) if cells is None else cells
         _, place = np.unique(self.cells["sequence"][chosen], return_inverse=True)
-        sums, counts = self.sums[statistic.name][chosen], self.counts[statistic.name][chosen]
+        sums, counts = self._weighed(statistic, chosen)
         added = np.zeros((place.max(initial=-1) + 1, *sums.shape[1:]))
-        number = np.zeros((len(added), *counts.shape[1:]), dtype=np.int64)
+        number = np.zeros((len(added), *counts.shape[1:]), dtype=counts.dtype)
         np.add.at(added, place, sums)
         np.add.at(number, place, counts)
         return added, number
@@ -210,11 +282,62 @@ class Totals:
         """Give a metric with each sequence left out in turn, (S,)."""
         chosen = np.ones(len(self.poses), dtype=bool) if cells is None else cells
         names = self.cells["sequence"]
-        if metric.clips or metric.statistic.kept or self.protocol.average != "poses":
+        if self.protocol.average != "poses":
+            if metric.family in CURVES:
+                return np.array([metric.finish(mean) for mean in self._averaged_without(metric.statistic, chosen)])
+            groups = [chosen & group for _, group in self.groups(self.protocol.average)]
+            whole = [self._pooled(metric, group) for group in groups]
+            return np.array(
+                [_known_mean(self._left_out(metric, groups, whole, names == n)) for n in np.unique(names[chosen])]
+            )
+        if metric.clips or metric.statistic.kept:
             return np.array([self.value(metric, chosen & (names != name)) for name in np.unique(names[chosen])])
         sums, counts = self.by_sequence(metric.statistic, chosen)
         rest, number = sums.sum(axis=0) - sums, counts.sum(axis=0) - counts
         return np.array([metric.finish(_mean(a, n)) for a, n in zip(rest, number, strict=True)])
+
+    def _left_out(
+        self, metric: Metric, groups: list[npt.NDArray[np.bool_]], whole: list[float], out: npt.NDArray[np.bool_]
+    ) -> list[float]:
+        """A metric of each group without some cells; known already for the groups that hold none of them."""
+        return [
+            self._pooled(metric, group & ~out) if (group & out).any() else value
+            for group, value in zip(groups, whole, strict=True)
+        ]
+
+    def _averaged_without(self, statistic: Statistic, chosen: npt.NDArray[np.bool_]) -> Iterator[FloatArray]:
+        """Mean of the groups' means with each sequence left out in turn: only those of its groups change."""
+        sums, counts = self.sums[statistic.name][chosen], self.counts[statistic.name][chosen]
+        group = self._group_of[chosen]
+        _, sequence = np.unique(self.cells["sequence"][chosen], return_inverse=True)
+        total = np.zeros((group.max(initial=-1) + 1, *sums.shape[1:]))
+        number = np.zeros((len(total), *counts.shape[1:]), dtype=np.int64)
+        np.add.at(total, group, sums)
+        np.add.at(number, group, counts)
+        means, counted = np.nan_to_num(_mean(total, number)), number > 0
+        added, groups = means.sum(axis=0), counted.sum(axis=0)
+        order = np.argsort(sequence, kind="stable")
+        for cells in np.split(order, np.flatnonzero(np.diff(sequence[order])) + 1):
+            own, place = np.unique(group[cells], return_inverse=True)
+            rest, left = total[own], number[own]
+            np.subtract.at(rest, place, sums[cells])
+            np.subtract.at(left, place, counts[cells])
+            changed = np.nan_to_num(_mean(rest, left)) - means[own]
+            yield _mean(added + changed.sum(axis=0), groups + (left > 0).sum(axis=0) - counted[own].sum(axis=0))
+
+    def joints_without(self, metric: Metric) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+        """Give a metric per joint with each sequence left out in turn, (S, K), and whether the joint counts in it."""
+        assert metric.by_joint is not None
+        statistic, finish = metric.by_joint
+        K, names = len(self.subject.joints), self.cells["sequence"]
+        sums, counts = self.by_sequence(statistic)
+        if self.protocol.average == "poses":
+            rest, number = sums.sum(axis=0) - sums, counts.sum(axis=0) - counts
+            without = [finish(_mean(a, n)) for a, n in zip(rest, number, strict=True)]
+        else:
+            without = [finish(mean) for mean in self._averaged_without(statistic, np.ones(len(names), dtype=bool))]
+        by_joint = counts if counts.ndim > 1 else np.broadcast_to(counts[:, None], (len(counts), K))
+        return np.stack(without), by_joint[:, :K] > 0
 
     # --- joining shards ---------------------------------------------------------------------------------------
 
@@ -232,7 +355,8 @@ class Totals:
         Returns
         -------
         Totals
-            What one run over all poses gives. A sequence may be split over shards.
+            What one run over all poses gives. A sequence may be split over shards; runs of frames without sequence
+            labels stay those of their shard.
 
         Raises
         ------
@@ -258,9 +382,13 @@ class Totals:
         rows: dict[tuple[str, ...], int] = {}
         seen: dict[tuple[object, ...], str] = {}
         where = []
-        for name, part in zip(names, parts, strict=True):
+        sequences = all(part.sequences for part in parts)
+        apart = len(parts) > 1 and not sequences
+        for number, (name, part) in enumerate(zip(names, parts, strict=True), 1):
             cells = list(zip(*(part.cells[key].tolist() for key in keys), strict=True))
-            where.append(np.array([rows.setdefault(cell, len(rows)) for cell in cells], dtype=np.intp))
+            at = keys.index("sequence")
+            own = [(*c[:at], f"{number}/{c[at]}", *c[at + 1 :]) for c in cells] if apart else cells
+            where.append(np.array([rows.setdefault(cell, len(rows)) for cell in own], dtype=np.intp))
             for place, cell in enumerate(cells):
                 print_ = (cell, int(part.poses[place]), *(float(s[place].sum()) for s in part.sums.values()))
                 if print_ in seen:
@@ -278,7 +406,7 @@ class Totals:
             cells={key: values[:, place] for place, key in enumerate(keys)},
             poses=poses,
             remarks=tuple(dict.fromkeys(remark for part in parts for remark in part.remarks)),
-            sequences=all(part.sequences for part in parts),
+            sequences=sequences,
         )
         for part, cells_of in zip(parts, where, strict=True):
             np.add.at(poses, cells_of, part.poses)
@@ -380,9 +508,14 @@ def _natural(text: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", text)]
 
 
-def _mean(sums: FloatArray, counts: npt.NDArray[np.int64]) -> FloatArray:
+def _mean(sums: FloatArray, counts: npt.NDArray[np.integer] | FloatArray) -> FloatArray:
     number = np.expand_dims(counts, tuple(range(np.ndim(counts), np.ndim(sums))))
     return np.where(number > 0, sums / np.maximum(number, 1), np.nan)
+
+
+def _known_mean(values: Sequence[float]) -> float:
+    found = [value for value in values if not np.isnan(value)]
+    return float(np.mean(found)) if found else float("nan")
 
 
 def _part(members: dict[str, Any], prefix: str) -> dict[str, Any]:

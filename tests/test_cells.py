@@ -85,7 +85,7 @@ def spread() -> Spread:
 
 def parts(by: str, values: Callable[[], Spread] = spread) -> list[str]:
     cells = cells_of(pairs_with(sequence=["a"] * M), [by], values)
-    return [row[list(cells.labels).index("spread")] for row in rows(cells)]
+    return [row[list(cells.labels).index(label_name(by))] for row in rows(cells)]
 
 
 def test_spread_makes_terciles() -> None:
@@ -104,6 +104,14 @@ def test_spread_is_cut_where_it_is_told_to_be_in_any_order() -> None:
         "1: below 3.0 mm" if v < 3 else "2: 3.0 to 12.5 mm" if v < 12.5 else "3: above 12.5 mm" for v in spread()
     ]
     assert parts("spread=12.5,3") == expected
+
+
+def test_two_cuts_of_the_spread_are_kept_beside_each_other() -> None:
+    cells = cells_of(pairs_with(sequence=["a"] * M), ["spread:2", "spread=3"], spread)
+    # The median of 1 … 20 is 10.5.
+    below = [("a", f"{1 + (v > 10.5)}", f"{1 + (v >= 3)}") for v in spread()]
+    assert list(cells.labels) == ["sequence", "spread:2", "spread:3"]
+    assert [(row[0], row[1][0], row[2][0]) for row in rows(cells)] == below
 
 
 def test_poses_in_which_no_joint_counts_do_not_move_the_cuts() -> None:
@@ -128,7 +136,14 @@ def test_a_label_that_is_called_spread_is_taken_as_it_is() -> None:
 
 @pytest.mark.parametrize(
     ("entry", "name"),
-    [("spread", "spread"), ("spread:5", "spread"), ("spread=40,60", "spread"), ("action", "action"), ("a:b", "a:b")],
+    [
+        ("spread", "spread"),
+        ("spread:5", "spread:5"),
+        ("spread=40,60", "spread:40,60"),
+        ("action", "action"),
+        ("spreads", "spreads"),
+        ("a=b", "a=b"),
+    ],
 )
 def test_an_entry_names_a_label(entry: str, name: str) -> None:
     assert label_name(entry) == name

@@ -11,6 +11,7 @@ from posecal.metric import Subject
 from posecal.protocol import Protocol
 from posecal.registry import known_metrics
 from posecal.skeleton import JOINT_SETS
+from tests.reports import report_of
 
 SUBJECT = Subject(
     200,
@@ -68,6 +69,37 @@ def test_a_metric_has_the_page_of_its_kind(name: str, words: str) -> None:
 def test_the_definition_is_written_out_for_the_options() -> None:
     assert "N=7" in explain("ece", subject=Subject(7, ("a", "b"), root=None))
     assert "80 mm" in explain("pck", Protocol(pck_threshold=80.0))
+
+
+def test_every_number_that_a_report_prints_is_explained_by_its_own_label() -> None:
+    for row in report_of(metrics="all", by=("sight",)).rows:
+        assert explain(row.metric).splitlines()[0] == f"{row.metric}: {row.label}"
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("ece_null", "mean of ECE over random signs of whole sequences"),
+        ("ece_null_95", "What the error is to be held against"),
+        ("ece_paper_p", "None with fewer than six sequences"),
+        ("tarp_p_adjusted", "adjusted for all tests (Holm)"),
+        ("ece_reference_floor", "expected ECE (reference) of a perfect sampler"),
+        ("ece_floor_95", "What N and M alone cost"),
+        ("effective_poses", "Frames of a video resemble their neighbours"),
+        ("squared_error", "lower is better"),
+    ],
+)
+def test_numbers_that_stand_beside_errors_have_pages(name: str, words: str) -> None:
+    text = explain(name)
+    assert words in text
+    for part in PARTS:
+        assert any(line.startswith(part) for line in text.splitlines())
+
+
+@pytest.mark.parametrize("name", ["mpjpe_null", "ece_worst_floor", "ece_p_adjusted"])
+def test_numbers_that_no_report_prints_are_not_explained(name: str) -> None:
+    with pytest.raises(PoseDataError, match=r"is not known"):
+        explain(name)
 
 
 def test_an_unknown_name_is_refused_with_the_nearest() -> None:

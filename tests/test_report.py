@@ -4,18 +4,21 @@ import csv
 import io
 import json
 import math
-from dataclasses import fields
+from dataclasses import fields, replace
+from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import stats
 
 import posecal
-from posecal.calibration import LEVELS
-from posecal.demo import sample
+from posecal.calibration import LEVELS, perfect_sampler, signed_area
+from posecal.demo import make_world, sample
 from posecal.errors import PoseDataError
+from posecal.inference import holm
 from posecal.protocol import Protocol
 from posecal.report import Report, Row
 from posecal.totals import Totals, difference_of_signatures
@@ -78,7 +81,7 @@ def test_json_gives_nothing_where_nothing_is_known() -> None:
     rows = as_json(unlabelled(n=1))["rows"]
     (row,) = (row for row in rows if row["metric"] == "min_mpjpe" and row["joint"] is None)
     assert row["value"] > 0
-    assert any(row["low"] is None for row in rows)
+    assert all(row["low"] is None for row in as_json(unlabelled(n=1, poses=1))["rows"])
     assert not any(isinstance(value, float) and math.isnan(value) for row in rows for value in row.values())
 
 
@@ -167,6 +170,78 @@ def test_each_number_s_interval_holds_it() -> None:
     assert all(row.low <= row.value <= row.high for row in held)
 
 
+def test_a_joint_s_signed_area_has_the_t_interval_of_its_sequences_areas() -> None:
+    """Sequences are equally long: the areas are means of the sequences' areas, and their interval is Student's."""
+    here, report = world(), report_of(0.5, by=("sequence",))
+    groups = [f"sequence={name}" for name in np.unique(here.sequence)]
+    areas = np.array([signed_area(report.calibration(group=group).coverage) for group in groups])
+    for k, joint in enumerate(posecal.JOINT_SETS["h36m-17"]):
+        if k:
+            low, high = stats.t(len(groups) - 1).interval(0.95)
+            (row,) = (r for r in report.rows if (r.metric, r.group, r.joint) == ("signed_area", None, joint))
+            middle, error = areas[:, k].mean(), stats.sem(areas[:, k])
+            np.testing.assert_allclose([row.low, row.high], [middle + error * low, middle + error * high], rtol=1e-9)
+
+
+def test_a_joint_s_ece_has_no_interval() -> None:
+    assert all(math.isnan(row.low) for row in some().rows if row.metric == "ece" and row.joint is not None)
+
+
+def test_a_joint_s_interval_is_over_the_sequences_in_which_it_counts() -> None:
+    """The head is masked but in three sequences: Student's t has two degrees of freedom."""
+    here = world()
+    where = np.ones(here.truth.shape[:2], dtype=bool)
+    where[3 * FRAMES :, 10] = False
+    names = posecal.JOINT_SETS["h36m-17"]
+    report = posecal.evaluate(
+        sample(here, 3), here.truth, joints="h36m-17", labels={"sequence": here.sequence}, where=where
+    )
+    shown = slice(0, 3 * FRAMES)
+    alone = posecal.evaluate(
+        sample(here, 3)[:, shown], here.truth[shown], joints="h36m-17", labels={"sequence": here.sequence[shown]}
+    )
+    found, expected = (
+        next(row for row in r.rows if (row.metric, row.joint) == ("mpjpe", names[10])) for r in (report, alone)
+    )
+    np.testing.assert_allclose([found.low, found.high], [expected.low, expected.high], rtol=1e-9)
+    assert found.low < found.value < found.high
+
+
+def test_the_battery_s_rows_have_the_p_values_of_its_table() -> None:
+    """Holm: the smallest of n p-values is multiplied by n."""
+    report = report_of(0.8, metrics="battery")
+    tests = list(report.battery())
+    raw = [report.value(f"{name}_p") for name in tests]
+    least = tests[int(np.argmin(raw))]
+    assert report.value(f"{least}_p_adjusted") == min(1.0, len(tests) * min(raw))
+    assert [report.value(f"{name}_p_adjusted") for name in tests] == holm(raw)
+    (row,) = (row for row in report.rows if row.metric == f"{least}_p_adjusted")
+    assert f"adjusted for all tests (Holm); {len(tests)} tests" in row.definition
+    assert row.label.endswith(", adjusted p-value")
+
+
+def test_groups_of_enough_sequences_have_what_a_calibrated_sampler_would_show() -> None:
+    here = world()
+    half = np.where(np.isin(here.sequence, np.unique(here.sequence)[:6]), "one", "other")
+    labels = {"sequence": here.sequence, "half": half, "action": here.action}
+    report = posecal.evaluate(
+        sample(here, N, 0.5),
+        here.truth,
+        joints="h36m-17",
+        labels=labels,
+        by=["half", "action", "sight"],
+        occluded=here.occluded,
+    )
+    kept = half == "one"
+    alone = posecal.evaluate(
+        sample(here, N, 0.5)[:, kept], here.truth[kept], joints="h36m-17", labels={"sequence": here.sequence[kept]}
+    )
+    for ending in ("null", "null_95", "p"):
+        np.testing.assert_allclose(report.value(f"ece_{ending}", "half=one"), alone.value(f"ece_{ending}"), rtol=1e-5)
+    groups = {row.group for row in report.rows if row.metric == "ece_p"}
+    assert groups == {None, "half=one", "half=other", "sight=occluded", "sight=visible"}
+
+
 def test_a_wide_and_a_narrow_sampler_lie_on_either_side() -> None:
     assert report_of(0.5).value("signed_area") < -0.1
     assert report_of(1.5).value("signed_area") > 0.1
@@ -176,6 +251,115 @@ def test_the_floors_say_n_and_that_they_are_of_a_perfect_sampler() -> None:
     (floor,) = (row for row in some().rows if row.metric == "ece_floor")
     assert 0 < floor.value < next(row for row in some().rows if row.metric == "ece_floor_95").value
     assert floor.definition.startswith("expected ECE of a perfect sampler: N=12, 36 independent poses and 16 ")
+
+
+def test_the_poses_by_sight_are_those_with_such_a_joint() -> None:
+    """Every third pose has nothing hidden, and all have something to see."""
+    here = world()
+    occluded = here.occluded & (np.arange(36) % 3 > 0)[:, None]
+    occluded[np.arange(36) % 3 > 0, 2] = True
+    report = posecal.evaluate(sample(here, 3), here.truth, joints="h36m-17", occluded=occluded, by=["sight"])
+    poses = {(row.group, row.poses) for row in report.rows if (row.group or "").startswith("sight=")}
+    assert poses == {("sight=occluded", 24), ("sight=visible", 36)}
+
+
+def test_a_result_without_numbers_by_sight_says_how_to_get_them() -> None:
+    with pytest.raises(PoseDataError, match=r"^by: this result holds no numbers by sight\. Evaluate with"):
+        Report(report_of().totals, ["sight"])
+
+
+def test_a_cut_of_the_spread_that_was_not_kept_is_refused() -> None:
+    kept = report_of(by=("spread",)).totals
+    assert Report(kept, ["spread"]).by == ("spread",)
+    for other in ("spread:5", "spread=40,60"):
+        with pytest.raises(PoseDataError, match=r"^by: 'spread:.*' is not a label of these poses"):
+            Report(kept, [other])
+
+
+# --- averaged over groups -------------------------------------------------------------------------------------
+
+
+def uneven() -> dict[str, Any]:
+    """Eight sequences of 1, 2 and 3 frames of an overconfident sampler."""
+    here = make_world(8, 3, seed=6)
+    kept = np.flatnonzero(np.arange(24) % 3 <= np.repeat([0, 1, 2, 0, 1, 2, 1, 0], 3))
+    labels = {"sequence": here.sequence[kept], "action": here.action[kept]}
+    return {"x": sample(here, 6, 0.6)[:, kept], "y": here.truth[kept], "labels": labels}
+
+
+@cache
+def averaged_and_repeated(label: str) -> tuple[Report, Report]:
+    """The mean over groups, and all poses of as many copies of each group's that all groups are equally large."""
+    data = uneven()
+    values = data["labels"][label]
+    size = np.array([(values == value).sum() for value in values])
+    copies = np.repeat(np.arange(len(values)), math.lcm(*size.tolist()) // size)
+    metrics = Protocol(metrics="default, battery, ece_paper")
+    one, other = (
+        posecal.evaluate(
+            data["x"][:, chosen],
+            data["y"][chosen],
+            joints="h36m-17",
+            labels={name: words[chosen] for name, words in data["labels"].items()},
+            protocol=protocol,
+            by=["action"],
+        )
+        for chosen, protocol in ((slice(None), replace(metrics, average=label)), (copies, metrics))
+    )
+    return one, other
+
+
+@pytest.mark.parametrize("label", ["sequence", "action"])
+def test_averaged_calibration_and_its_null_are_those_of_equally_large_groups(label: str) -> None:
+    one, other = averaged_and_repeated(label)
+    for name, metric in one.metrics.items():
+        if metric.family in {"calibration", "battery"}:
+            np.testing.assert_allclose(one.value(name), other.value(name), rtol=1e-9, err_msg=name)
+        if metric.deviation is not None:
+            found, expected = (vars(report.null(name)) for report in (one, other))
+            np.testing.assert_allclose(list(found.values()), list(expected.values()), rtol=1e-4, err_msg=name)
+
+
+@pytest.mark.parametrize("label", ["sequence", "action"])
+def test_averaged_curves_are_those_of_equally_large_groups(label: str) -> None:
+    one, other = averaged_and_repeated(label)
+    for definition in ("exchangeable", "paper"):
+        np.testing.assert_allclose(one.summary_curve(definition), other.summary_curve(definition), rtol=1e-9)
+        curves = [report.calibration(definition).coverage for report in (one, other)]
+        np.testing.assert_allclose(*curves, rtol=1e-9)
+    for name in ("coordinate_pit", "band_depth"):
+        np.testing.assert_allclose(one.rank_curves(name), other.rank_curves(name), rtol=1e-9)
+    assert one.joint_tests().keys() == other.joint_tests().keys()
+    for joint, (area, p) in one.joint_tests().items():
+        np.testing.assert_allclose((area, p), other.joint_tests()[joint], rtol=1e-9)
+    np.testing.assert_allclose(one.curve("errors_by_n")[1], other.curve("errors_by_n")[1], rtol=1e-9)
+
+
+def test_averaged_over_sequences_intervals_are_those_of_equally_long_ones() -> None:
+    one, other = averaged_and_repeated("sequence")
+    for name, metric in one.metrics.items():
+        if metric.family != "spread" or not metric.statistic.kept:
+            rows = [
+                next(row for row in report.rows if (row.metric, row.group, row.joint) == (name, None, None))
+                for report in (one, other)
+            ]
+            low, high = ([getattr(row, end) for row in rows] for end in ("low", "high"))
+            np.testing.assert_allclose([low[0], high[0]], [low[1], high[1]], rtol=1e-9, err_msg=name)
+
+
+def test_the_curve_that_is_drawn_is_the_one_whose_error_is_reported() -> None:
+    one = averaged_and_repeated("action")[0]
+    for group in (None, "action=sitting"):
+        curve = one.summary_curve("exchangeable", group)
+        np.testing.assert_allclose(np.abs(curve - LEVELS).mean(), one.value("ece", group), rtol=1e-9)
+
+
+def test_the_floor_of_an_average_is_that_of_as_many_poses_as_it_is_worth() -> None:
+    """Sequences of 1, 2, 3, 1, 2, 3, 2 and 1 poses: a mean of their means has the variance σ²/8² Σ 1/n = σ²/10.55."""
+    worth = 8**2 / sum(1 / n for n in (1, 2, 3, 1, 2, 3, 2, 1))
+    (floor,) = (row for row in averaged_and_repeated("sequence")[0].rows if row.metric == "ece_floor")
+    assert f"{worth:.0f} independent poses" in floor.definition
+    assert floor.value == perfect_sampler(6, round(worth), 16).mean
 
 
 # --- what is refused ------------------------------------------------------------------------------------------
@@ -231,8 +415,17 @@ def test_few_hypotheses_are_remarked_on_up_to_twenty() -> None:
 
 
 def test_poses_without_sequences_are_remarked_on() -> None:
-    assert any(remark.startswith("no sequence labels: ") for remark in unlabelled().remarks)
+    (remark,) = (remark for remark in unlabelled().remarks if remark.startswith("no sequence labels: "))
+    assert remark == "no sequence labels: 5 frames are taken as independent. In a video they are not."
+    (remark,) = (r for r in unlabelled(poses=201).remarks if r.startswith("no sequence labels: "))
+    assert "100 runs of consecutive frames are taken as independent" in remark
     assert not any("sequence" in remark for remark in some().remarks)
+
+
+def test_one_sequence_is_one_sequence() -> None:
+    here = world()
+    one = posecal.evaluate(sample(here, 2)[:, :3], here.truth[:3], labels={"sequence": here.sequence[:3]})
+    assert any(remark.startswith("1 sequence allows no test: ") for remark in one.remarks)
 
 
 def test_too_few_sequences_for_a_test_are_remarked_on() -> None:

@@ -244,6 +244,16 @@ def test_left_out_in_turn_each_sequence_is_as_if_it_had_not_been_there(protocol:
         np.testing.assert_allclose(found.without(metrics[name]), expected, rtol=1e-9, err_msg=name)
 
 
+@pytest.mark.parametrize("average", ["poses", "action", "sequence"])
+def test_per_joint_each_sequence_is_left_out_as_if_it_had_not_been_there(average: str) -> None:
+    found = world(5, M=20).totals(Protocol(average=average, where="occluded"))
+    names = np.unique(found.cells["sequence"])
+    for name in ("mpjpe", "signed_area"):
+        one = known_metrics(found.protocol, found.subject)[name]
+        expected = [found.by_joint(one, found.cells["sequence"] != left) for left in names]
+        np.testing.assert_allclose(found.joints_without(one)[0], expected, rtol=1e-9, atol=1e-12, err_msg=name)
+
+
 # --- shards ----------------------------------------------------------------------------------------------------------
 
 
@@ -294,11 +304,47 @@ def test_remarks_are_said_once() -> None:
     assert Totals.merged([totals(remarks=("few",)), other]).remarks == ("few", "slow")
 
 
-def test_runs_of_frames_stay_runs_of_frames() -> None:
-    parts = [replace(part.pairs, labels={}) for part in cut(world(6, M=23), 9)]
-    merged = Totals.merged([add_up(part) for part in parts])
+def test_runs_of_frames_stay_runs_of_frames_of_their_own_shard() -> None:
+    """23 frames of two shards are 23 runs of one frame, as in one go: so are their sums, and what is read off them."""
+    pairs = replace(world(6, M=23).pairs, labels={})
+    parts = [add_up(replace(part.pairs, labels={})) for part in cut(world(6, M=23), 9)]
+    merged, whole = Totals.merged(parts), add_up(pairs)
     assert not merged.sequences
-    assert merged.poses.sum() == 23
+    assert merged.poses.tolist() == [1] * 23
+    for name, sums in whole.sums.items():
+        np.testing.assert_allclose(merged.sums[name], sums, rtol=1e-12, err_msg=name)
+    one = known_metrics(Protocol(), whole.subject)["mpjpe"]
+    np.testing.assert_allclose(sorted(merged.without(one)), sorted(whole.without(one)), rtol=1e-12)
+
+
+def test_the_same_runs_of_frames_twice_are_refused() -> None:
+    part = totals(sequences=False)
+    with pytest.raises(PoseDataError, match=r"part 1 and part 2 hold the same poses"):
+        Totals.merged([part, part])
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({}, "3 sequences"),
+        ({"sequences": False}, "3 runs of frames"),
+        ({"sequences": False, "poses": np.ones(4, dtype=int), "cells": {"sequence": np.arange(4)}}, "4 frames"),
+        ({"cells": {"sequence": np.array(["a"] * 4)}}, "1 sequence"),
+        ({"cells": {"sequence": np.array(["a"] * 4)}, "sequences": False}, "1 run of frames"),
+    ],
+)
+def test_what_is_taken_as_independent_is_said_with_its_number(changes: dict[str, object], words: str) -> None:
+    assert totals(**changes).units() == words
+
+
+def test_a_number_of_them_may_be_given() -> None:
+    assert totals().units(1) == "1 sequence"
+    assert totals().units(2) == "2 sequences"
+
+
+def test_poses_of_one_row_of_a_statistic_are_counted() -> None:
+    assert totals().count(JOINTS, row=1) == 2
+    assert totals().count(JOINTS, SIT, row=1) == 1
 
 
 @pytest.mark.parametrize(

@@ -49,6 +49,7 @@ class Twin:
         self.links = oracles.links(self.errors)
         self.numbers: Numbers = {}
         self.by_joint: dict[str, Callable[[Poses], Array]] = {}
+        self.of_curves: set[str] = set()
         self.define()
 
     def joints(self, text: str) -> Mask:
@@ -60,7 +61,7 @@ class Twin:
     def value(self, name: str) -> float:
         """The number over all poses, or the mean over the groups that the protocol averages."""
         label = self.protocol.average
-        if label == "poses":
+        if label == "poses" or name in self.of_curves:
             return self.numbers[name](np.arange(len(self.y)))
         groups = getattr(self.world, label)
         return mean_known(np.array([self.numbers[name](np.flatnonzero(groups == g)) for g in np.unique(groups)]))
@@ -68,11 +69,27 @@ class Twin:
     def joint_values(self, name: str) -> Array:
         """The same for each joint."""
         label, of = self.protocol.average, self.by_joint[name]
-        if label == "poses":
+        if label == "poses" or name in self.of_curves:
             return of(np.arange(len(self.y)))
         groups = getattr(self.world, label)
         values = np.array([of(np.flatnonzero(groups == g)) for g in np.unique(groups)])
         return np.array([mean_known(column) for column in values.T])
+
+    def groups(self, poses: Poses) -> list[Poses]:
+        """The poses of each group that the protocol averages."""
+        if self.protocol.average == "poses":
+            return [poses]
+        label = getattr(self.world, self.protocol.average)[poses]
+        return [poses[label == g] for g in np.unique(label)]
+
+    def curves(self, weights: Array, poses: Poses) -> Array:
+        """ω_k(q), (K, 21): the mean of those of the groups in which joint k counts."""
+        return oracles.curves(np.array([oracles.curves(weights[group]) for group in self.groups(poses)]))
+
+    def pooled(self, weights: Array, poses: Poses) -> Array:
+        """The mean of the groups' pooled curves."""
+        found = [oracles.pooled_curve(weights[group]) for group in self.groups(poses)]
+        return oracles.curves(np.array(found)[:, None])[0]
 
     def over_poses(self, name: str, values: Array, factor: float = 1.0) -> None:
         self.numbers[name] = lambda poses: factor * mean_known(values[poses])
@@ -89,13 +106,15 @@ class Twin:
         for name, x in (("mpjve", self.x), ("mean_pose_mpjve", oracles.one_pose(self.x, "mean_pose"))):
             steps = oracles.velocity_errors(x, self.y, self.body, list(self.world.sequence))
             self.over_poses(name, steps, factor)
+        before = set(self.numbers)
         self.define_calibration()
+        self.define_battery()
+        self.of_curves = set(self.numbers) - before
         less = 0 if p.deviation == "population" else 1
         self.define_spread("diversity", oracles.deviations(self.x, less))
         for share in (50, 90):
             self.define_spread(f"radius_{share}", oracles.radii(self.x, share / 100))
         self.define_scores()
-        self.define_battery()
         self.define_guide()
 
     def define_errors(self, prefix: str, align: str) -> None:
@@ -147,31 +166,31 @@ class Twin:
             weights = oracles.inside(self.x, self.y, self.moving, definition)
             for ending, how in (("", over), ("_mean", "mean"), ("_worst", "worst")):
                 self.numbers[f"ece{suffix}{ending}"] = lambda poses, weights=weights, how=how: oracles.ece(
-                    oracles.curves(weights[poses]), oracles.pooled_curve(weights[poses]), how
+                    self.curves(weights, poses), self.pooled(weights, poses), how
                 )
             self.by_joint[f"ece{suffix}"] = lambda poses, weights=weights: np.array(
-                [oracles.curve_ece(curve) for curve in oracles.curves(weights[poses])]
+                [oracles.curve_ece(curve) for curve in self.curves(weights, poses)]
             )
             if definition == "exchangeable":
                 self.define_exchangeable(weights, over)
 
     def define_exchangeable(self, weights: Array, over: str) -> None:
         def summary(poses: Poses) -> Array:
-            return oracles.over_joints(oracles.curves(weights[poses]), oracles.pooled_curve(weights[poses]), over)
+            return oracles.over_joints(self.curves(weights, poses), self.pooled(weights, poses), over)
 
         def areas(poses: Poses) -> list[float]:
-            found = [oracles.curve_area(curve) for curve in oracles.curves(weights[poses])]
+            found = [oracles.curve_area(curve) for curve in self.curves(weights, poses)]
             return [area for area in found if not math.isnan(area)] or [math.nan]
 
         self.numbers["signed_area"] = lambda poses: oracles.curve_area(summary(poses))
         self.numbers["signed_area_min"] = lambda poses: min(areas(poses))
         self.numbers["signed_area_max"] = lambda poses: max(areas(poses))
         self.by_joint["signed_area"] = lambda poses: np.array(
-            [oracles.curve_area(curve) for curve in oracles.curves(weights[poses])]
+            [oracles.curve_area(curve) for curve in self.curves(weights, poses)]
         )
         for percent, level in ((50, 10), (80, 16), (90, 18), (95, 19)):
             self.numbers[f"coverage_{percent}"] = lambda poses, level=level: float(summary(poses)[level])
-            self.by_joint[f"coverage_{percent}"] = lambda poses, level=level: oracles.curves(weights[poses])[:, level]
+            self.by_joint[f"coverage_{percent}"] = lambda poses, level=level: self.curves(weights, poses)[:, level]
 
     def define_spread(self, name: str, values: Array) -> None:
         self.over_joints(name, values, self.moving)
@@ -223,16 +242,14 @@ class Twin:
             share = share[self.moving[m][joints]]
             ranks["tarp_box"][m] = score_oracles.rank_inside(score_oracles.tarp_box(pool, share))
         for name, weights in ranks.items():
-            self.numbers[name] = lambda poses, weights=weights: oracles.curve_ece(
-                oracles.pooled_curve(weights[poses, None])
-            )
+            self.numbers[name] = lambda poses, weights=weights: oracles.curve_ece(self.pooled(weights[:, None], poses))
         single = np.full((M, K, D, 21), math.nan)
         for m, k, d in np.ndindex(M, K, D):
             if self.moving[m, k]:
                 single[m, k, d] = score_oracles.rank_inside([*self.x[:, m, k, d], self.y[m, k, d]])
 
         def by_joint(poses: Poses) -> Array:
-            axes = [oracles.curves(single[poses][:, :, d]) for d in range(D)]
+            axes = [self.curves(single[:, :, d], poses) for d in range(D)]
             return np.array([oracles.mean([oracles.curve_ece(axis[k]) for axis in axes]) for k in range(K)])
 
         self.by_joint["coordinate_pit"] = by_joint

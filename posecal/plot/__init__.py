@@ -138,6 +138,6 @@ def _reliability_caption(report: Report) -> str:
     if metric is None or definition != "exchangeable" or math.isnan((found := report.null(metric.name)).p):
         return words
     return (
-        f"{words} Band: 95 % of calibrated samplers, by sign-flips of {found.sequences} sequences; their mean ECE "
-        f"{found.mean:.4f}, p = {found.p:.3f}."
+        f"{words} Band: 95 % of calibrated samplers, by sign-flips of {report.totals.units(found.sequences)}; "
+        f"their mean ECE {found.mean:.4f}, p = {found.p:.3f}."
     )

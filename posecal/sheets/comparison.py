@@ -36,12 +36,12 @@ def comparison_sheet(comparison: Comparison) -> Sheet:
                 rank = f" ({comparison.rank(name, model)})" if metric.direction != "none" else ""
                 cells.append(number(comparison.value(name, model), metric.unit) + rank)
             rows.append((metric.label, *cells))
-    poses, sequences = int(comparison.totals[0].poses.sum()), len(set(comparison.totals[0].cells["sequence"].tolist()))
+    first = comparison.totals[0]
     return Sheet(
-        f"{' against '.join(names)} · the same M = {poses:,} poses, paired by {sequences:,} sequences",
+        f"{' against '.join(names)} · the same M = {first.poses.sum():,} poses, paired by {first.units()}",
         sentences=_said(comparison),
         tables=[Table("Comparison", tuple(columns), rows)],
-        footer=f"signature: {comparison.totals[0].signature}",
+        footer=f"signature: {first.signature}",
     )
 
 

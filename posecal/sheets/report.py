@@ -58,8 +58,7 @@ def title(report: Findings) -> str:
     """Say in one line what was measured."""
     totals = report.totals
     subject, poses = totals.subject, int(totals.poses.sum())
-    sequences = len(set(totals.cells["sequence"].tolist()))
-    of = f" in {counted(sequences, 'sequence')}" if totals.sequences else ""
+    of = f" in {totals.units()}" if totals.sequences else ""
     origin = "as given" if subject.root is None else f"relative to {subject.joints[subject.root]}"
     where = "" if totals.protocol.where == "all" else f", {totals.protocol.where} joints only"
     return (
