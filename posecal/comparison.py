@@ -19,6 +19,7 @@ import numpy as np
 
 from posecal.errors import PoseDataError
 from posecal.inference import Interval, holm, jackknife, paired_p
+from posecal.leave_one_out import without
 from posecal.metric import TRUE_POSES, Metric
 from posecal.registry import metrics_of
 from posecal.sureness import null
@@ -90,7 +91,7 @@ class Comparison:
         found, totals = self.metrics[metric], self.totals[self.names.index(model)]
         if found.deviation is not None:
             return Interval(math.nan, math.nan, math.nan, 0)
-        return jackknife(totals.value(found), totals.without(found))
+        return jackknife(totals.value(found), without(totals, found))
 
     def feasible(self, metric: str = "ece") -> float:
         """Give the largest calibration error that a calibrated sampler would show here: its 95 % quantile.
@@ -169,10 +170,10 @@ def compare(totals: Sequence[Totals], names: Sequence[str]) -> Comparison:
     differences = []
     for metric in shared.values():
         values = [t.value(metric) for t in totals]
-        without = [t.without(metric) for t in totals]
+        left_out = [without(t, metric) for t in totals]
         if metric.direction == "zero":  # nearer to 0 is better: the distances from it are compared
-            values, without = [abs(value) for value in values], [np.abs(some) for some in without]
-        found = [jackknife(values[a] - values[b], without[a] - without[b]) for a, b in pairs]
+            values, left_out = [abs(value) for value in values], [np.abs(some) for some in left_out]
+        found = [jackknife(values[a] - values[b], left_out[a] - left_out[b]) for a, b in pairs]
         adjusted = holm([paired_p(interval) for interval in found])
         for (a, b), interval, p in zip(pairs, found, adjusted, strict=True):
             better = None

@@ -8,6 +8,7 @@ import numpy.typing as npt
 from posecal.block import FloatArray
 from posecal.calibration.ranks import LEVELS
 from posecal.inference import Deviation, Interval, Null, effective_poses, jackknife, sign_flips, squared_error
+from posecal.leave_one_out import joints_without, without
 from posecal.metric import Metric, Statistic
 from posecal.totals import Totals
 
@@ -42,13 +43,13 @@ def interval(totals: Totals, metric: Metric, cells: Cells = None) -> Interval:
     Interval
         NaN ends where there are fewer than two sequences.
     """
-    return jackknife(totals.value(metric, cells), totals.without(metric, cells))
+    return jackknife(totals.value(metric, cells), without(totals, metric, cells))
 
 
 def joint_intervals(totals: Totals, metric: Metric) -> list[Interval]:
     """Give the 95 % interval of a metric at each of K joints, over the sequences in which the joint counts."""
-    values, (without, counted) = totals.by_joint(metric), totals.joints_without(metric)
-    return [jackknife(float(value), without[counted[:, k], k]) for k, value in enumerate(values)]
+    values, (left_out, counted) = totals.by_joint(metric), joints_without(totals, metric)
+    return [jackknife(float(value), left_out[counted[:, k], k]) for k, value in enumerate(values)]
 
 
 def deviations(

@@ -28,7 +28,7 @@ from posecal.io import written_whole
 from posecal.metric import Metric, Statistic, Subject
 from posecal.protocol import Protocol
 
-__all__ = ["FORMAT", "Totals", "difference_of_signatures", "is_result"]
+__all__ = ["CURVES", "FORMAT", "Totals", "difference_of_signatures", "is_result", "mean_of", "mean_of_known"]
 
 FORMAT = 1
 """The version of the file format."""
@@ -141,12 +141,12 @@ class Totals:
     def mean(self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None = None) -> FloatArray:
         """Mean of a statistic over the poses of some cells; NaN where none counts."""
         chosen = slice(None) if cells is None else cells
-        return _mean(self.sums[statistic.name][chosen].sum(axis=0), self.counts[statistic.name][chosen].sum(axis=0))
+        return mean_of(self.sums[statistic.name][chosen].sum(axis=0), self.counts[statistic.name][chosen].sum(axis=0))
 
     def averaged(self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None = None) -> FloatArray:
         """Mean of a statistic; by the option ``average``, the mean of its groups' means, for each joint by itself."""
         sums, counts = self._weighed(statistic, cells)
-        return _mean(sums.sum(axis=0), counts.sum(axis=0))
+        return mean_of(sums.sum(axis=0), counts.sum(axis=0))
 
     def _weighed(
         self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None
@@ -156,15 +156,15 @@ class Totals:
         sums, counts = self.sums[statistic.name][chosen], self.counts[statistic.name][chosen]
         if self.protocol.average == "poses":
             return sums, counts
-        place = self._group_of[chosen]
-        number = np.zeros((self._group_of.max(initial=-1) + 1, *counts.shape[1:]))
+        place = self.group_of[chosen]
+        number = np.zeros((self.group_of.max(initial=-1) + 1, *counts.shape[1:]))
         np.add.at(number, place, counts)
         even = number.sum(axis=0) / np.maximum((number > 0).sum(axis=0), 1)
         weight = (even / np.maximum(number, 1))[place]
         return sums * np.expand_dims(weight, tuple(range(weight.ndim, sums.ndim))), counts * weight
 
     @cached_property
-    def _group_of(self) -> npt.NDArray[np.intp]:
+    def group_of(self) -> npt.NDArray[np.intp]:
         """The group of each cell, by the option ``average``."""
         place = np.zeros(len(self.poses), dtype=np.intp)
         for number, (_, group) in enumerate(self.groups(self.protocol.average)):
@@ -181,8 +181,8 @@ class Totals:
         counts = self.counts[statistic.name]
         if self.protocol.average == "poses":
             return np.asarray(counts.sum(axis=0), dtype=np.float64)
-        number = np.zeros((self._group_of.max(initial=-1) + 1, *counts.shape[1:]))
-        np.add.at(number, self._group_of, counts)
+        number = np.zeros((self.group_of.max(initial=-1) + 1, *counts.shape[1:]))
+        np.add.at(number, self.group_of, counts)
         shares = np.where(number > 0, 1 / np.maximum(number, 1), 0).sum(axis=0)
         worth: FloatArray = np.asarray((number > 0).sum(axis=0) ** 2 / np.where(shares > 0, shares, np.inf))
         return worth
@@ -210,11 +210,12 @@ class Totals:
             return metric.finish(self.averaged(metric.statistic, cells))
         cells = np.ones(len(self.poses), dtype=bool) if cells is None else cells
         if self.protocol.average == "poses":
-            return self._pooled(metric, cells)
-        values = [self._pooled(metric, cells & group) for _, group in self.groups(self.protocol.average)]
-        return _known_mean(values)
+            return self.pooled(metric, cells)
+        values = [self.pooled(metric, cells & group) for _, group in self.groups(self.protocol.average)]
+        return mean_of_known(values)
 
-    def _pooled(self, metric: Metric, cells: npt.NDArray[np.bool_]) -> float:
+    def pooled(self, metric: Metric, cells: npt.NDArray[np.bool_]) -> float:
+        """Give a metric over some cells, whatever is averaged."""
         if metric.statistic.kept:
             return metric.finish(self._kept(metric.statistic, cells))
         if not metric.clips:
@@ -227,7 +228,7 @@ class Totals:
             chosen = cells & np.array([batch.get(name, -1) == wanted for name in self.cells["sequence"]])
             poses = int(counts[chosen].sum())
             if poses:
-                total += poses * metric.finish(_mean(sums[chosen].sum(axis=0), counts[chosen].sum(axis=0)))
+                total += poses * metric.finish(mean_of(sums[chosen].sum(axis=0), counts[chosen].sum(axis=0)))
                 number += poses
         return total / number if number else float("nan")
 
@@ -277,67 +278,6 @@ class Totals:
         np.add.at(added, place, sums)
         np.add.at(number, place, counts)
         return added, number
-
-    def without(self, metric: Metric, cells: npt.NDArray[np.bool_] | None = None) -> FloatArray:
-        """Give a metric with each sequence left out in turn, (S,)."""
-        chosen = np.ones(len(self.poses), dtype=bool) if cells is None else cells
-        names = self.cells["sequence"]
-        if self.protocol.average != "poses":
-            if metric.family in CURVES:
-                return np.array([metric.finish(mean) for mean in self._averaged_without(metric.statistic, chosen)])
-            groups = [chosen & group for _, group in self.groups(self.protocol.average)]
-            whole = [self._pooled(metric, group) for group in groups]
-            return np.array(
-                [_known_mean(self._left_out(metric, groups, whole, names == n)) for n in np.unique(names[chosen])]
-            )
-        if metric.clips or metric.statistic.kept:
-            return np.array([self.value(metric, chosen & (names != name)) for name in np.unique(names[chosen])])
-        sums, counts = self.by_sequence(metric.statistic, chosen)
-        rest, number = sums.sum(axis=0) - sums, counts.sum(axis=0) - counts
-        return np.array([metric.finish(_mean(a, n)) for a, n in zip(rest, number, strict=True)])
-
-    def _left_out(
-        self, metric: Metric, groups: list[npt.NDArray[np.bool_]], whole: list[float], out: npt.NDArray[np.bool_]
-    ) -> list[float]:
-        """A metric of each group without some cells; known already for the groups that hold none of them."""
-        return [
-            self._pooled(metric, group & ~out) if (group & out).any() else value
-            for group, value in zip(groups, whole, strict=True)
-        ]
-
-    def _averaged_without(self, statistic: Statistic, chosen: npt.NDArray[np.bool_]) -> Iterator[FloatArray]:
-        """Mean of the groups' means with each sequence left out in turn: only those of its groups change."""
-        sums, counts = self.sums[statistic.name][chosen], self.counts[statistic.name][chosen]
-        group = self._group_of[chosen]
-        _, sequence = np.unique(self.cells["sequence"][chosen], return_inverse=True)
-        total = np.zeros((group.max(initial=-1) + 1, *sums.shape[1:]))
-        number = np.zeros((len(total), *counts.shape[1:]), dtype=np.int64)
-        np.add.at(total, group, sums)
-        np.add.at(number, group, counts)
-        means, counted = np.nan_to_num(_mean(total, number)), number > 0
-        added, groups = means.sum(axis=0), counted.sum(axis=0)
-        order = np.argsort(sequence, kind="stable")
-        for cells in np.split(order, np.flatnonzero(np.diff(sequence[order])) + 1):
-            own, place = np.unique(group[cells], return_inverse=True)
-            rest, left = total[own], number[own]
-            np.subtract.at(rest, place, sums[cells])
-            np.subtract.at(left, place, counts[cells])
-            changed = np.nan_to_num(_mean(rest, left)) - means[own]
-            yield _mean(added + changed.sum(axis=0), groups + (left > 0).sum(axis=0) - counted[own].sum(axis=0))
-
-    def joints_without(self, metric: Metric) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
-        """Give a metric per joint with each sequence left out in turn, (S, K), and whether the joint counts in it."""
-        assert metric.by_joint is not None
-        statistic, finish = metric.by_joint
-        K, names = len(self.subject.joints), self.cells["sequence"]
-        sums, counts = self.by_sequence(statistic)
-        if self.protocol.average == "poses":
-            rest, number = sums.sum(axis=0) - sums, counts.sum(axis=0) - counts
-            without = [finish(_mean(a, n)) for a, n in zip(rest, number, strict=True)]
-        else:
-            without = [finish(mean) for mean in self._averaged_without(statistic, np.ones(len(names), dtype=bool))]
-        by_joint = counts if counts.ndim > 1 else np.broadcast_to(counts[:, None], (len(counts), K))
-        return np.stack(without), by_joint[:, :K] > 0
 
     # --- joining shards ---------------------------------------------------------------------------------------
 
@@ -508,12 +448,14 @@ def _natural(text: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", text)]
 
 
-def _mean(sums: FloatArray, counts: npt.NDArray[np.integer] | FloatArray) -> FloatArray:
+def mean_of(sums: FloatArray, counts: npt.NDArray[np.integer] | FloatArray) -> FloatArray:
+    """Divide sums by counts; NaN where nothing counts."""
     number = np.expand_dims(counts, tuple(range(np.ndim(counts), np.ndim(sums))))
     return np.where(number > 0, sums / np.maximum(number, 1), np.nan)
 
 
-def _known_mean(values: Sequence[float]) -> float:
+def mean_of_known(values: Sequence[float]) -> float:
+    """Give the mean of those that are not NaN."""
     found = [value for value in values if not np.isnan(value)]
     return float(np.mean(found)) if found else float("nan")
 

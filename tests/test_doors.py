@@ -96,6 +96,7 @@ FLOORS = (
     "calibration metric",
     "metrics.table metrics.score_table calibration.table sight",
     "registry totals",
+    "leave_one_out",
     "sureness",
     "rows summation",
     "findings comparison reference explanation",

@@ -12,6 +12,7 @@ import numpy.typing as npt
 import pytest
 
 from posecal.errors import PoseDataError, PoseFileError
+from posecal.leave_one_out import joints_without, without
 from posecal.metric import Metric, Statistic, Subject, item
 from posecal.protocol import Protocol
 from posecal.registry import known_metrics
@@ -241,7 +242,7 @@ def test_left_out_in_turn_each_sequence_is_as_if_it_had_not_been_there(protocol:
     rest = [some.taken(np.flatnonzero(some.sequence != name)).values(found.protocol) for name in names]
     for name in ("min_mpjpe", "ece", "radius_50", "spread_error_correlation", "energy_score"):
         expected = [values[name] for values in rest]
-        np.testing.assert_allclose(found.without(metrics[name]), expected, rtol=1e-9, err_msg=name)
+        np.testing.assert_allclose(without(found, metrics[name]), expected, rtol=1e-9, err_msg=name)
 
 
 @pytest.mark.parametrize("average", ["poses", "action", "sequence"])
@@ -251,7 +252,7 @@ def test_per_joint_each_sequence_is_left_out_as_if_it_had_not_been_there(average
     for name in ("mpjpe", "signed_area"):
         one = known_metrics(found.protocol, found.subject)[name]
         expected = [found.by_joint(one, found.cells["sequence"] != left) for left in names]
-        np.testing.assert_allclose(found.joints_without(one)[0], expected, rtol=1e-9, atol=1e-12, err_msg=name)
+        np.testing.assert_allclose(joints_without(found, one)[0], expected, rtol=1e-9, atol=1e-12, err_msg=name)
 
 
 # --- shards ----------------------------------------------------------------------------------------------------------
@@ -314,7 +315,7 @@ def test_runs_of_frames_stay_runs_of_frames_of_their_own_shard() -> None:
     for name, sums in whole.sums.items():
         np.testing.assert_allclose(merged.sums[name], sums, rtol=1e-12, err_msg=name)
     one = known_metrics(Protocol(), whole.subject)["mpjpe"]
-    np.testing.assert_allclose(sorted(merged.without(one)), sorted(whole.without(one)), rtol=1e-12)
+    np.testing.assert_allclose(sorted(without(merged, one)), sorted(without(whole, one)), rtol=1e-12)
 
 
 def test_the_same_runs_of_frames_twice_are_refused() -> None:
