@@ -99,7 +99,7 @@ def read_human36m(
 def _read(path: Path, dimensions: int) -> npt.NDArray[np.float64]:
     """Read one file's poses, (F, 32, dimensions)."""
     try:
-        import cdflib  # type: ignore[import-untyped,unused-ignore]
+        import cdflib
     except ImportError as problem:
         raise PoseFileError(f"{path}: reading .cdf takes cdflib. Install it: pip install cdflib.") from problem
     try:

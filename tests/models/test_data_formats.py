@@ -217,7 +217,6 @@ def cdf(path: Path, values: np.ndarray) -> None:
 
 
 def test_human36m_s_own_files_are_read(tmp_path):
-    pytest.importorskip("cdflib")
     pose, projection = numbers(9, 32, 3), numbers(9, 32, 2, seed=1)
     for subject in ("S1", "S9"):
         for kind, values in (("D3_Positions_mono", pose), ("D2_Positions", projection)):
