@@ -1,4 +1,8 @@
-"""Draws of hypothesis are the same on every run, and are not kept."""
+"""Draws of hypothesis are the same on every run, and are not kept. Tests run side by side: each has one BLAS thread."""
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy is imported; the commands that tests run inherit it
 
 from hypothesis import settings
 
