@@ -1,8 +1,14 @@
-"""Draws of hypothesis are the same on every run, and are not kept. Tests run side by side: each has one BLAS thread."""
+"""Tests run alike everywhere: the same draws of hypothesis, one BLAS thread each, and Ctrl-C that is heard.
+
+A test run in the background inherits an ignored SIGINT, and would hand it on to the commands that are interrupted.
+"""
 
 import os
+import signal
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy is imported; the commands that tests run inherit it
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 from hypothesis import settings
 
