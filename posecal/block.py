@@ -97,12 +97,17 @@ class Block:
         if usable is not None:
             self._whole = partial(_finite, partial(Block, hypotheses, truth, root=root, scores=scores), usable)
 
-    @cached_property
+    @property
     def whole(self) -> Block:
         """The same poses with every usable joint whose coordinates are finite, to which alignments are fitted.
 
-        The block itself where only the joints that count are usable.
+        The block itself where only the joints that count are usable. (Not kept as its own: a block that holds itself
+        would stay in memory until Python next looks for such circles.)
         """
+        return self if self._whole is None else self._laid_out_whole
+
+    @cached_property
+    def _laid_out_whole(self) -> Block:
         return self if self._whole is None else self._whole()
 
     def stretched(self, factor: float) -> Block:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import re
 import threading
+import weakref
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -15,7 +17,11 @@ from hypothesis import strategies as st
 from posecal import block as block_module
 from posecal.block import Block, block_length, blocks_of, checked, in_order, per_pose, squared_norms, working_dtype
 from posecal.errors import PoseDataError
+from posecal.metric import Subject
 from posecal.metrics import min_mpjpe
+from posecal.protocol import Protocol
+from posecal.registry import known_metrics
+from posecal.skeleton import JOINT_SETS
 from tests import oracles
 from tests.drawn import skewed
 
@@ -419,3 +425,19 @@ def test_without_a_mask_of_cores_all_cores_are_used(monkeypatch: pytest.MonkeyPa
     assert block_module.available_cores() == 7
     monkeypatch.setattr(block_module.os, "cpu_count", lambda: None)
     assert block_module.available_cores() == 1
+
+
+def test_a_block_is_let_go_as_soon_as_nobody_holds_it() -> None:
+    """Without waiting for the search for circles, or memory would grow with the poses."""
+    x, y = np.random.default_rng(0).normal(0, 300, (2, 5, 4, 17, 3))
+    gc.disable()
+    try:
+        (lay_out,) = blocks_of(x, y[0])
+        block = lay_out()
+        for metric in known_metrics(Protocol(), Subject(5, JOINT_SETS["h36m-17"], root=0)).values():
+            metric.statistic.compute(block)
+        gone = weakref.ref(block)
+        del block, lay_out
+        assert gone() is None
+    finally:
+        gc.enable()
