@@ -10,6 +10,7 @@ Conventions: rows are spreads, columns are means; every length is in the truth's
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -111,7 +112,13 @@ def valley_spread(mu: float, *, truth_mu: float = 0.0, truth_sigma: float = 4.0)
 
 
 def landscape(
-    mu: npt.ArrayLike, sigma: npt.ArrayLike, *, N: int = 10, truth_mu: float = 0.0, truth_sigma: float = 4.0
+    mu: npt.ArrayLike,
+    sigma: npt.ArrayLike,
+    *,
+    N: int = 10,
+    truth_mu: float = 0.0,
+    truth_sigma: float = 4.0,
+    rows: Callable[[list[float]], Iterable[float]] = iter,
 ) -> Landscape:
     r"""Compute both surfaces and the valley.
 
@@ -127,6 +134,8 @@ def landscape(
         Number of hypotheses of minMPJPE; the ECE is that of infinitely many.
     truth_mu, truth_sigma : float
         Mean and standard deviation of the truth.
+    rows : callable
+        Goes through the spreads, of which each takes a moment; a progress bar, say.
 
     Returns
     -------
@@ -158,12 +167,13 @@ def landscape(
         offset = means - truth_mu
         return best_of.expected_min_mpjpe(spread, N=N, D=1, truth_sigma=truth_sigma, offset=offset, nodes=32)
 
+    surfaces = [(min_mpjpe(s, mu), [_ece(m, s, truth_mu, truth_sigma) for m in mu]) for s in rows(sigma.tolist())]
     valley = np.array([valley_spread(m, truth_mu=truth_mu, truth_sigma=truth_sigma) for m in mu])
     return Landscape(
         mu=mu,
         sigma=sigma,
-        min_mpjpe=np.array([min_mpjpe(s, mu) for s in sigma]),
-        ece=np.array([[_ece(m, s, truth_mu, truth_sigma) for m in mu] for s in sigma]),
+        min_mpjpe=np.array([errors for errors, _ in surfaces]),
+        ece=np.array([eces for _, eces in surfaces]),
         valley=valley,
         valley_ece=np.array([_ece(m, s, truth_mu, truth_sigma) for m, s in zip(mu, valley, strict=True)]),
         valley_min_mpjpe=np.array([float(min_mpjpe(s, m)) for m, s in zip(mu, valley, strict=True)]),

@@ -7,6 +7,7 @@ import numpy as np
 from toy import best_of, pictures
 from toy.experiments.result import Result
 from toy.landscape import landscape
+from toy.progress import bar
 from toy.table import check, table
 
 __all__ = ["run"]
@@ -29,7 +30,9 @@ def run(rng: np.random.Generator, *, poses: int = 200_000, N: int = 10) -> Resul
     Result
         The minima.
     """
-    surface = landscape(np.linspace(-2, 2, 40), np.linspace(3, 7, 40), N=N)
+    surface = landscape(
+        np.linspace(-2, 2, 40), np.linspace(3, 7, 40), N=N, rows=lambda sigmas: bar(sigmas, "rows of the landscape")
+    )
     mu_step, sigma_step = (float(axis[1] - axis[0]) for axis in (surface.mu, surface.sigma))
     text = [
         table(
