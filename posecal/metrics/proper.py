@@ -38,31 +38,37 @@ STRIP = 50
 """Points whose distances to all later ones are taken at a time: as many as stay in cache."""
 
 
-def _half_mean_distance(points: FloatArray) -> FloatArray:
-    """Half the mean distance between two different points of (..., D, n), (...).
+def _half_mean_distances(points: FloatArray) -> FloatArray:
+    """Half the mean distance between two different points of each set, (B, S, D, n) to (B, S).
 
     One product of (x, ‖x‖², 1) with (-2x, 1, ‖x‖²) gives the squared distances of a strip of points to themselves and
-    to all later ones, each of which stands for two.
+    to all later ones, each of which stands for two. A pose at a time, laid into the same memory: its pairs fill the
+    cache.
     """
-    n = points.shape[-1]
-    centred = points - points.mean(axis=-1, keepdims=True)
-    squares = squared_norms(centred)[..., None, :]
-    ones = np.ones_like(squares)
-    left = np.ascontiguousarray(np.concatenate([centred, squares, ones], axis=-2).swapaxes(-1, -2))
-    right = np.concatenate([-2 * centred, ones, squares], axis=-2)
-    times = np.full(n, 2, dtype=points.dtype)
-    total: FloatArray = np.zeros(points.shape[:-2])
+    B, S, D, n = points.shape
+    centres = points.mean(axis=-1, keepdims=True)
+    left, right = np.ones((2, S, D + 2, n), dtype=points.dtype)
+    room = np.empty(S * min(STRIP, n) * n, dtype=points.dtype)
+    strips = []
     for start in range(0, n, STRIP):
-        own = min(STRIP, n - start)
-        distances = left[..., start : start + own, :] @ right[..., start:]
-        np.abs(distances, out=distances)  # rounding may leave a square a little below 0
-        np.einsum("...ii->...i", distances[..., :own])[...] = 0
-        np.sqrt(distances, out=distances)
-        times[:own] = 1
-        total += (distances @ times[: n - start]).sum(axis=-1, dtype=np.float64)
-        times[:own] = 2
-    total /= 2 * n * (n - 1)
-    return total
+        own, later = min(STRIP, n - start), n - start
+        distances = room[: S * own * later].reshape(S, own, later)
+        times = np.repeat(np.array([1, 2], dtype=points.dtype), [own, later - own])
+        factors = left[..., start : start + own].swapaxes(-1, -2), right[..., start:]
+        strips.append((factors, distances, np.einsum("sii->si", distances[..., :own]), times))
+
+    total = np.zeros((B, S))
+    for b in range(B):
+        centred = np.subtract(points[b], centres[b], out=left[:, :D])
+        left[:, D] = right[:, -1] = squared_norms(centred)
+        np.multiply(centred, -2, out=right[:, :D])
+        for factors, distances, to_itself, times in strips:
+            np.matmul(*factors, out=distances)
+            np.abs(distances, out=distances)  # rounding may leave a square a little below 0
+            to_itself[...] = 0
+            np.sqrt(distances, out=distances)
+            total[b] += (distances @ times).sum(axis=-1, dtype=np.float64)
+    return total / (2 * n * (n - 1))
 
 
 def joint_energies(block: Block, joints: BoolArray | None = None) -> FloatArray:
@@ -73,18 +79,17 @@ def joint_energies(block: Block, joints: BoolArray | None = None) -> FloatArray:
     array (B, K + 1)
         Scores, mm; NaN for joints that don't count, and for one hypothesis.
     """
-    B, K, _, n = block.offsets.shape
+    B, K, D, n = block.offsets.shape
     scored = block.where if joints is None else block.where & joints
     if n < 2:
         return np.full((B, K + 1), np.nan)
-    found = np.empty((B, K + 1))
-    for b in range(B):  # a pose at a time: its pairs fill the cache
-        found[b, :-1] = block.errors[b].mean(axis=-1, dtype=np.float64) - _half_mean_distance(block.offsets[b])
-        whole = block.offsets[b, scored[b]].reshape(-1, n)
-        distance = np.sqrt(block.squared_errors[b, scored[b]].sum(axis=0)).mean(dtype=np.float64)
-        found[b, -1] = distance - _half_mean_distance(whole) if len(whole) else np.nan
-    found[:, :-1][~scored] = np.nan
-    return found
+    offsets, squares = block.offsets, block.squared_errors
+    if not scored.all():
+        offsets, squares = offsets * scored[..., None, None], squares * scored[..., None]
+    each = block.errors.mean(axis=-1, dtype=np.float64) - _half_mean_distances(block.offsets)
+    whole = np.sqrt(squares.sum(axis=1)).mean(axis=-1, dtype=np.float64)
+    whole -= _half_mean_distances(offsets.reshape(B, 1, K * D, n))[:, 0]
+    return np.where(np.column_stack([scored, scored.any(axis=1)]), np.column_stack([each, whole]), np.nan)
 
 
 def joint_crps(block: Block, joints: BoolArray | None = None) -> FloatArray:
@@ -111,6 +116,7 @@ def variograms(block: Block, joints: BoolArray | None = None) -> FloatArray:
     if n < 2:
         return np.full(B, np.nan)
     total, pairs = np.zeros(B), np.zeros(B)
+    shares = np.full(n, 1 / n, dtype=block.offsets.dtype)
     poses = block.offsets + block.truth[..., None]
     for joint in range(1, K):
         counted = scored[:, :joint] & scored[:, joint, None]
@@ -119,9 +125,9 @@ def variograms(block: Block, joints: BoolArray | None = None) -> FloatArray:
         roots = squared_norms(poses[:, :joint] - poses[:, joint, None])
         np.sqrt(np.sqrt(roots, out=roots), out=roots)
         true = squared_norms((block.truth[:, :joint] - block.truth[:, joint, None])[..., None])[..., 0] ** 0.25
-        middle = roots.mean(axis=-1, dtype=np.float64)
-        roots -= middle[..., None].astype(roots.dtype)
-        chance = np.einsum("bkn,bkn->bk", roots, roots, dtype=np.float64) / (n * (n - 1))
+        middle = roots @ shares
+        roots -= middle[..., None]
+        chance = np.einsum("bkn,bkn->bk", roots, roots) / (n * (n - 1))
         total += np.where(counted, (true - middle) ** 2 - chance, 0).sum(axis=1)
         pairs += counted.sum(axis=1)
     return np.where(pairs > 0, total / np.maximum(pairs, 1), np.nan)
