@@ -60,6 +60,8 @@ class Block:
         The joints whose keypoints were not seen; none by default.
     usable : bool array (B, K), optional
         Those to which alignments are fitted, those that count among them; those that count by default.
+    reference : array (R, B, K, D), optional
+        Hypotheses of the same poses by another model, that skills are relative to, mm.
 
     Attributes
     ----------
@@ -83,6 +85,7 @@ class Block:
         scores: FloatArray | None = None,
         occluded: BoolArray | None = None,
         usable: BoolArray | None = None,
+        reference: FloatArray | None = None,
     ) -> None:
         self.occluded = np.zeros(truth.shape[:2], dtype=bool) if occluded is None else occluded
         self.where = np.ones(truth.shape[:2], dtype=bool) if where is None else where
@@ -96,6 +99,7 @@ class Block:
         self._whole: Callable[[], Block] | None = None
         if usable is not None:
             self._whole = partial(_finite, partial(Block, hypotheses, truth, root=root, scores=scores), usable)
+        self._reference = None if reference is None else partial(Block, reference, truth, where, root=root)
 
     @property
     def whole(self) -> Block:
@@ -116,7 +120,7 @@ class Block:
         other = Block.__new__(Block)
         other.where, other.occluded, other.truth = self.where, self.occluded, self.truth
         other._root, other._previous, other._follows, other._scores = self._root, None, self._follows, self._scores
-        other._shared = {}
+        other._shared, other._reference = {}, self._reference
         other._whole = None if self._whole is None else lambda: self.whole.stretched(factor)
         other.offsets = centre + times * (self.offsets - centre)
         other.__dict__["sorted"] = centre + times * (self.sorted - centre)  # stretching keeps the order
@@ -128,6 +132,11 @@ class Block:
         if np.isfinite(self.squared_errors.sum()):  # one fast pass; true of nearly every block
             return np.zeros_like(self.where)
         return np.asarray(~np.isfinite(self.offsets).all(axis=(2, 3)))
+
+    @cached_property
+    def reference(self) -> Block | None:
+        """The same poses with the hypotheses that skills are relative to; None without any."""
+        return None if self._reference is None else self._reference()
 
     def share(self, key: Hashable, compute: Callable[[], Result]) -> Result:
         """Compute something once per block, whoever asks first."""
@@ -320,12 +329,13 @@ def blocks_of(
     previous: Before | None = None,
     occluded: BoolArray | None = None,
     usable: BoolArray | None = None,
+    reference: FloatArray | None = None,
 ) -> Iterator[Callable[[], Block]]:
     """Cut checked arrays in the paper's layout into blocks, in the order of their poses.
 
     Parameters
     ----------
-    hypotheses, truth, where, root, scores, follows, previous, occluded, usable
+    hypotheses, truth, where, root, scores, follows, previous, occluded, usable, reference
         As for :class:`Block`, of M poses instead of B.
 
     Yields
@@ -350,6 +360,7 @@ def blocks_of(
             previous=previous,
             occluded=None if occluded is None else occluded[poses],
             usable=None if usable is None else usable[poses],
+            reference=None if reference is None else reference[:, poses],
         )
 
 

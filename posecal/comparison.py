@@ -25,7 +25,7 @@ from posecal.registry import metrics_of
 from posecal.sureness import null
 from posecal.totals import Totals, difference_of_signatures
 
-__all__ = ["Comparison", "Difference", "check_same_poses", "compare"]
+__all__ = ["Comparison", "Difference", "compare"]
 
 LEVEL = 0.05
 """Differences with an adjusted p-value below this count in the ranks."""
@@ -163,7 +163,7 @@ def compare(totals: Sequence[Totals], names: Sequence[str]) -> Comparison:
                 f"{names[0]} and {name} were not made alike: {difference_of_signatures(first, other)}. "
                 "Evaluate both with the same options; --hypotheses takes as many hypotheses of each."
             )
-        check_same_poses(first, other, names[0], name)
+        _check_same_poses(first, other, names[0], name)
     known = [metrics_of(t.protocol, t.subject) for t in totals]
     shared = {name: metric for name, metric in known[0].items() if all(name in other for other in known)}
     pairs = list(combinations(range(len(totals)), 2))
@@ -193,7 +193,7 @@ def _better(metric: Metric, first: float, second: float) -> bool | None:
     return (first < second) == (metric.direction != "higher")
 
 
-def check_same_poses(first: Totals, other: Totals, name: str, other_name: str) -> None:
+def _check_same_poses(first: Totals, other: Totals, name: str, other_name: str) -> None:
     """Refuse two evaluations of other poses.
 
     Raises

@@ -182,6 +182,8 @@ class PosePairs:
         What messages call the hypotheses and the truth.
     remarks : tuple of str
         What a careful reader should know about the join.
+    reference : PosePairs or None
+        The same poses with other hypotheses, that skills are relative to.
     """
 
     hypotheses: Hypotheses
@@ -198,6 +200,7 @@ class PosePairs:
     where: BoolArray | None = None
     usable: BoolArray | None = None
     remarks: tuple[str, ...] = ()
+    reference: PosePairs | None = None
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
@@ -218,6 +221,7 @@ class PosePairs:
             scores=None if self.scores is None else self.scores[:, poses],
             where=None if self.where is None else self.where[poses],
             usable=None if self.usable is None else self.usable[poses],
+            reference=None if self.reference is None else self.reference.taken(poses),
         )
 
     def with_hypotheses(self, most: int) -> PosePairs:

@@ -11,13 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from posecal.block import FloatArray
-from posecal.comparison import check_same_poses
 from posecal.errors import PoseDataError
-from posecal.metrics.score_table import PAIRED
 from posecal.pairs import PosePairs, Rows
-from posecal.totals import Totals
 
-__all__ = ["climatology", "with_skills"]
+__all__ = ["climatology", "held_against"]
 
 
 @dataclass(frozen=True)
@@ -99,33 +96,37 @@ def climatology(pairs: PosePairs, n_hypotheses: int | None = None, seed: int = 0
     )
 
 
-def with_skills(totals: Totals, reference: Totals, name: str) -> Totals:
-    """Put a reference's scores beside a model's, so that skills can be reported and saved.
+def held_against(pairs: PosePairs, reference: PosePairs) -> PosePairs:
+    """Put the hypotheses of a reference beside a model's, so that skills are reported.
 
     Parameters
     ----------
-    totals, reference : Totals
-        Of the model and of the reference, on the same poses, both with the proper scores.
-    name : str
-        What the reference is called.
+    pairs, reference : PosePairs
+        Of the model and of the reference, on the same poses.
 
     Returns
     -------
-    Totals
-        The model's, with the sums of both side by side.
+    PosePairs
+        The model's, with the reference at hand.
 
     Raises
     ------
     PoseDataError
-        Where the two are not over the same poses.
+        Where the two are not over the same frames, joints and true poses, or the reference has one hypothesis.
     """
-    check_same_poses(totals, reference, "the model", name)
-    if any(not np.array_equal(labels, reference.cells[label]) for label, labels in totals.cells.items()):
-        raise PoseDataError(f"{name}: its poses are labelled in another way; expected the labels of the model's.")
-    found = replace(totals, subject=replace(totals.subject, reference=name), sums=dict(totals.sums))
-    found.counts = dict(totals.counts)
-    for statistic in PAIRED:
-        both = totals.sums[statistic], reference.sums[statistic]
-        found.sums[f"paired_{statistic}"] = np.stack(both, axis=-1)
-        found.counts[f"paired_{statistic}"] = totals.counts[statistic]
-    return found
+    ours, theirs = pairs.names[0], reference.names[0]
+    if reference.shape[0] < 2:
+        raise PoseDataError(f"{theirs}: N = 1; fair scores need at least 2.")
+    if pairs.joints != reference.joints or pairs.root != reference.root:
+        expected = ", ".join(pairs.joints)
+        raise PoseDataError(
+            f"{theirs} holds other joints than {ours}: {', '.join(reference.joints)}; expected {expected}."
+        )
+    if not np.array_equal(pairs.frame_id, reference.frame_id):
+        raise PoseDataError(
+            f"{theirs} and {ours} hold other frames: {len(reference.truth):,} and {len(pairs.truth):,}; expected the "
+            "same. --missing skip may have left some out."
+        )
+    if not np.array_equal(pairs.truth, reference.truth, equal_nan=True):
+        raise PoseDataError(f"{theirs} and {ours} are held against different true poses; expected the same.")
+    return replace(pairs, reference=reference)

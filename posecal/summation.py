@@ -84,6 +84,7 @@ def add_up(
         marked=pairs.occluded is not None,
         masked=masked,
         preranks=tuple(preranks or ()),
+        reference="" if pairs.reference is None else pairs.reference.names[0],
     )
     statistics = _statistics(protocol, subject, preranks)
     if "sight" in by:
@@ -106,6 +107,7 @@ def add_up(
         cell_of=cells.of_pose,
     )
     bad: list[npt.NDArray[np.intp]] = []
+    bad_of_reference: list[npt.NDArray[np.intp]] = []
     kept: dict[str, list[FloatArray]] = {}
     done = 0
     tasks = (
@@ -114,6 +116,7 @@ def add_up(
     )
     for found in in_order(tasks, threads):
         bad.append(found.non_finite)
+        bad_of_reference.append(found.non_finite_of_reference)
         for name, (sums, counts) in found.sums.items():
             totals.add(name, found.cells, sums, counts)
         for name, values in found.kept.items():
@@ -122,6 +125,7 @@ def add_up(
         if progress is not None:
             progress(done)
     _refuse_non_finite(pairs, pairs.names[0], np.concatenate(bad))
+    _refuse_non_finite(pairs, subject.reference, np.concatenate(bad_of_reference))
     totals.kept = {name: np.concatenate(parts) for name, parts in kept.items()}
     return totals
 
@@ -158,6 +162,7 @@ def walk(pairs: PosePairs) -> Iterator[tuple[slice, Callable[[], Block]]]:
             previous=previous,
             occluded=None if pairs.occluded is None else pairs.occluded[poses],
             usable=None if pairs.usable is None else pairs.usable[poses],
+            reference=None if pairs.reference is None else pairs.reference.hypotheses.read(poses.start, poses.stop),
         )
         for number, block in enumerate(blocks):
             yield slice(start + number * size, min(start + (number + 1) * size, poses.stop)), block
@@ -173,15 +178,18 @@ class _Measured:
     sums: dict[str, tuple[FloatArray, npt.NDArray[np.int64]]]
     kept: dict[str, FloatArray]
     non_finite: npt.NDArray[np.intp]
+    non_finite_of_reference: npt.NDArray[np.intp]
 
 
 def _measure(
     poses: slice, lay_out: Callable[[], Block], cells: npt.NDArray[np.intp], statistics: Sequence[Statistic]
 ) -> _Measured:
     block = lay_out()
-    bad = np.argwhere(block.non_finite) + np.array([poses.start, 0])
-    if len(bad):
-        return _Measured(len(cells), cells[:0], {}, {}, bad)
+    nowhere = np.zeros_like(block.where)
+    non_finite = block.non_finite, nowhere if block.reference is None else block.reference.non_finite
+    bad, bad_of_reference = (np.argwhere(joints) + np.array([poses.start, 0]) for joints in non_finite)
+    if len(bad) or len(bad_of_reference):
+        return _Measured(len(cells), cells[:0], {}, {}, bad, bad_of_reference)
     runs = np.flatnonzero(np.concatenate([[True], cells[1:] != cells[:-1]]))
     sums: dict[str, tuple[FloatArray, npt.NDArray[np.int64]]] = {}
     kept_values: dict[str, FloatArray] = {}
@@ -195,7 +203,7 @@ def _measure(
         shown = counted.reshape(*counted.shape, *[1] * (values.ndim - kept))
         total = np.add.reduceat(np.where(shown, values, 0), runs, axis=0)
         sums[statistic.name] = total, np.add.reduceat(counted, runs, axis=0, dtype=np.int64)
-    return _Measured(len(cells), cells[runs], sums, kept_values, bad)
+    return _Measured(len(cells), cells[runs], sums, kept_values, bad, bad_of_reference)
 
 
 def _spread(pairs: PosePairs, threads: int | None) -> FloatArray:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from posecal.errors import PoseDataError
 from posecal.protocol import Protocol
-from posecal.reference import climatology, with_skills
+from posecal.reference import climatology, held_against
 from posecal.report import Report
 from posecal.summation import add_up
 from tests.drawn import skewed
@@ -64,8 +66,7 @@ def test_one_sequence_has_no_others_to_draw_from() -> None:
 
 def skilled(x: Array, y: Array, S: int) -> Report:
     pairs = pairs_of(x, y, labels={"sequence": sequences(len(y), S)})
-    ours, theirs = (add_up(p, SCORES, threads=1) for p in (pairs, climatology(pairs)))
-    return Report(with_skills(ours, theirs, "climatology"))
+    return Report(add_up(held_against(pairs, climatology(pairs)), SCORES, threads=1))
 
 
 def test_a_skill_is_the_share_of_the_reference_s_score_that_is_saved() -> None:
@@ -95,9 +96,61 @@ def test_a_model_that_ignores_the_image_is_calibrated_and_has_no_skill() -> None
     assert skilled(knowing, truth, S).value("energy_skill") > 0.5
 
 
+def test_the_brier_skill_is_about_the_model_s_own_median_for_both() -> None:
+    x, y = gaussian(7, 9, 30, 3)
+    other = 200 * np.random.default_rng(8).standard_normal((14, 30, 3, 3)) + y  # another N
+    where = np.random.default_rng(9).random((30, 3)) < 0.8
+    pairs, reference = (pairs_of(h, y, where=where, labels={"sequence": sequences(30, 6)}) for h in (x, other))
+    protocol = SCORES.changed({"pck_threshold": "90"})
+    found = Report(add_up(held_against(pairs, reference), protocol, threads=2))
+
+    def score(hypotheses: Array, m: int) -> float:
+        centre, joints = np.median(x[:, m], axis=0), where[m]
+
+        def near(pose: Array) -> bool:
+            return bool((np.linalg.norm(pose - centre, axis=-1)[joints] < 90).all())
+
+        n, p = len(hypotheses), np.mean([near(pose) for pose in hypotheses[:, m]])
+        return float((p - near(y[m])) ** 2 - p * (1 - p) / (n - 1))
+
+    counted = np.flatnonzero(where.any(axis=1))
+    ours, theirs = (np.mean([score(hypotheses, m) for m in counted]) for hypotheses in (x, other))
+    assert theirs > 0
+    np.testing.assert_allclose(found.value("brier_skill"), 1 - ours / theirs, rtol=1e-9)
+    row = next(row for row in found.rows if row.metric == "brier_skill")
+    assert "held against the model's own median" in row.definition
+
+
+def test_skills_can_be_grouped_by_what_only_the_model_says() -> None:
+    x, y = gaussian(10, 20, 60, 3)
+    pairs = pairs_of(x, y, labels={"sequence": sequences(60, 12)})
+    found = Report(add_up(held_against(pairs, climatology(pairs)), SCORES, by=["spread"], threads=1), ["spread"])
+    groups = {row.group for row in found.rows if row.metric == "energy_skill"}
+    assert len(groups) == 4  # three terciles and all
+
+
 def test_a_reference_on_other_poses_is_refused() -> None:
     x, y = gaussian(7, 4, 20, 2)
-    ours = add_up(pairs_of(x, y, labels={"sequence": sequences(20, 4)}), SCORES)
-    theirs = add_up(pairs_of(x[:, :15], y[:15], labels={"sequence": sequences(15, 3)}), SCORES)
-    with pytest.raises(PoseDataError, match=r"^the model and other\.npz hold other poses: "):
-        with_skills(ours, theirs, "other.npz")
+    pairs = pairs_of(x, y)
+    with pytest.raises(
+        PoseDataError, match=r"^hypotheses and hypotheses hold other frames: 15 and 20; expected the sa"
+    ):
+        held_against(pairs, pairs_of(x[:, :15], y[:15]))
+    with pytest.raises(PoseDataError, match=r"are held against different true poses"):
+        held_against(pairs, pairs_of(x, y + 1))
+    with pytest.raises(PoseDataError, match=r"holds other joints than hypotheses: joint 0; expected joint 0, joint 1"):
+        held_against(pairs, pairs_of(x[:, :, :1], y[:, :1]))
+    with pytest.raises(PoseDataError, match=r"N = 1; fair scores need at least 2"):
+        held_against(pairs, pairs_of(x[:1], y))
+
+
+def test_a_reference_that_is_not_finite_is_refused_by_its_name() -> None:
+    x, y = gaussian(11, 4, 20, 2)
+    broken = x.copy()
+    broken[1, 7, 1] = np.nan
+    pairs = pairs_of(x, y)
+    reference = replace(pairs_of(broken, y), names=("other.npz", "truth"))
+    with pytest.raises(
+        PoseDataError, match=r"^other\.npz has non-finite coordinates in 1 of 20 frames \(first: frame 7"
+    ):
+        add_up(held_against(pairs, reference), SCORES)

@@ -70,10 +70,12 @@ def test_a_pre_rank_that_is_not_at_hand_can_be_read_but_not_computed() -> None:
 def test_against_a_reference_every_proper_score_has_a_skill() -> None:
     known = known_metrics(Protocol(), replace(PERSON, reference="climatology"))
     skills = {name: metric for name, metric in known.items() if name.endswith("_skill")}
-    assert set(skills) == {"energy_skill", "joint_energy_skill", "crps_skill", "variogram_skill"}
+    assert set(skills) == {"energy_skill", "joint_energy_skill", "crps_skill", "variogram_skill", "brier_skill"}
     # the mean of our score is 3, of the reference's 4: a quarter better
     assert skills["variogram_skill"].finish(np.array([3.0, 4.0])) == pytest.approx(0.25)
     assert np.isnan(skills["variogram_skill"].finish(np.array([3.0, 0.0])))
+    ranked = {name for name, metric in skills.items() if metric.direction == "higher"}
+    assert ranked == set(skills) - {"brier_skill"}  # whose event is each model's own
 
 
 def test_numbers_by_sight_bear_the_names_of_those_over_all_joints() -> None:

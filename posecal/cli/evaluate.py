@@ -92,16 +92,14 @@ def evaluate(
     how = join_of(axes, truth_axes, unit, truth_unit, joint_names, root_joint, missing, joints)
     check_outputs(hypotheses, truth, save=save, plot=plot, html=html)
     pairs = read_pairs(hypotheses, truth, how, most)
+    if skill is not None:
+        from posecal.reference import climatology, held_against
+
+        pairs = held_against(
+            pairs, climatology(pairs) if skill == "climatology" else read_pairs(Path(skill), truth, how, most)
+        )
     with progress(len(pairs.truth)) as advance:
         totals = add_up(pairs, protocol, by=by or (), preranks=preranks, threads=threads, progress=advance)
-    if skill is not None:
-        from posecal.reference import climatology, with_skills
-
-        named = None if skill == "climatology" else Path(skill)
-        reference = climatology(pairs) if named is None else read_pairs(named, truth, how, most)
-        with progress(len(pairs.truth), "reference") as advance:
-            against = add_up(reference, protocol, by=by or (), preranks=preranks, threads=threads, progress=advance)
-        totals = with_skills(totals, against, reference.names[0])
     write_report(
         Report(totals, by or ()),
         form,

@@ -68,7 +68,8 @@ def _half_mean_distances(points: FloatArray) -> FloatArray:
             to_itself[...] = 0
             np.sqrt(distances, out=distances)
             total[b] += (distances @ times).sum(axis=-1, dtype=np.float64)
-    return total / (2 * n * (n - 1))
+    total /= 2 * n * (n - 1)
+    return total
 
 
 def joint_energies(block: Block, joints: BoolArray | None = None) -> FloatArray:
@@ -133,19 +134,27 @@ def variograms(block: Block, joints: BoolArray | None = None) -> FloatArray:
     return np.where(pairs > 0, total / np.maximum(pairs, 1), np.nan)
 
 
-def _within(block: Block, joints: BoolArray | None, threshold: float) -> tuple[FloatArray, BoolArray, BoolArray]:
-    """Share of hypotheses with every joint near the median pose, whether the truth is, and which poses count."""
+def _within(
+    block: Block, joints: BoolArray | None, threshold: float, forecast: Block
+) -> tuple[FloatArray, BoolArray, BoolArray]:
+    """Share of a forecast with every joint near the block's median, whether the truth is, and which poses count."""
     scored = block.where if joints is None else block.where & joints
-    reach = np.where(scored[..., None], squared_norms(block.offsets - block.median[..., None]), 0).max(axis=1)
+    reach = np.where(scored[..., None], squared_norms(forecast.offsets - block.median[..., None]), 0).max(axis=1)
     truth = np.where(scored, squared_norms(block.median[..., None])[..., 0], 0).max(axis=1)
     share: FloatArray = (reach < threshold**2).mean(axis=-1)
     return share, np.asarray(truth < threshold**2), np.asarray(scored.any(axis=1))
 
 
-def fair_brier(block: Block, joints: BoolArray | None = None, threshold: float = 150.0) -> FloatArray:
-    """Fair Brier score of "every joint lies within the threshold of the median pose", (B,); NaN for no joint."""
-    n = block.n_hypotheses
-    share, happened, counted = _within(block, joints, threshold)
+def fair_brier(
+    block: Block, joints: BoolArray | None = None, threshold: float = 150.0, *, forecast: Block | None = None
+) -> FloatArray:
+    """Fair Brier score of "every joint lies within the threshold of the median pose", (B,); NaN for no joint.
+
+    The probability is the share of the forecast's hypotheses, by default the block's own; the median is the block's.
+    """
+    forecast = block if forecast is None else forecast
+    n = forecast.n_hypotheses
+    share, happened, counted = _within(block, joints, threshold, forecast)
     if n < 2:
         return np.full(len(share), np.nan)
     return np.where(counted, (share - happened) ** 2 - share * (1 - share) / (n - 1), np.nan)
@@ -154,7 +163,7 @@ def fair_brier(block: Block, joints: BoolArray | None = None, threshold: float =
 def brier_counts(block: Block, joints: BoolArray | None = None, threshold: float = 150.0) -> FloatArray:
     """One-hot table of the predicted share and the outcome, (B, N + 1, 2); its sums give the reliability diagram."""
     n = block.n_hypotheses
-    share, happened, counted = _within(block, joints, threshold)
+    share, happened, counted = _within(block, joints, threshold, block)
     found = np.zeros((len(share), n + 1, 2))
     found[np.arange(len(share)), np.rint(share * n).astype(int), happened.astype(int)] = 1
     found[~counted] = np.nan

@@ -14,7 +14,7 @@ from posecal.metrics.position import pose_errors
 from posecal.metrics.proper import brier_counts, fair_brier, joint_crps, joint_energies, variograms
 from posecal.metrics.spread import mean_over_joints, predicted_spread
 
-__all__ = ["PAIRED", "guide_metrics", "reliability_of_counts", "score_metrics", "skill_metrics"]
+__all__ = ["guide_metrics", "reliability_of_counts", "score_metrics", "skill_metrics"]
 
 
 def guide_metrics(scope: Scope) -> Iterator[Metric]:
@@ -56,8 +56,8 @@ def score_metrics(scope: Scope) -> Iterator[Metric]:
     """Energy score, CRPS, variogram score and Brier score."""
     joints, n = scope.counted(scope.moving), scope.subject.n_hypotheses
 
-    def energies(block: Block) -> FloatArray:
-        return joint_energies(block, scope.moving)
+    def energies(block: Block) -> FloatArray:  # slow, and asked for again by the skill
+        return block.share("energies", lambda: joint_energies(block, scope.moving))
 
     statistic = Statistic("energies", energies, per_joint=True)
     yield Metric(
@@ -143,36 +143,51 @@ def score_metrics(scope: Scope) -> Iterator[Metric]:
         )
 
 
-PAIRED = ("energies", "crps", "variogram")
-"""The statistics that are kept beside a reference's, for skills; not the Brier score's, whose event is the model's."""
-
-
 def skill_metrics(scope: Scope) -> Iterator[Metric]:
     """How much better each proper score is than a reference's: 1 - S / S_ref, where there is a reference."""
-    if not scope.subject.reference:
+    reference = scope.subject.reference
+    if not reference:
         return
     for metric in score_metrics(scope):
-        if metric.statistic.name not in PAIRED:
+        if metric.statistic.name not in _SKILLED:
             continue
+        of_reference = f"the same of {reference}"
+        if metric.name == "brier":
+            of_reference += ", whose hypotheses too are held against the model's own median"
 
         def skill(mean: FloatArray, metric: Metric = metric) -> float:
             ours, theirs = metric.finish(mean[..., 0]), metric.finish(mean[..., 1])
             return 1 - ours / theirs if theirs > 0 else float("nan")
 
-        def never(block: Block) -> FloatArray:
-            raise NotImplementedError  # the sums of two evaluations are put side by side; no block gives them
-
         yield Metric(
             name=metric.name.removesuffix("_score") + "_skill",
             label=f"skill, {metric.label.replace(' score', '')}",
             unit="",
-            direction="higher",
+            direction="higher" if metric.direction == "lower" else metric.direction,
             family="scores",
-            brief=f"against {scope.subject.reference}: 0 no better, 1 perfect",
-            definition=f"1 − S / S_ref, S: {metric.definition}; S_ref: the same of {scope.subject.reference}",
-            statistic=Statistic(f"paired_{metric.statistic.name}", never, metric.statistic.per_joint),
+            brief=f"against {reference}: 0 no better, 1 perfect",
+            definition=f"1 − S / S_ref, S: {metric.definition}; S_ref: {of_reference}",
+            statistic=_both(metric.statistic, scope),
             finish=skill,
         )
+
+
+_SKILLED = ("energies", "crps", "variogram", "brier")
+
+
+def _both(statistic: Statistic, scope: Scope) -> Statistic:
+    """Put a score of the reference beside the model's, in the last axis."""
+
+    def both(block: Block) -> FloatArray:
+        reference = block.reference
+        assert reference is not None
+        if statistic.name == "brier":
+            theirs = fair_brier(block, scope.moving, scope.protocol.pck_threshold, forecast=reference)
+        else:
+            theirs = statistic.compute(reference)
+        return np.stack([statistic.compute(block), theirs], axis=-1)
+
+    return Statistic(f"paired_{statistic.name}", both, statistic.per_joint)
 
 
 @dataclass(frozen=True)
