@@ -11,10 +11,12 @@ numbers with fewer operations:
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import pad
 
 from posecal_models.cgnf.message_passing import Evidence, MessagePassing
 from posecal_models.graph import PoseGraph
@@ -23,12 +25,12 @@ __all__ = ["Couplings", "FoldedCouplings"]
 
 
 class FoldedCouplings(NamedTuple):
-    """The blocks of a flow with their weights multiplied out; see :class:`posecal_models.cgnf.passes.BlockTensors`.
+    """The blocks of a flow with their weights multiplied out; see :class:`posecal_models.cgnf.passes.Blocks`.
 
     Attributes
     ----------
-    first, second, second_bias, pool : Tensor
-        (L, maps, D + 1, H), (L, maps, H, H), (L, maps, H) and (L, 2, H).
+    first, second, pool : Tensor
+        (L, maps, D + 1, H), (L, maps, H, H) and (L, 2, H), where H counts the feature that carries biases and zeros.
     behind_scale, behind_shift : Tensor
         (L + 1, D) each: the ActNorms that a coordinate has yet to pass in each block, and after all blocks.
     log_determinant : Tensor
@@ -37,7 +39,6 @@ class FoldedCouplings(NamedTuple):
 
     first: Tensor
     second: Tensor
-    second_bias: Tensor
     pool: Tensor
     behind_scale: Tensor
     behind_shift: Tensor
@@ -121,6 +122,11 @@ class Couplings(nn.Module):
         nn.init.zeros_(self.second.pool.weight)
         nn.init.zeros_(self.second.pool.bias)
 
+    @property
+    def width(self) -> int:
+        """Features of a message with one that carries biases, filled up to a multiple of 8."""
+        return 8 * math.ceil((self.second.pool.weight.shape[-1] + 1) / 8)
+
     def folded(self, blocks: int | None = None) -> FoldedCouplings:
         """Multiply out the weights that poses and keypoints have nothing to do with.
 
@@ -145,11 +151,15 @@ class Couplings(nn.Module):
 
         update = self.first.pool
         weights, second_biases = (stacked[:blocks] for stacked in self.second.weights_and_biases())
+        second_biases = (weights @ update.bias[:blocks, None, :, None]).squeeze(-1) + second_biases
+        second = torch.cat([weights @ update.weight[:blocks, None], second_biases[..., None]], dim=-1).mT
+        more = self.width - second.shape[-1]
+        carrier = first.new_zeros(*biases.shape[:2], dimensions + 1, more)
+        carrier[:, 0, -1, 0] = 1  # said once by every node to itself
         return FoldedCouplings(
-            first=torch.cat([first, biases[..., None]], dim=-1).mT.contiguous(),
-            second=(weights @ update.weight[:blocks, None]).mT.contiguous(),
-            second_bias=(weights @ update.bias[:blocks, None, :, None]).squeeze(-1) + second_biases,
-            pool=self.second.pool.weight[:blocks],
+            first=torch.cat([torch.cat([first, biases[..., None]], dim=-1).mT, carrier], dim=-1),
+            second=pad(second, (0, more, 0, more - 1)),
+            pool=pad(self.second.pool.weight[:blocks], (0, more)),
             behind_scale=behind_scale,
             behind_shift=behind_shift,
             log_determinant=log_scale.sum(),
@@ -166,15 +176,15 @@ class Couplings(nn.Module):
         Returns
         -------
         evidence, offset : Tensor
-            (L, K, P, 1, H) after the first layer and, pooled, (L, 2, K, P, 1) after the second.
+            (L, K, P, 1, H) after the first layer, H filled up, and, pooled, (L, 2, K, P, 1) after the second.
         """
-        from_context, from_root, carried = self.first.hear(evidence)
+        from_context, from_root, carried = self.first.hear(evidence, width=self.width)
         after_first = self.first.place(from_context, from_root, evidence)
         from_context, from_root, _ = self.second.hear(carried)
-        pool = self.second.pool.weight.mT
+        to_two = self.second.pool.weight.mT
         if from_context is not None:
-            from_context = from_context @ pool
-        after_second = self.second.place(from_context, from_root @ pool, evidence)
+            from_context = from_context @ to_two
+        after_second = self.second.place(from_context, from_root @ to_two, evidence)
         after_second = after_second + self.second.pool.bias[:, None, None]
         return after_first.unsqueeze(3), after_second.movedim(-1, 1).unsqueeze(4)
 

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from posecal_models.cgnf.coupling import Couplings, FoldedCouplings
 from posecal_models.cgnf.embedding import ContextEmbedding
 from posecal_models.cgnf.message_passing import Evidence
-from posecal_models.cgnf.passes import BlockTensors, Bones, Scale, latents_of, poses_of
+from posecal_models.cgnf.passes import Blocks, Bones, Scale, latents_of, poses_of
 from posecal_models.graph import PoseGraph
 
 __all__ = ["SIZES", "FlowSize", "GraphFlow", "ReadyFlow"]
@@ -119,12 +119,11 @@ class ReadyFlow(NamedTuple):
         dimensions = latents.shape[-1]
         return log_determinant - 0.5 * (latents.square().sum(-1) + dimensions * math.log(2 * math.pi))
 
-    def _blocks(self) -> list[BlockTensors]:
+    def _blocks(self) -> Blocks:
         moved = torch.arange(len(self.evidence), device=self.evidence.device) % self.folded.behind_scale.shape[1]
         both = (self.folded.behind_scale, self.folded.behind_shift)
         behind = (behind[:-1].gather(1, moved[:, None]).squeeze(1) for behind in both)
-        tensors = (*self.folded[:4], self.evidence, self.offset, *behind)
-        return [BlockTensors(*block) for block in zip(*(tensor.unbind() for tensor in tensors), strict=True)]
+        return Blocks(*self.folded[:3], self.evidence, self.offset, *behind)
 
     def _coordinates(self, poses: Tensor) -> Tensor:
         """Turn (P, n, K, D) into (D + 1, K, P, n), the last row ones."""

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import pad
 
 from posecal_models.graph import PoseGraph
 
@@ -163,25 +164,28 @@ class MessagePassing(nn.Module):
         maps = [self.from_self, self.from_parent, *([] if self.from_child is None else [self.from_child])]
         return torch.stack([m.weight for m in maps], dim=1), torch.stack([m.bias for m in maps], dim=1)
 
-    def hear(self, evidence: Evidence) -> tuple[Tensor | None, Tensor, Evidence]:
+    def hear(self, evidence: Evidence, width: int | None = None) -> tuple[Tensor | None, Tensor, Evidence]:
         """Give what context and root say to this layer, and carry them on to the next.
 
         Parameters
         ----------
         evidence : Evidence
             Keypoints and root.
+        width : int, optional
+            Features of a message, those above H being 0; H where not given.
 
         Returns
         -------
         from_context, from_root : Tensor
-            The messages of the keypoints (L, R, H), None where nothing is observed, and of the root (L, P or 1, H).
+            The messages of the keypoints (L, R, width), None where nothing is observed, and of the root
+            (L, P or 1, width).
         evidence : Evidence
             For the next layer, H features each; unchanged where this is the last.
         """
-        from_root, root = _said(self.from_root, self.next_root, evidence.root)
+        from_root, root = _said(self.from_root, self.next_root, evidence.root, width)
         if evidence.context is None:
             return None, from_root, evidence._replace(root=root)
-        from_context, context = _said(self.from_context, self.next_context, evidence.context)
+        from_context, context = _said(self.from_context, self.next_context, evidence.context, width)
         return from_context, from_root, evidence._replace(context=context, root=root)
 
     def place(self, from_context: Tensor | None, from_root: Tensor, evidence: Evidence) -> Tensor:
@@ -209,13 +213,17 @@ class MessagePassing(nn.Module):
         return everywhere.index_add_(1, evidence.rows, from_context).view(blocks, nodes, -1, features)
 
 
-def _said(said: Linears, carried: Linears | None, features: Tensor) -> tuple[Tensor, Tensor]:
-    """Apply L maps with ReLU, and L more where a layer follows, to features (1 or L, R, F), in one product."""
+def _said(said: Linears, carried: Linears | None, features: Tensor, width: int | None) -> tuple[Tensor, Tensor]:
+    """Apply L maps with ReLU, and L more where a layer follows, to features (1 or L, R, F), in one product.
+
+    What the first maps say is filled up with zeros to the width.
+    """
     maps = [said] if carried is None else [said, carried]
-    weights = torch.cat([m.weight for m in maps], dim=1)
-    biases = torch.cat([m.bias for m in maps], dim=1)
+    more = 0 if width is None else width - said.bias.shape[1]
+    weights = torch.cat([pad(said.weight, (0, 0, 0, more)), *(m.weight for m in maps[1:])], dim=1)
+    biases = torch.cat([pad(said.bias, (0, more)), *(m.bias for m in maps[1:])], dim=1)
     spoken = torch.relu_(torch.baddbmm(biases[:, None], features.expand(len(weights), -1, -1), weights.mT))
     if carried is None:
         return spoken, features
-    first, second = torch.split(spoken, [said.bias.shape[1], carried.bias.shape[1]], dim=-1)
+    first, second = torch.split(spoken, [said.bias.shape[1] + more, carried.bias.shape[1]], dim=-1)
     return first, second

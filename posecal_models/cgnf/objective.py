@@ -209,7 +209,7 @@ class FlowObjective:
     def _pieces(self, poses: int) -> list[slice]:
         """Cut a batch into pieces whose activations stay in a processor's cache; a GPU takes all poses at once."""
         on_cpu = next(self.estimator.parameters()).device.type == "cpu"
-        count = math.ceil(poses / (self.graphs_at_once or (48 if on_cpu else poses)))
+        count = math.ceil(poses / (self.graphs_at_once or (64 if on_cpu else poses)))
         ends = [poses * i // count for i in range(count + 1)]
         return [slice(start, end) for start, end in pairwise(ends)]
 

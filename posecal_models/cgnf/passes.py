@@ -20,40 +20,48 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-__all__ = ["BlockTensors", "Bones", "Scale", "latents_of", "poses_of"]
+__all__ = ["Blocks", "Bones", "Scale", "latents_of", "poses_of"]
 
 Scale = Literal["sigmoid", "exp"]
 
 _FLOOR = 1e-3
 
 
-class BlockTensors(NamedTuple):
-    """What a block consists of, once the keypoints are known.
+class Blocks(NamedTuple):
+    """What the L blocks consist of, once the keypoints are known.
+
+    H counts the hidden features and a last one that is 1, which carries the biases of the second layer, filled up with
+    zeros to a multiple of 8, on which matrix products are fastest.
 
     Attributes
     ----------
     first : Tensor
-        Maps of the first layer: (maps, D + 1, H), the row of the moved coordinate 0, the last row the biases.
-    second, second_bias : Tensor
-        The first layer's update and the second layer's maps in one: (maps, H, H) and (maps, H).
+        Maps of the first layer: (L, maps, D + 1, H), the row of the moved coordinate 0, the last row the biases.
+    second : Tensor
+        The first layer's update and the second layer's maps in one: (L, maps, H, H).
     pool : Tensor
-        The second layer's update: (2, H).
+        The second layer's update: (L, 2, H).
     evidence : Tensor
-        What context and root add after the first layer: (K, P or 1, 1, H).
+        What context and root add after the first layer: (L, K, P or 1, 1, H).
     offset : Tensor
-        What context and root add after the second layer: (2, K, P or 1, 1).
+        What context and root add after the second layer: (L, 2, K, P or 1, 1).
     behind_scale, behind_shift : Tensor
-        a and b, scalars: the ActNorms that the moved coordinate has yet to pass.
+        a and b, (L,) each: the ActNorms that the moved coordinate has yet to pass.
     """
 
     first: Tensor
     second: Tensor
-    second_bias: Tensor
     pool: Tensor
     evidence: Tensor
     offset: Tensor
     behind_scale: Tensor
     behind_shift: Tensor
+
+    def of_poses(self, poses: slice) -> list[Blocks]:
+        """Give the blocks one by one, with what is said to some poses."""
+        evidence, offset = _of_poses(self.evidence, poses, 2), _of_poses(self.offset, poses, 3)
+        every = self._replace(evidence=evidence, offset=offset)
+        return [Blocks(*block) for block in zip(*(tensor.unbind() for tensor in every), strict=True)]
 
 
 class Bones(NamedTuple):
@@ -74,15 +82,7 @@ class Bones(NamedTuple):
 Part = tuple[slice, slice]
 """Some poses and some of their samples, few enough for their activations to stay in the processor's cache."""
 
-_ROWS_IN_CACHE = 768
-
-
-class _Heard(NamedTuple):
-    """Activations of both layers for one part: after the first maps, after the sum over bones, after the second."""
-
-    first: Tensor
-    message: Tensor
-    second: Tensor
+_ROWS_IN_CACHE = 2048
 
 
 def _parts(coordinates: Tensor) -> list[Part]:
@@ -105,94 +105,99 @@ def _of_poses(shared: Tensor, poses: slice, dim: int) -> Tensor:
     return shared.narrow(dim, poses.start, poses.stop - poses.start)
 
 
-def _places(bones: Bones, columns: int) -> list[tuple[slice, slice]]:
-    """For each map, where its messages lie among all S * columns, and where those who speak among K * columns."""
-    places, start = [], 0
-    for first, last in bones.spans:
-        stop = start + (last - first) * columns
-        places.append((slice(start, stop), slice(first * columns, last * columns)))
-        start = stop
-    return places
+class _Room:
+    """Memory for one block and one part, written over and over, and views of it by which messages pass.
+
+    Rows of activations are (node or message, pose, sample), flattened.
+
+    Attributes
+    ----------
+    coordinates : Tensor
+        What the block reads, (D + 1, K, p, n).
+    first, message, second : Tensor
+        After the first maps, after the sum over bones and after the second maps: (S p n, H), (K p n, H), (S p n, H).
+    to_add, added : Tensor
+        The same rows before and after that sum, one for each message (S, p n H) and for each node (K, p n H).
+    grid : Tensor
+        The sums once more, (K, p, n, H).
+    reading, hearing : list of (Tensor, Tensor)
+        For each map of the first and of the second layer the rows of the nodes that speak by it, and of what they say.
+    """
+
+    def __init__(self, coordinates: Tensor, memory: Tensor, bones: Bones) -> None:
+        self.coordinates, self.shape = coordinates, coordinates.shape[2:]
+        nodes, messages = bones.relations.shape
+        columns = self.shape.numel()
+        lengths = [count * columns for count in (messages, nodes, messages)]
+        self.first, self.message, self.second = torch.split(memory, lengths)
+        self.grid = self.message.view(nodes, *self.shape, -1)
+        self.to_add, self.added = self.first.view(messages, -1), self.message.view(nodes, -1)
+        rows, said = coordinates.view(len(coordinates), -1).T, 0
+        self.reading, self.hearing = [], []
+        for start, stop in bones.spans:
+            speakers, spoken = (start * columns, (stop - start) * columns), (said, (stop - start) * columns)
+            self.reading.append((rows.narrow(0, *speakers), self.first.narrow(0, *spoken)))
+            self.hearing.append((self.message.narrow(0, *speakers), self.second.narrow(0, *spoken)))
+            said += spoken[1]
+
+    @classmethod
+    def several(cls, count: int, bones: Bones, coordinates: Tensor, features: int) -> list[_Room]:
+        """Make some rooms in one piece of memory, the first of which holds the coordinates."""
+        rows = coordinates[0, 0].numel() * (bones.relations.shape[0] + 2 * bones.relations.shape[1])
+        memory = coordinates.new_empty(count, rows, features)
+        read = coordinates.new_empty(count, *coordinates.shape)
+        read[0] = coordinates
+        return [cls(*each, bones) for each in zip(read.unbind(), memory.unbind(), strict=True)]
 
 
-def _speak(heard: Tensor, maps: Tensor, biases: Tensor | None, bones: Bones, columns: int) -> Tensor:
-    """Apply each map with ReLU to the rows (K * columns, F) of the nodes that speak by it: (S * columns, H)."""
-    spoken = heard.new_empty(bones.relations.shape[1] * columns, maps.shape[-1])
-    for index, (said, rows) in enumerate(_places(bones, columns)):
-        if biases is None:
-            torch.mm(heard[rows], maps[index], out=spoken[said])
-        else:
-            torch.addmm(biases[index], heard[rows], maps[index], out=spoken[said])
-    return spoken.relu_()
+def _net(room: _Room, block: Blocks, bones: Bones) -> Tensor:
+    """Give shift and unconstrained scale of a block, (2, K, p, n), and leave the activations in the room."""
+    for (heard, spoken), weights in zip(room.reading, block.first.unbind(), strict=True):
+        torch.mm(heard, weights, out=spoken)
+    room.first.relu_()
+    torch.mm(bones.relations, room.to_add, out=room.added)
+    room.grid.add_(block.evidence)
+    for (heard, spoken), weights in zip(room.hearing, block.second.unbind(), strict=True):
+        torch.mm(heard, weights, out=spoken)
+    room.second.relu_()
+    pooled = torch.mm(block.pool, room.second.T)
+    told = torch.matmul(bones.relations, pooled.view(2, len(room.to_add), -1))
+    return told.view(2, -1, *room.shape).add_(block.offset)
 
 
-def _net(
-    coordinates: Tensor, block: BlockTensors, bones: Bones, parts: list[Part], *, keep: bool
-) -> tuple[Tensor, list[Tensor]]:
-    """Give shift and unconstrained scale, (2, K, P, n), and the activations of each part if they are kept."""
-    _, nodes, poses, samples = coordinates.shape
-    messages, hidden = bones.relations.shape[1], block.pool.shape[1]
-    pooled = coordinates.new_empty(2, messages, poses, samples)
-    kept: list[Tensor] = []
-    for part in parts:
-        read = coordinates[:, :, *part]
-        grid = read.shape[2:]
-        first = _speak(read.flatten(1).T, block.first, None, bones, grid.numel())
-        message = torch.mm(bones.relations, first.view(messages, -1))
-        message.view(nodes, *grid, hidden).add_(_of_poses(block.evidence, part[0], 1))
-        message = message.view(-1, hidden)
-        second = _speak(message, block.second, block.second_bias, bones, grid.numel())
-        pooled[:, :, *part] = torch.mm(block.pool, second.T).view(2, messages, *grid)
-        if keep:
-            kept += _Heard(first, message, second)
-    told = torch.bmm(bones.relations.expand(2, -1, -1), pooled.view(2, messages, -1))
-    return told.view(2, nodes, poses, samples).add_(block.offset), kept
+def _net_backward(gradient: Tensor, room: _Room, block: Blocks, bones: Bones, into: Blocks, scratch: _Room) -> Tensor:
+    """Give the gradient of the coordinates, (D + 1, K, p, n), and add those of the block's tensors.
 
-
-def _net_backward(
-    gradient: Tensor,
-    coordinates: Tensor,
-    block: BlockTensors,
-    bones: Bones,
-    parts: list[Part],
-    kept: list[Tensor],
-) -> tuple[Tensor, list[Tensor]]:
-    """Give the gradients of the coordinates and of the block's first six tensors."""
-    _, nodes, poses, samples = coordinates.shape
-    messages, hidden = bones.relations.shape[1], block.pool.shape[1]
+    ``gradient`` is of shift and unconstrained scale; the scratch room takes the gradients of the activations.
+    """
     silence = torch.ops.aten.threshold_backward.grad_input
-    pooled = torch.bmm(bones.relations.T.expand(2, -1, -1), gradient.view(2, nodes, -1))
-    pooled = pooled.view(2, messages, poses, samples)
-    d_coordinates = torch.empty_like(coordinates)
-    d_first, d_second, d_bias, d_pool, d_evidence = (torch.zeros_like(tensor) for tensor in block[:5])
-    for index, part in enumerate(parts):
-        heard = _Heard(*kept[3 * index : 3 * index + 3])
-        read = coordinates[:, :, *part]
-        grid, rows_read = read.shape[2:], read.flatten(1)
-        places = _places(bones, grid.numel())
-        d_pooled = pooled[:, :, *part].flatten(1)
-        d_pool.addmm_(d_pooled, heard.second)
-        second = torch.mm(d_pooled.T, block.pool)
-        silence(second, heard.second, 0, grad_input=second)
-        message = torch.mm(second[places[0][0]], block.second[0].T)
-        for which, (said, rows) in enumerate(places):
-            d_second[which].addmm_(heard.message[rows].T, second[said])
-            d_bias[which] += second[said].sum(0)
-            if which:
-                message[rows].addmm_(second[said], block.second[which].T)
-        into = _of_poses(d_evidence, part[0], 1)
-        spread = message.view(nodes, *grid, hidden)
-        into += spread if spread.shape == into.shape else spread.sum((1, 2) if into.shape[1] == 1 else 2, keepdim=True)
-        first = torch.mm(bones.relations.T, message.view(nodes, -1)).view_as(heard.first)
-        silence(first, heard.first, 0, grad_input=first)
-        d_rows = torch.mm(block.first[0], first[places[0][0]].T)
-        for which, (said, rows) in enumerate(places):
-            d_first[which].addmm_(rows_read[:, rows], first[said])
-            if which:
-                d_rows[:, rows].addmm_(block.first[which], first[said].T)
-        d_coordinates[:, :, *part] = d_rows.view_as(read)
-    d_offset = gradient.sum((2, 3) if block.offset.shape[2] == 1 else 3, keepdim=True)
-    return d_coordinates, [d_first, d_second, d_bias, d_pool, d_evidence, d_offset]
+    pooled = torch.matmul(bones.relations.T, gradient.view(2, len(room.added), -1)).view(2, -1)
+    into.pool.addmm_(pooled, room.second)
+    torch.mm(pooled.T, block.pool, out=scratch.second)
+    silence(scratch.second, room.second, 0, grad_input=scratch.second)
+    maps = zip(room.hearing, scratch.hearing, block.second.unbind(), into.second.unbind(), strict=True)
+    for which, ((heard, _), (d_heard, d_spoken), weights, d_weights) in enumerate(maps):
+        d_weights.addmm_(heard.T, d_spoken)
+        if which:
+            d_heard.addmm_(d_spoken, weights.T)
+        else:  # all nodes speak to themselves
+            torch.mm(d_spoken, weights.T, out=d_heard)
+    if scratch.grid.shape == into.evidence.shape:
+        into.evidence.add_(scratch.grid)
+    else:
+        over = (1, 2) if into.evidence.shape[1] == 1 else 2
+        into.evidence.add_(scratch.grid.sum(over, keepdim=True))
+    torch.mm(bones.relations.T, scratch.added, out=scratch.to_add)
+    silence(scratch.first, room.first, 0, grad_input=scratch.first)
+    maps = zip(room.reading, scratch.reading, block.first.unbind(), into.first.unbind(), strict=True)
+    for which, ((read, _), (d_read, d_spoken), weights, d_weights) in enumerate(maps):
+        d_weights.addmm_(read.T, d_spoken)
+        if which:
+            d_read.T.addmm_(weights, d_spoken.T)
+        else:
+            torch.mm(weights, d_spoken.T, out=d_read.T)
+    into.offset.add_(gradient.sum((2, 3) if into.offset.shape[2] == 1 else 3, keepdim=True))
+    return scratch.coordinates
 
 
 def _stretch(unconstrained: Tensor, scale: Scale) -> Tensor:
@@ -208,106 +213,103 @@ def _stretch_backward(gradient: Tensor, stretch: Tensor, scale: Scale) -> Tensor
     return gradient * share * (1 - share)
 
 
-class _Latents(torch.autograd.Function):
+class _Step(NamedTuple):
+    """What one block leaves for the way back."""
+
+    block: int
+    room: _Room
+    uncaught: Tensor
+    stretch: Tensor
+
+
+class _Pass(torch.autograd.Function):
+    """All blocks: from poses to latents with the log of the stretch, or, ``back``, from latents to poses.
+
+    A block moves its coordinate by ``z = t + s (b + a x)``; x is the pose's side of it, z the latent's.
+    """
+
     @staticmethod
     def forward(
-        ctx: Any, scale: Scale, keep: bool, bones: Bones, coordinates: Tensor, *tensors: Tensor
+        ctx: Any, back: bool, scale: Scale, keep: bool, bones: Bones, coordinates: Tensor, *tensors: Tensor
     ) -> tuple[Tensor, Tensor]:
-        dimensions, width = len(coordinates) - 1, len(BlockTensors._fields)
-        parts = _parts(coordinates)
-        log_stretch = torch.zeros_like(coordinates[0])
-        saved: list[Tensor] = []
-        for index in range(len(tensors) // width):
-            block, moved = BlockTensors(*tensors[index * width :][:width]), index % dimensions
-            told, heard = _net(coordinates, block, bones, parts, keep=keep)
-            stretch = _stretch(told[1], scale)
-            caught_up = torch.addcmul(block.behind_shift, coordinates[moved], block.behind_scale)
+        blocks = Blocks(*tensors)
+        dimensions, count = len(coordinates) - 1, len(blocks.pool)
+        found, log_stretch = torch.empty_like(coordinates), torch.zeros_like(coordinates[0])
+        ctx.kept = []
+        rooms: list[_Room] = []
+        for part in _parts(coordinates):
+            here = coordinates[:, :, *part]
+            if keep or not rooms or rooms[0].coordinates.shape != here.shape:
+                rooms = _Room.several(count if keep else 1, bones, here, blocks.pool.shape[-1])
+            else:
+                rooms[0].coordinates.copy_(here)
+            steps: list[_Step] = []
+            some = blocks.of_poses(part[0])
+            for place, index in enumerate(reversed(range(count)) if back else range(count)):
+                block, room = some[index], rooms[place if keep else 0]
+                shift, unconstrained = _net(room, block, bones).unbind()
+                stretch = _stretch(unconstrained, scale)
+                here = room.coordinates
+                if keep:
+                    here = rooms[place + 1].coordinates.copy_(here) if place + 1 < count else here.clone()
+                moved = here[index % dimensions]
+                if back:
+                    torch.sub(moved, shift, out=moved).div_(stretch).sub_(block.behind_shift).div_(block.behind_scale)
+                else:
+                    caught_up = torch.addcmul(block.behind_shift, moved, block.behind_scale)
+                    torch.addcmul(shift, caught_up, stretch, out=moved)
+                    log_stretch[:, *part] += stretch.log()
+                if keep:
+                    uncaught = moved if back else room.coordinates[index % dimensions]
+                    steps.append(_Step(index, room, uncaught, stretch))
+            found[:, :, *part] = here
             if keep:
-                saved += [coordinates, stretch, *heard]
-            coordinates = coordinates.clone()
-            torch.addcmul(told[0], caught_up, stretch, out=coordinates[moved])
-            log_stretch += stretch.log()
-        ctx.scale, ctx.bones, ctx.blocks, ctx.parts = scale, bones, len(tensors) // width, parts
-        ctx.save_for_backward(*tensors, *saved)
-        return coordinates, log_stretch
+                ctx.kept.append((part, steps))
+        ctx.back, ctx.scale, ctx.bones = back, scale, bones
+        ctx.save_for_backward(*tensors)
+        return found, log_stretch
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Any, ...]:
-        stored = ctx.saved_tensors
-        width, per_block = len(BlockTensors._fields), 2 + len(_Heard._fields) * len(ctx.parts)
-        saved = stored[ctx.blocks * width :]
-        d_coordinates, d_log_stretch = gradients[0].clone(), gradients[1]
-        dimensions = len(d_coordinates) - 1
-        found: list[Tensor] = []
-        for index in reversed(range(ctx.blocks)):
-            block, moved = BlockTensors(*stored[index * width :][:width]), index % dimensions
-            coordinates, stretch, *activations = saved[index * per_block :][:per_block]
-            d_moved = d_coordinates[moved]
-            caught_up = torch.addcmul(block.behind_shift, coordinates[moved], block.behind_scale)
-            d_stretch = torch.addcdiv(d_moved * caught_up, d_log_stretch, stretch)
-            told = torch.stack([d_moved, _stretch_backward(d_stretch, stretch, ctx.scale)])
-            d_caught_up = d_moved * stretch
-            d_behind = [(d_caught_up * coordinates[moved]).sum(), d_caught_up.sum()]
-            torch.mul(d_caught_up, block.behind_scale, out=d_moved)
-            d_kept, d_block = _net_backward(told, coordinates, block, ctx.bones, ctx.parts, activations)
-            d_coordinates += d_kept
-            found[:0] = [*d_block, *d_behind]
-        return None, None, None, d_coordinates, *found
+        blocks = Blocks(*ctx.saved_tensors)
+        into = Blocks(*(torch.zeros_like(tensor) for tensor in blocks))
+        d_coordinates = torch.empty_like(gradients[0])
+        for part, steps in ctx.kept:
+            d_here = gradients[0][:, :, *part].clone(memory_format=torch.contiguous_format)
+            d_log_stretch = gradients[1][:, *part]
+            (scratch,) = _Room.several(1, ctx.bones, d_here, blocks.pool.shape[-1])
+            some, into_some = blocks.of_poses(part[0]), into.of_poses(part[0])
+            for index, room, uncaught, stretch in reversed(steps):
+                block, into_block = some[index], into_some[index]
+                caught_up = torch.addcmul(block.behind_shift, uncaught, block.behind_scale)
+                d_moved = d_here[index % (len(d_here) - 1)]
+                if ctx.back:
+                    d_caught_up = d_moved / -block.behind_scale
+                    torch.div(d_caught_up, stretch, out=d_moved)
+                    told = torch.stack([d_moved, d_moved * caught_up])
+                    d_moved.neg_()
+                else:
+                    d_stretch = torch.addcdiv(d_moved * caught_up, d_log_stretch, stretch)
+                    told = torch.stack([d_moved, d_stretch])
+                    d_caught_up = d_moved * stretch
+                    torch.mul(d_caught_up, block.behind_scale, out=d_moved)
+                told[1] = _stretch_backward(told[1], stretch, ctx.scale)
+                into_block.behind_scale.add_((d_caught_up * uncaught).sum())
+                into_block.behind_shift.add_(d_caught_up.sum())
+                d_here += _net_backward(told, room, block, ctx.bones, into_block, scratch)
+            d_coordinates[:, :, *part] = d_here
+        return None, None, None, None, d_coordinates, *into
 
 
-class _Poses(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, scale: Scale, keep: bool, bones: Bones, coordinates: Tensor, *tensors: Tensor) -> Tensor:
-        dimensions, width, parts = len(coordinates) - 1, len(BlockTensors._fields), _parts(coordinates)
-        saved: list[Tensor] = []
-        for index in reversed(range(len(tensors) // width)):
-            block, moved = BlockTensors(*tensors[index * width :][:width]), index % dimensions
-            told, heard = _net(coordinates, block, bones, parts, keep=keep)
-            stretch = _stretch(told[1], scale)
-            caught_up = torch.sub(coordinates[moved], told[0]).div_(stretch)
-            coordinates = coordinates.clone()
-            torch.sub(caught_up, block.behind_shift, out=coordinates[moved])
-            coordinates[moved] /= block.behind_scale
-            if keep:
-                saved += [coordinates, stretch, caught_up, *heard]
-        ctx.scale, ctx.bones, ctx.blocks, ctx.parts = scale, bones, len(tensors) // width, parts
-        ctx.save_for_backward(*tensors, *saved)
-        return coordinates
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Any, ...]:
-        stored = ctx.saved_tensors
-        width, per_block = len(BlockTensors._fields), 3 + len(_Heard._fields) * len(ctx.parts)
-        saved = stored[ctx.blocks * width :]
-        d_coordinates = gradients[0].clone()
-        dimensions = len(d_coordinates) - 1
-        found: list[Tensor] = []
-        for index in range(ctx.blocks):
-            block, moved = BlockTensors(*stored[index * width :][:width]), index % dimensions
-            at = (ctx.blocks - 1 - index) * per_block
-            coordinates, stretch, caught_up, *activations = saved[at:][:per_block]
-            d_moved = d_coordinates[moved]
-            d_caught_up = d_moved / block.behind_scale
-            d_behind = [-(d_caught_up * coordinates[moved]).sum(), -d_caught_up.sum()]
-            torch.div(d_caught_up, stretch, out=d_moved)
-            d_stretch = -d_moved * caught_up
-            told = torch.stack([-d_moved, _stretch_backward(d_stretch, stretch, ctx.scale)])
-            d_kept, d_block = _net_backward(told, coordinates, block, ctx.bones, ctx.parts, activations)
-            d_coordinates += d_kept
-            found += [*d_block, *d_behind]
-        return None, None, None, d_coordinates, *found
-
-
-def latents_of(coordinates: Tensor, blocks: list[BlockTensors], bones: Bones, scale: Scale) -> tuple[Tensor, Tensor]:
+def latents_of(coordinates: Tensor, blocks: Blocks, bones: Bones, scale: Scale) -> tuple[Tensor, Tensor]:
     """Pass poses through all blocks.
 
     Parameters
     ----------
     coordinates : Tensor
         (D + 1, K, P, n), unitless, the last row ones.
-    blocks : list of BlockTensors
+    blocks : Blocks
         The L blocks; block l moves coordinate l modulo D.
     bones : Bones
         Who speaks to whom.
@@ -321,21 +323,19 @@ def latents_of(coordinates: Tensor, blocks: list[BlockTensors], bones: Bones, sc
     log_stretch : Tensor
         (K, P, n), nats: the sum of log s over the blocks.
     """
-    tensors = [tensor for block in blocks for tensor in block]
-    latents, log_stretch = _Latents.apply(  # type: ignore[no-untyped-call]
-        scale, torch.is_grad_enabled(), bones, coordinates, *tensors
-    )
+    keep = torch.is_grad_enabled()
+    latents, log_stretch = _Pass.apply(False, scale, keep, bones, coordinates, *blocks)  # type: ignore[no-untyped-call]
     return latents, log_stretch
 
 
-def poses_of(coordinates: Tensor, blocks: list[BlockTensors], bones: Bones, scale: Scale) -> Tensor:
+def poses_of(coordinates: Tensor, blocks: Blocks, bones: Bones, scale: Scale) -> Tensor:
     """Pass latents back through all blocks.
 
     Parameters
     ----------
     coordinates : Tensor
         (D + 1, K, P, n), unitless, the last row ones.
-    blocks : list of BlockTensors
+    blocks : Blocks
         The L blocks, first to last.
     bones : Bones
         Who speaks to whom.
@@ -347,8 +347,6 @@ def poses_of(coordinates: Tensor, blocks: list[BlockTensors], bones: Bones, scal
     Tensor
         The same shape.
     """
-    tensors = [tensor for block in blocks for tensor in block]
-    poses: Tensor = _Poses.apply(  # type: ignore[no-untyped-call]
-        scale, torch.is_grad_enabled(), bones, coordinates, *tensors
-    )
+    keep = torch.is_grad_enabled()
+    poses: Tensor = _Pass.apply(True, scale, keep, bones, coordinates, *blocks)[0]  # type: ignore[no-untyped-call]
     return poses
