@@ -52,7 +52,7 @@ def label_name(by: str) -> str:
     return by.replace("=", ":", 1) if by.startswith("spread=") else by
 
 
-def cells_of(pairs: PosePairs, by: Sequence[str], spread: Callable[[], FloatArray]) -> Cells:
+def cells_of(pairs: PosePairs, by: Sequence[str], spread: Callable[[], FloatArray], *, average: str = "poses") -> Cells:
     """Sort poses into cells.
 
     Parameters
@@ -64,6 +64,8 @@ def cells_of(pairs: PosePairs, by: Sequence[str], spread: Callable[[], FloatArra
         ``spread=40,60`` the parts between such cuts in mm.
     spread : callable
         Gives the predicted spread of each pose, (M,), mm; called only where it is asked for.
+    average : str
+        A label over whose groups numbers are averaged, kept apart as well; ``poses`` for none.
 
     Returns
     -------
@@ -79,12 +81,12 @@ def cells_of(pairs: PosePairs, by: Sequence[str], spread: Callable[[], FloatArra
     for entry in by:
         if re.match("spread(?![^:=])", entry) and label_name(entry) not in labels:
             labels[label_name(entry)] = _parts(entry, spread())
-    wanted = [label_name(entry) for entry in by]
-    for name in wanted:
+    wanted = dict.fromkeys([] if average == "poses" else [average], "average")
+    wanted |= {label_name(entry): "by" for entry in by}
+    for name, option in wanted.items():
         if name not in labels:
-            raise PoseDataError(
-                f"by: {name!r} is not a label of these poses. {did_you_mean(name, [*labels, 'spread'])}"
-            )
+            known = [*labels, "spread" if option == "by" else "poses"]
+            raise PoseDataError(f"{option}: {name!r} is not a label of these poses. {did_you_mean(name, known)}")
     labelled, n_poses = "sequence" in labels, len(pairs.truth)
     runs = np.arange(n_poses) * min(RUNS, n_poses) // n_poses
     sequence = labels.get("sequence", runs.astype(np.str_))

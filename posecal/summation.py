@@ -91,11 +91,8 @@ def add_up(
         statistics |= {
             s.name: s for ms in sights_of(protocol, subject).values() for m in ms.values() for s in m.statistics
         }
-    wanted = [
-        *(label for label in by if label != "sight"),
-        *([] if protocol.average == "poses" else [protocol.average]),
-    ]
-    cells = cells_of(pairs, wanted, lambda: _spread(pairs, threads))
+    wanted = [label for label in by if label != "sight"]
+    cells = cells_of(pairs, wanted, lambda: _spread(pairs, threads), average=protocol.average)
     totals = Totals(
         subject=subject,
         protocol=protocol,

@@ -334,10 +334,10 @@ def test_a_label_to_group_by_that_is_not_there_is_refused(some: World) -> None:
 
 
 def test_an_average_over_a_label_that_is_not_there_is_refused(arrays: tuple[Array, Array]) -> None:
-    with pytest.raises(PoseDataError, match=r"by: 'action' is not a label of these poses\."):
+    with pytest.raises(PoseDataError, match=r"^average: 'action' is not a label of these poses\."):
         evaluate(*arrays, protocol=Protocol(average="action"))
 
 
 def test_an_average_over_runs_of_frames_is_refused(arrays: tuple[Array, Array]) -> None:
-    with pytest.raises(PoseDataError, match=r"'sequence' is not a label of these poses\."):
+    with pytest.raises(PoseDataError, match=r"^average: 'sequence' is not a label of these poses\."):
         evaluate(*arrays, protocol=Protocol(average="sequence"))
