@@ -26,12 +26,18 @@ from posecal.errors import PoseDataError
 if TYPE_CHECKING:
     from collections.abc import Hashable
 
-__all__ = ["Block", "FloatArray", "blocks_of", "checked", "in_order", "per_pose", "squared_norms", "working_dtype"]
+__all__ = [
+    *("Block", "FloatArray", "blocks_of", "box_of", "checked", "in_order", "per_pose", "squared_norms"),
+    "working_dtype",
+]
 
 FloatArray = npt.NDArray[np.floating]
 BoolArray = npt.NDArray[np.bool_]
 Result = TypeVar("Result")
 Before = tuple[FloatArray, FloatArray, BoolArray | None]
+
+BOX_POSES = 4096
+"""How many true poses are gone through at a time for their range."""
 
 BLOCK_BYTES = 1024 * 1024
 """About what the offsets of one block take: few enough to stay in cache, enough to be worth a call."""
@@ -62,6 +68,8 @@ class Block:
         Those to which alignments are fitted, those that count among them; those that count by default.
     reference : array (R, B, K, D), optional
         Hypotheses of the same poses by another model, that skills are relative to, mm.
+    box : array (2, K, D), optional
+        The range of all true poses that are evaluated together, as :func:`box_of` gives it; of these by default.
 
     Attributes
     ----------
@@ -86,6 +94,7 @@ class Block:
         occluded: BoolArray | None = None,
         usable: BoolArray | None = None,
         reference: FloatArray | None = None,
+        box: FloatArray | None = None,
     ) -> None:
         self.occluded = np.zeros(truth.shape[:2], dtype=bool) if occluded is None else occluded
         self.where = np.ones(truth.shape[:2], dtype=bool) if where is None else where
@@ -95,6 +104,7 @@ class Block:
             self.offsets[~self.where] = 0
             self.truth = np.where(self.where[..., None], self.truth, 0)
         self._root, self._previous, self._follows, self._scores = root, previous, follows, scores
+        self._box = box
         self._shared: dict[Hashable, Any] = {}
         self._whole: Callable[[], Block] | None = None
         if usable is not None:
@@ -120,7 +130,7 @@ class Block:
         other = Block.__new__(Block)
         other.where, other.occluded, other.truth = self.where, self.occluded, self.truth
         other._root, other._previous, other._follows, other._scores = self._root, None, self._follows, self._scores
-        other._shared, other._reference = {}, self._reference
+        other._shared, other._reference, other._box = {}, self._reference, self._box
         other._whole = None if self._whole is None else lambda: self.whole.stretched(factor)
         other.offsets = centre + times * (self.offsets - centre)
         other.__dict__["sorted"] = centre + times * (self.sorted - centre)  # stretching keeps the order
@@ -137,6 +147,11 @@ class Block:
     def reference(self) -> Block | None:
         """The same poses with the hypotheses that skills are relative to; None without any."""
         return None if self._reference is None else self._reference()
+
+    @cached_property
+    def box(self) -> FloatArray:
+        """The range of the true poses that are evaluated together, (2, K, D), mm; NaN for joints that never count."""
+        return box_of(self.truth, self.where) if self._box is None else self._box
 
     def share(self, key: Hashable, compute: Callable[[], Result]) -> Result:
         """Compute something once per block, whoever asks first."""
@@ -241,6 +256,36 @@ def _relative(truth: FloatArray, root: int | None, dtype: np.dtype[np.floating])
         return (wide if root is None else wide - wide[:, root, None]).astype(dtype)
 
 
+def box_of(truth: FloatArray, where: BoolArray | None = None, *, root: int | None = None) -> FloatArray:
+    """Give the range of true poses: the box that holds them.
+
+    Parameters
+    ----------
+    truth : array (M, K, D)
+        True poses, mm.
+    where : bool array (M, K), optional
+        The joints that count.
+    root : int, optional
+        The joint that is subtracted from every pose.
+
+    Returns
+    -------
+    array (2, K, D)
+        The least and the largest of each coordinate of each joint over the poses in which it counts, mm, in double;
+        NaN where it never does.
+    """
+    low = np.full(truth.shape[1:], np.inf)
+    high = -low
+    for start in range(0, len(truth), BOX_POSES):
+        poses = slice(start, start + BOX_POSES)
+        part = _relative(truth[poses], root, np.dtype(np.float64))
+        counted = True if where is None else where[poses, :, None]
+        with np.errstate(invalid="ignore"):  # what is not finite is refused elsewhere
+            low = np.minimum(low, part.min(axis=0, where=counted, initial=np.inf))
+            high = np.maximum(high, part.max(axis=0, where=counted, initial=-np.inf))
+    return np.where(low <= high, np.stack([low, high]), np.nan)
+
+
 def working_dtype(dtype: npt.DTypeLike) -> np.dtype[np.floating]:
     """Give the precision that hypotheses of a dtype are measured in: single stays single, all else is double."""
     dtype = np.dtype(dtype)
@@ -330,12 +375,13 @@ def blocks_of(
     occluded: BoolArray | None = None,
     usable: BoolArray | None = None,
     reference: FloatArray | None = None,
+    box: FloatArray | None = None,
 ) -> Iterator[Callable[[], Block]]:
     """Cut checked arrays in the paper's layout into blocks, in the order of their poses.
 
     Parameters
     ----------
-    hypotheses, truth, where, root, scores, follows, previous, occluded, usable, reference
+    hypotheses, truth, where, root, scores, follows, previous, occluded, usable, reference, box
         As for :class:`Block`, of M poses instead of B.
 
     Yields
@@ -344,6 +390,7 @@ def blocks_of(
         Lays out the next few poses as a :class:`Block`: a copy, so better done by the thread that needs it.
     """
     step = block_length(hypotheses.shape, hypotheses.dtype)
+    box = box_of(truth, where, root=root) if box is None else box
     for start in range(0, truth.shape[0], step):
         poses = slice(start, start + step)
         if start:
@@ -361,6 +408,7 @@ def blocks_of(
             occluded=None if occluded is None else occluded[poses],
             usable=None if usable is None else usable[poses],
             reference=None if reference is None else reference[:, poses],
+            box=box,
         )
 
 

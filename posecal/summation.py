@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 import posecal
-from posecal.block import Before, Block, FloatArray, block_length, blocks_of, in_order
+from posecal.block import Before, Block, FloatArray, block_length, blocks_of, box_of, in_order
 from posecal.calibration.battery import PreRank
 from posecal.cells import cells_of
 from posecal.errors import PoseDataError
@@ -145,6 +145,7 @@ def walk(pairs: PosePairs) -> Iterator[tuple[slice, Callable[[], Block]]]:
     sequence = pairs.labels.get("sequence", np.zeros(m, dtype=np.str_))
     follows = np.concatenate([[False], (sequence[1:] == sequence[:-1]) & (np.diff(pairs.place) == 1)])
     previous: Before | None = None
+    box = box_of(pairs.truth, pairs.where, root=pairs.root)
     for start in range(0, m, window):
         poses = slice(start, min(start + window, m))
         hypotheses, truth = pairs.hypotheses.read(poses.start, poses.stop), pairs.truth[poses]
@@ -160,6 +161,7 @@ def walk(pairs: PosePairs) -> Iterator[tuple[slice, Callable[[], Block]]]:
             occluded=None if pairs.occluded is None else pairs.occluded[poses],
             usable=None if pairs.usable is None else pairs.usable[poses],
             reference=None if pairs.reference is None else pairs.reference.hypotheses.read(poses.start, poses.stop),
+            box=box,
         )
         for number, block in enumerate(blocks):
             yield slice(start + number * size, min(start + (number + 1) * size, poses.stop)), block

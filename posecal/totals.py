@@ -23,6 +23,7 @@ import numpy.typing as npt
 
 from posecal.archive import write_members
 from posecal.block import FloatArray
+from posecal.calibration.battery import OF_THE_RUN
 from posecal.errors import PoseDataError, PoseFileError, did_you_mean, raise_all
 from posecal.io import written_whole
 from posecal.metric import Metric, Statistic, Subject
@@ -296,7 +297,7 @@ class Totals:
         -------
         Totals
             What one run over all poses gives. A sequence may be split over shards; runs of frames without sequence
-            labels stay those of their shard.
+            labels stay those of their shard, and the box of ``tarp_box`` is that of its shard's true poses.
 
         Raises
         ------
@@ -330,7 +331,8 @@ class Totals:
             own = [(*c[:at], f"{number}/{c[at]}", *c[at + 1 :]) for c in cells] if apart else cells
             where.append(np.array([rows.setdefault(cell, len(rows)) for cell in own], dtype=np.intp))
             for place, cell in enumerate(cells):
-                print_ = (cell, int(part.poses[place]), *(float(s[place].sum()) for s in part.sums.values()))
+                sums = (float(s[place].sum()) for s_name, s in part.sums.items() if s_name not in OF_THE_RUN)
+                print_ = (cell, int(part.poses[place]), *sums)
                 if print_ in seen:
                     raise PoseDataError(
                         f"{seen[print_]} and {name} hold the same poses (cell {', '.join(cell)}); expected shards "

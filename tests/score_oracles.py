@@ -133,11 +133,22 @@ def tarp(pool: Array) -> list[float]:
     return [math.dist(pose.ravel(), pool[0].ravel()) for pose in pool[1:]]
 
 
-def tarp_box(pool: Array, share: Array) -> list[float]:
-    """Distances to a point of the pool's bounding box."""
-    low, high = pool.min(axis=0), pool.max(axis=0)
-    reference = low + share * (high - low)
-    return [math.dist(pose.ravel(), reference.ravel()) for pose in pool]
+def sides(truths: Array, counted: npt.NDArray[np.bool_]) -> list[list[tuple[float, float]]]:
+    """The least and the largest of each coordinate of each joint (K, D) over the true poses in which it counts."""
+    _, K, D = truths.shape
+    found = []
+    for k in range(K):
+        known = [pose[k] for pose, there in zip(truths, counted, strict=True) if there[k]]
+        ends = [(min(float(p[d]) for p in known), max(float(p[d]) for p in known)) for d in range(D)] if known else []
+        found.append(ends or [(math.nan, math.nan)] * D)
+    return found
+
+
+def tarp_box(pool: Array, box: Sequence[Sequence[tuple[float, float]]], share: Array) -> list[float]:
+    """Distances to a point of the box, when its sides are made to reach from 0 to 1; a side of no length is no axis."""
+    axes = [(k, d, *ends) for k, joint in enumerate(box) for d, ends in enumerate(joint) if ends[0] < ends[1]]
+    reference = [float(share[k, d]) for k, d, _, _ in axes]
+    return [math.dist([(pose[k, d] - a) / (b - a) for k, d, a, b in axes], reference) for pose in pool]
 
 
 def box_share(truth: Array) -> Array:

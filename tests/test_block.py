@@ -15,7 +15,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from posecal import block as block_module
-from posecal.block import Block, block_length, blocks_of, checked, in_order, per_pose, squared_norms, working_dtype
+from posecal.block import (
+    Block,
+    block_length,
+    blocks_of,
+    box_of,
+    checked,
+    in_order,
+    per_pose,
+    squared_norms,
+    working_dtype,
+)
 from posecal.errors import PoseDataError
 from posecal.metric import Subject
 from posecal.metrics import min_mpjpe
@@ -121,6 +131,35 @@ def test_a_block_of_which_every_usable_joint_counts_is_its_own_whole(arrays: tup
     assert block.stretched(2).whole is not block.whole
     stretched = block.stretched(2)
     assert stretched.whole is stretched
+
+
+@pytest.mark.parametrize("root", [None, 1])
+def test_the_box_reaches_from_the_least_to_the_largest_of_the_true_poses_of_which_a_joint_counts(
+    arrays: tuple[Array, Array], root: int | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(block_module, "BOX_POSES", 3)
+    y = arrays[1].copy()
+    where = np.ones((M, K), dtype=bool)
+    where[0, 2] = where[4:, 2] = where[:, 3] = False
+    y[0, 2], y[5, 3] = np.nan, np.inf
+    relative = y if root is None else oracles.relative(y, root)
+    low, high = box_of(y, where, root=root)
+    for k, d in np.ndindex(K, D):
+        column = relative[where[:, k], k, d]
+        expected = (column.min(), column.max()) if column.size else (np.nan, np.nan)
+        np.testing.assert_allclose((low[k, d], high[k, d]), expected)
+    np.testing.assert_array_equal(Block(arrays[0], y, where, root=root).box, [low, high])
+
+
+def test_blocks_of_poses_and_what_is_made_of_them_have_the_box_of_all_of_them(
+    arrays: tuple[Array, Array], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(block_module, "BLOCK_BYTES", 1)
+    blocks = [lay_out() for lay_out in blocks_of(*arrays, root=0)]
+    assert len(blocks) == M
+    for block in blocks:
+        np.testing.assert_array_equal(block.box, box_of(arrays[1], root=0))
+        np.testing.assert_array_equal(block.stretched(1.3).box, block.box)
 
 
 def test_what_is_shared_is_computed_once(arrays: tuple[Array, Array]) -> None:

@@ -178,6 +178,8 @@ def test_every_pose_is_in_one_block_in_the_order_of_the_poses(
     for name in ("offsets", "truth"):
         joined = np.concatenate([getattr(one, name) for _, one in blocks])
         np.testing.assert_array_equal(joined, getattr(whole, name))
+    for _, one in blocks:
+        np.testing.assert_array_equal(one.box, whole.box)
     scores = np.concatenate([one.scores for _, one in blocks])
     np.testing.assert_array_equal(scores, some.scores.T)
 

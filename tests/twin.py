@@ -233,14 +233,15 @@ class Twin:
     def define_battery(self) -> None:
         M, (_, K, D) = len(self.y), self.y.shape
         ranks = {name: np.full((M, 21), math.nan) for name in [*score_oracles.PRERANKS, "tarp_box"]}
-        joints = self.moving_joints
+        joints, box = self.moving_joints, score_oracles.sides(self.y, self.moving)
         for m, x, y in self.counted_poses():
             pool = np.concatenate([x, y[None]])
             for name, prerank in score_oracles.PRERANKS.items():
                 ranks[name][m] = score_oracles.rank_inside(prerank(pool))
             share = score_oracles.box_share(np.where(self.moving[m][:, None], self.y[m], math.nan)[joints])
             share = share[self.moving[m][joints]]
-            ranks["tarp_box"][m] = score_oracles.rank_inside(score_oracles.tarp_box(pool, share))
+            own = [ends for ends, there in zip(box, self.moving[m], strict=True) if there]
+            ranks["tarp_box"][m] = score_oracles.rank_inside(score_oracles.tarp_box(pool, own, share))
         for name, weights in ranks.items():
             self.numbers[name] = lambda poses, weights=weights: oracles.curve_ece(self.pooled(weights[:, None], poses))
         single = np.full((M, K, D, 21), math.nan)

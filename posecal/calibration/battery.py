@@ -29,7 +29,10 @@ from posecal.block import Block, BoolArray, FloatArray, squared_norms
 from posecal.calibration.ranks import rank_weights, shared_ranks
 from posecal.errors import PoseDataError
 
-__all__ = ["BATTERY", "PreRank", "Test", "coordinate_weights", "load_prerank", "user_weights", "weights_of_ranks"]
+__all__ = [
+    *("BATTERY", "OF_THE_RUN", "PreRank", "Test", "coordinate_weights", "load_prerank", "user_weights"),
+    "weights_of_ranks",
+]
 
 PreRank = Callable[[FloatArray], npt.ArrayLike]
 """A user's own pre-rank: from a pool of poses (N + 1, K, D), the truth last, to a number each, (N + 1,)."""
@@ -114,15 +117,20 @@ def mahalanobis(points: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("bin,bin->bn", centred, np.linalg.solve(covariance, centred)))
 
 
-def tarp_box(points: FloatArray, truth: FloatArray) -> FloatArray:
-    """Distance to a random point of the pool's bounding box, as published but for its box, (B, N + 1).
+def tarp_box(points: FloatArray, truth: FloatArray, box: FloatArray) -> FloatArray:
+    """Distance to a random point of the box of all true poses, in units of its sides, as published, (B, N + 1).
 
-    The point is drawn from a generator seeded by the true pose: the same in any order and any shard.
+    The point is drawn from a generator seeded by the true pose: the same in any order. The box is of the true poses
+    that are evaluated together, so that a shard which is evaluated apart has its own. It holds every truth and not
+    every hypothesis: ranks are uniform as far as one pose does not change it. A coordinate in which the true poses
+    don't differ is left out, where the published code divides by 1e-10.
     """
-    low, high = points.min(axis=-1), points.max(axis=-1)
+    low, side = box[0], box[1] - box[0]
     share = np.stack([np.random.default_rng(zlib.crc32(pose.tobytes())).random(pose.shape) for pose in truth])
-    reference = low + share * (high - low)
-    return np.asarray(np.sqrt(squared_norms(points - reference[..., None]).sum(axis=1)))
+    counted, unit = (side > 0) & ~np.isnan(truth), np.where(side > 0, side, 1)
+    from_reference = points / unit[..., None] + ((truth - low) / unit - share)[..., None]
+    from_reference[~counted] = 0
+    return np.asarray(np.sqrt(squared_norms(from_reference).sum(axis=1)))
 
 
 def tarp_hypothesis(points: FloatArray) -> FloatArray:
@@ -151,6 +159,8 @@ class Test:
     prerank_of_poses : callable or None
         The same from the pool and the true poses (B, J, D), NaN for joints that don't count: of what depends on where
         poses are, and not only on how they differ.
+    prerank_in_box : callable or None
+        The same from these and the range of all true poses that are evaluated together (2, J, D).
     """
 
     __test__ = False  # not one of pytest's
@@ -161,17 +171,21 @@ class Test:
     fires: str
     prerank: Callable[[FloatArray], FloatArray] | None = None
     prerank_of_poses: Callable[[FloatArray, FloatArray], FloatArray] | None = None
+    prerank_in_box: Callable[[FloatArray, FloatArray, FloatArray], FloatArray] | None = None
 
     def weights(self, block: Block, joints: BoolArray) -> FloatArray:
         """Weights of the truth's rank, (B, 1, Q), or (B, K, D, Q) for the coordinates."""
         counted = block.where[:, joints]
+        truth = np.where(counted[..., None], block.truth[:, joints].astype(np.float64), np.nan)
         if self.prerank is not None:
-            found = weights_of_ranks(self.prerank(pool(block, joints)))
+            prerank = self.prerank(pool(block, joints))
         elif self.prerank_of_poses is not None:
-            truth = np.where(counted[..., None], block.truth[:, joints].astype(np.float64), np.nan)
-            found = weights_of_ranks(self.prerank_of_poses(pool(block, joints), truth))
+            prerank = self.prerank_of_poses(pool(block, joints), truth)
+        elif self.prerank_in_box is not None:
+            prerank = self.prerank_in_box(pool(block, joints), truth, block.box[:, joints])
         else:
             return coordinate_weights(block, joints)
+        found = weights_of_ranks(prerank)
         found[~counted.any(axis=1)] = np.nan
         return found[:, None]
 
@@ -280,9 +294,13 @@ BATTERY: tuple[Test, ...] = (
     Test(
         "tarp_box",
         "TARP, box",
-        "distance of the whole pose to a random point of the pool's bounding box",
+        "distance of the whole pose, each coordinate in units of its range over all true poses of the run, to a random "
+        "point of the box of these ranges",
         "seen from a random point, the truth lies nearer or farther than the hypotheses do",
-        prerank_of_poses=tarp_box,
+        prerank_in_box=tarp_box,
     ),
 )
 """The tests, in the order of a report."""
+
+OF_THE_RUN = frozenset(test.name for test in BATTERY if test.prerank_in_box is not None)
+"""The tests whose ranks depend on which poses are evaluated together: of shards they add, but not to the same."""

@@ -136,7 +136,7 @@ def merge(
     results: Annotated[list[Path], typer.Argument(help="Saved results of shards of one test set.", show_default=False)],
     output: Output,
 ) -> None:
-    """Add the results of shards: the same numbers as one run over everything."""
+    """Add the results of shards: the same numbers as one run over everything (tarp_box: about the same)."""
     check_outputs(*results, output=output)
     from posecal.totals import Totals
 

@@ -21,7 +21,7 @@ from posecal.report import Report
 from posecal.summation import add_up
 from tests.drawn import skewed
 from tests.samplers import gaussian, pairs_of, report_of, sequences
-from tests.score_oracles import PRERANKS, rank_inside
+from tests.score_oracles import PRERANKS, box_share, rank_inside, sides, tarp_box
 from toy.experiments.fault_table import COLUMNS, Found, evaluate_faults
 from toy.faults import FAULTS, Case
 from toy.pose_world import PoseWorld
@@ -180,6 +180,27 @@ def test_a_test_of_the_battery_is_its_definition(name: str, N: int) -> None:
     for m in range(1, 7):
         pool = np.concatenate([x[:, m][:, where[m]], y[m][where[m]][None]])
         np.testing.assert_allclose(found[m, 0], rank_inside(PRERANKS[name](pool)), atol=1e-9)
+
+
+@pytest.mark.parametrize("N", [3, 6])
+def test_tarp_in_a_box_is_its_definition(N: int) -> None:
+    x, y = skewed(N, N, 7, 4)
+    where = np.random.default_rng(N).random((7, 4)) < 0.7
+    where[0], where[1] = False, True
+    y[:, 2, 1] = 12.5  # nothing to tell
+    found = TESTS["tarp_box"].weights(Block(x, y, where=where), np.ones(4, dtype=bool))
+    assert np.isnan(found[0]).all()
+    box = sides(y, where)
+    for m in range(1, 7):
+        pool, own = np.concatenate([x[:, m], y[m][None]]), [box[k] for k in np.flatnonzero(where[m])]
+        share = box_share(np.where(where[m][:, None], y[m], math.nan))[where[m]]
+        np.testing.assert_allclose(found[m, 0], rank_inside(tarp_box(pool[:, where[m]], own, share)), atol=1e-9)
+
+
+def test_in_a_box_without_a_side_nothing_tells_the_truth_from_the_hypotheses() -> None:
+    x, y = skewed(3, 6, 1, 4)  # of one pose
+    weights = TESTS["tarp_box"].weights(Block(x, y), np.ones(4, dtype=bool))
+    np.testing.assert_allclose(weights, np.broadcast_to(LEVELS, weights.shape), atol=1e-12)
 
 
 @pytest.mark.parametrize("test", TESTS)
