@@ -27,8 +27,10 @@ if TYPE_CHECKING:
     from posecal.joining import Join, join
     from posecal.protocol import PRESETS, Protocol
     from posecal.recalibration import cross_fitted, fit_radius, fit_spread
-    from posecal.reference import climatology
+    from posecal.reference import climatology, held_against
     from posecal.report import Report
+    from posecal.results import load_totals, save_totals
+    from posecal.shards import merge_totals
     from posecal.skeleton import JOINT_SETS, Skeleton
     from posecal.summation import add_up
     from posecal.totals import Totals
@@ -45,8 +47,10 @@ _HOMES = {
     "posecal.joining": ("Join", "join"),
     "posecal.protocol": ("PRESETS", "Protocol"),
     "posecal.recalibration": ("cross_fitted", "fit_radius", "fit_spread"),
-    "posecal.reference": ("climatology",),
+    "posecal.reference": ("climatology", "held_against"),
     "posecal.report": ("Report",),
+    "posecal.results": ("load_totals", "save_totals"),
+    "posecal.shards": ("merge_totals",),
     "posecal.skeleton": ("JOINT_SETS", "Skeleton"),
     "posecal.summation": ("add_up",),
     "posecal.totals": ("Totals",),
@@ -77,11 +81,15 @@ __all__ = [
     "evaluate",
     "fit_radius",
     "fit_spread",
+    "held_against",
     "join",
+    "load_totals",
+    "merge_totals",
     "metrics",
     "perfect_sampler",
     "plot",
     "read_poses",
+    "save_totals",
     "signed_area",
     "verdict",
 ]

@@ -16,6 +16,7 @@ from posecal.block import FloatArray
 from posecal.calibration import DEFINITIONS, LEVELS
 from posecal.errors import PoseDataError, did_you_mean
 from posecal.findings import Findings
+from posecal.results import save_totals
 from posecal.rows import Row
 from posecal.sheets import report_sheet
 
@@ -126,7 +127,7 @@ class Report(Findings):
         PoseFileError
             Where the file can't be written.
         """
-        self.totals.save(path)
+        save_totals(self.totals, path)
 
 
 def _plain(row: Row) -> dict[str, object]:

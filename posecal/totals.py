@@ -1,38 +1,26 @@
 """What is kept of an evaluation? The sums of every statistic, per cell; never the hypotheses.
 
 A *cell* is one combination of sequence and labels. Sums over cells add, so a report of any group of poses, of
-shards that were evaluated apart, or of resampled sequences needs nothing but these sums: some hundred kilobytes,
-in a file that can be read next year.
+shards that were evaluated apart, or of resampled sequences needs nothing but these sums.
 """
 
 from __future__ import annotations
 
-import json
-import os
 import re
-import zipfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from posecal.archive import write_members
 from posecal.block import FloatArray
-from posecal.calibration.battery import OF_THE_RUN
-from posecal.errors import PoseDataError, PoseFileError, did_you_mean, raise_all
-from posecal.io import written_whole
+from posecal.errors import PoseDataError, did_you_mean
 from posecal.metric import Metric, Statistic, Subject
 from posecal.protocol import Protocol
 
-__all__ = ["CURVES", "FORMAT", "Totals", "difference_of_signatures", "is_result", "mean_of", "mean_of_known"]
-
-FORMAT = 1
-"""The version of the file format."""
+__all__ = ["CURVES", "Totals", "difference_of_signatures", "mean_of", "mean_of_known"]
 
 CURVES = ("calibration", "battery")
 """Families of metrics that are read off curves."""
@@ -280,170 +268,6 @@ class Totals:
         np.add.at(number, place, counts)
         return added, number
 
-    # --- joining shards ---------------------------------------------------------------------------------------
-
-    @staticmethod
-    def merged(parts: Sequence[Totals], names: Sequence[str] | None = None) -> Totals:
-        """Add the results of shards of one test set.
-
-        Parameters
-        ----------
-        parts : sequence of Totals
-            At least one; evaluated alike.
-        names : sequence of str, optional
-            What messages call them.
-
-        Returns
-        -------
-        Totals
-            What one run over all poses gives. A sequence may be split over shards; runs of frames without sequence
-            labels stay those of their shard, and the box of ``tarp_box`` is that of its shard's true poses.
-
-        Raises
-        ------
-        PoseDataError
-            Where two differ in more than their poses, or hold the same poses.
-        """
-        if not parts:
-            raise PoseDataError("merge: no results; expected at least one.")
-        names = names or [f"part {number}" for number in range(1, len(parts) + 1)]
-        first = parts[0]
-        problems = []
-        for name, part in zip(names[1:], parts[1:], strict=True):
-            if part.signature != first.signature:
-                problems.append(f"{names[0]} and {name} were not made alike: {difference_of_signatures(first, part)}.")
-            if first.protocol.velocity == "second" and part.subject.fps != first.subject.fps:
-                rates = f"{first.subject.fps:g} and {part.subject.fps:g}"
-                problems.append(f"{names[0]} and {name} have {rates} frames per second; expected the same.")
-            held, ours = ({*t.cells, *t.sums, *t.kept} for t in (first, part))
-            if held != ours:
-                problems.append(f"{names[0]} and {name} differ in what they hold: {', '.join(sorted(held ^ ours))}.")
-        raise_all(problems)
-        keys = list(first.cells)
-        rows: dict[tuple[str, ...], int] = {}
-        seen: dict[tuple[object, ...], str] = {}
-        where = []
-        sequences = all(part.sequences for part in parts)
-        apart = len(parts) > 1 and not sequences
-        for number, (name, part) in enumerate(zip(names, parts, strict=True), 1):
-            cells = list(zip(*(part.cells[key].tolist() for key in keys), strict=True))
-            at = keys.index("sequence")
-            own = [(*c[:at], f"{number}/{c[at]}", *c[at + 1 :]) for c in cells] if apart else cells
-            where.append(np.array([rows.setdefault(cell, len(rows)) for cell in own], dtype=np.intp))
-            for place, cell in enumerate(cells):
-                sums = (float(s[place].sum()) for s_name, s in part.sums.items() if s_name not in OF_THE_RUN)
-                print_ = (cell, int(part.poses[place]), *sums)
-                if print_ in seen:
-                    raise PoseDataError(
-                        f"{seen[print_]} and {name} hold the same poses (cell {', '.join(cell)}); expected shards "
-                        "without poses in common."
-                    )
-                seen[print_] = name
-        poses = np.zeros(len(rows), dtype=np.int64)
-        values = np.array(list(rows), dtype=np.str_).reshape(len(rows), len(keys))
-        whole = Totals(
-            subject=first.subject,
-            protocol=first.protocol,
-            version=first.version,
-            cells={key: values[:, place] for place, key in enumerate(keys)},
-            poses=poses,
-            remarks=tuple(dict.fromkeys(remark for part in parts for remark in part.remarks)),
-            sequences=sequences,
-        )
-        for part, cells_of in zip(parts, where, strict=True):
-            np.add.at(poses, cells_of, part.poses)
-            for statistic in first.sums:
-                whole.add(statistic, cells_of, part.sums[statistic], part.counts[statistic])
-        whole.kept = {name: np.concatenate([part.kept[name] for part in parts]) for name in first.kept}
-        whole.cell_of = np.concatenate([of[part.cell_of] for part, of in zip(parts, where, strict=True)])
-        return whole
-
-    # --- files ------------------------------------------------------------------------------------------------
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the sums into a compressed ``.npz`` file, whole or not at all.
-
-        Raises
-        ------
-        PoseFileError
-            Where the file can't be written.
-        """
-        about = {
-            "posecal": self.version,
-            "format": FORMAT,
-            "subject": asdict(self.subject),
-            "protocol": self.protocol.options,
-            "remarks": self.remarks,
-            "sequences": self.sequences,
-        }
-        members: dict[str, npt.NDArray[np.generic]] = {"about": np.array(json.dumps(about)), "poses": self.poses}
-        members |= {f"cell/{name}": values for name, values in self.cells.items()}
-        for name in self.sums:
-            members[f"sum/{name}"], members[f"count/{name}"] = self.sums[name], self.counts[name]
-        members |= {f"kept/{name}": values.astype(np.float32) for name, values in self.kept.items()}
-        members["cell_of"] = self.cell_of.astype(np.int32)
-        written_whole(path, lambda file: write_members(file, members, compressed=True))
-
-    @staticmethod
-    def load(path: str | os.PathLike[str]) -> Totals:
-        """Read what :meth:`save` wrote.
-
-        Raises
-        ------
-        PoseFileError
-            For files that can't be read or are no results.
-        """
-        name = Path(path).name
-        try:
-            with open(path, "rb") as file, np.load(file, allow_pickle=False) as stored:
-                members: dict[str, Any] = {key: stored[key] for key in stored.files}
-            about = json.loads(str(members.pop("about")))
-            if about["format"] != FORMAT:
-                raise PoseFileError(
-                    f"{name}: format {about['format']} of posecal {about['posecal']}; expected {FORMAT}. "
-                    "Evaluate again."
-                )
-            return Totals(
-                subject=Subject(**_tuples(about["subject"])),
-                protocol=Protocol().changed(about["protocol"]),
-                version=about["posecal"],
-                cells=_part(members, "cell/"),
-                poses=members["poses"],
-                remarks=tuple(about["remarks"]),
-                sequences=about["sequences"],
-                sums=_part(members, "sum/"),
-                counts=_part(members, "count/"),
-                kept=_part(members, "kept/"),
-                cell_of=members["cell_of"],
-            )
-        except PoseFileError:
-            raise
-        except FileNotFoundError:
-            raise PoseFileError(f"{path}: no such file.") from None
-        except IsADirectoryError:
-            raise PoseFileError(f"{path}: is a folder; expected a result of posecal evaluate --save.") from None
-        except (
-            KeyError,
-            TypeError,
-            AttributeError,
-            ValueError,
-            EOFError,
-            zipfile.BadZipFile,
-            zlib.error,
-        ):
-            raise PoseFileError(f"{name}: no result of posecal evaluate --save, or not a whole one.") from None
-        except OSError as error:
-            raise PoseFileError(f"{path}: can't be read ({error.strerror}).") from None
-
-
-def is_result(path: str | os.PathLike[str]) -> bool:
-    """Whether a file looks like a saved result, rather than an array of poses."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return "about.npy" in archive.namelist()
-    except (OSError, zipfile.BadZipFile):
-        return False
-
 
 def _natural(text: str) -> list[tuple[int, str]]:
     """A key that sorts numbers within text by their size."""
@@ -460,14 +284,6 @@ def mean_of_known(values: Sequence[float]) -> float:
     """Give the mean of those that are not NaN."""
     found = [value for value in values if not np.isnan(value)]
     return float(np.mean(found)) if found else float("nan")
-
-
-def _part(members: dict[str, Any], prefix: str) -> dict[str, Any]:
-    return {key.removeprefix(prefix): value for key, value in members.items() if key.startswith(prefix)}
-
-
-def _tuples(subject: dict[str, Any]) -> dict[str, Any]:
-    return {key: tuple(value) if isinstance(value, list) else value for key, value in subject.items()}
 
 
 def difference_of_signatures(one: Totals, other: Totals) -> str:

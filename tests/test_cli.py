@@ -22,7 +22,7 @@ from posecal.cli import app
 from posecal.demo import sample
 from posecal.protocol import Protocol
 from posecal.report import Report
-from posecal.totals import Totals
+from posecal.results import load_totals
 from tests.reports import world
 
 ROOT = Path(__file__).parents[1]
@@ -211,7 +211,7 @@ def test_save_plot_and_html_write_these_files_and_no_others() -> None:
     assert {path.name for path in Path().iterdir()} == before | {"s.npz", "p.svg", "h.html"}
     assert Path("p.svg").read_text(encoding="utf-8").startswith("<?xml")
     assert Path("h.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
-    assert Totals.load("s.npz").signature == Totals.load("result.npz").signature
+    assert load_totals("s.npz").signature == load_totals("result.npz").signature
 
 
 @pytest.mark.parametrize("form", ["text", "json"])
@@ -247,7 +247,7 @@ def test_a_saved_result_is_drawn(kind: str) -> None:
     assert done("plot", kind, "result.npz", "-o", "picture.svg") == ""
     from posecal.plot import draw, figure_bytes
 
-    report = Report(Totals.load("result.npz"))
+    report = Report(load_totals("result.npz"))
     assert Path("picture.svg").read_bytes() == figure_bytes(draw(report, kind), ".svg")
 
 

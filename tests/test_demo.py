@@ -10,8 +10,8 @@ import pytest
 import posecal
 from posecal.demo import SAMPLERS, make_world, run_demo, sample, write_demo
 from posecal.errors import PoseFileError
+from posecal.results import load_totals
 from posecal.skeleton import JOINT_SETS, Skeleton
-from posecal.totals import Totals
 
 JOINTS = JOINT_SETS["h36m-17"]
 
@@ -115,7 +115,7 @@ def test_it_leaves_files_pages_pictures_and_results(run: tuple[Path, str]) -> No
 
 def test_posecal_sees_what_each_sampler_is(run: tuple[Path, str]) -> None:
     folder, said = run
-    area = {name: posecal.Report(Totals.load(folder / f"{name}-result.npz")).value("signed_area") for name in SAMPLERS}
+    area = {name: posecal.Report(load_totals(folder / f"{name}-result.npz")).value("signed_area") for name in SAMPLERS}
     assert area["overconfident"] < -0.1 < area["calibrated"] < 0.1 < area["underconfident"]
     assert re.search(r"^calibrated: Not miscalibrated beyond chance", said, re.MULTILINE)
     assert re.search(r"^overconfident: Overconfident, beyond chance", said, re.MULTILINE)
@@ -124,7 +124,7 @@ def test_posecal_sees_what_each_sampler_is(run: tuple[Path, str]) -> None:
 
 def test_it_says_that_the_best_benchmark_number_goes_to_the_wrong_sampler(run: tuple[Path, str]) -> None:
     folder, said = run
-    best = {name: posecal.Report(Totals.load(folder / f"{name}-result.npz")).value("min_mpjpe") for name in SAMPLERS}
+    best = {name: posecal.Report(load_totals(folder / f"{name}-result.npz")).value("min_mpjpe") for name in SAMPLERS}
     winner = min(best, key=lambda name: best[name])
     assert winner != "calibrated"
     assert f"Notice: the {winner} sampler has the best minMPJPE." in said

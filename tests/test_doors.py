@@ -96,7 +96,7 @@ FLOORS = (
     "calibration metric",
     "metrics.table metrics.score_table calibration.table sight",
     "registry totals",
-    "leave_one_out",
+    "leave_one_out results shards",
     "sureness",
     "rows summation",
     "findings comparison reference explanation",

@@ -23,6 +23,7 @@ from posecal import block as block_module
 from posecal import summation
 from posecal.protocol import Protocol
 from posecal.registry import known_metrics
+from posecal.shards import merge_totals
 from posecal.totals import Totals
 from tests.drawn import World, world
 
@@ -327,7 +328,7 @@ def shards(some: World, cuts: list[int]) -> Iterator[World]:
 
 
 def in_shards(protocol: str, cuts: list[int]) -> Numbers:
-    return numbers(Totals.merged([part.totals(PROTOCOLS[protocol]) for part in shards(WORLD, cuts)]))
+    return numbers(merge_totals([part.totals(PROTOCOLS[protocol]) for part in shards(WORLD, cuts)]))
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
@@ -400,7 +401,7 @@ def test_any_world_masked_cut_and_split_anyhow_gives_the_same(
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(block_module, "BLOCK_BYTES", length * N * 8 * 3 * 8)
         parts = [part.totals(PROTOCOLS[protocol], threads=threads) for part in shards(some, [cut])]
-    hold("shards", protocol, numbers(Totals.merged(parts)), expected, rtol=1e-12, atol=1e-12)
+    hold("shards", protocol, numbers(merge_totals(parts)), expected, rtol=1e-12, atol=1e-12)
 
 
 # --- the list of exemptions ------------------------------------------------------------------------------------------

@@ -65,14 +65,14 @@ def compare(
     """Compare models on the same poses: differences with intervals, p-values and ranks."""
     check_outputs(*files, plot=plot)
     from posecal.comparison import compare as compare_totals
+    from posecal.results import is_result, load_totals
     from posecal.sheets import comparison_sheet
     from posecal.summation import add_up
-    from posecal.totals import Totals, is_result
 
     totals: list[Totals] = []
     if all(is_result(path) for path in files):
         names = _names(files)
-        totals = [Totals.load(path) for path in files]
+        totals = [load_totals(path) for path in files]
     else:
         *models, truth = files
         if len(models) < 2:

@@ -125,9 +125,9 @@ def report(
     """Write the report of a saved result, without the hypotheses."""
     check_outputs(result, plot=plot, html=html)
     from posecal.report import Report
-    from posecal.totals import Totals
+    from posecal.results import load_totals
 
-    found = Report(Totals.load(result), by or ())
+    found = Report(load_totals(result), by or ())
     write_report(found, form, joints=per_joint, definitions=definitions, plot=plot, html=html, name=result.name)
 
 
@@ -138,10 +138,11 @@ def merge(
 ) -> None:
     """Add the results of shards: the same numbers as one run over everything (tarp_box: about the same)."""
     check_outputs(*results, output=output)
-    from posecal.totals import Totals
+    from posecal.results import load_totals, save_totals
+    from posecal.shards import merge_totals
 
-    whole = Totals.merged([Totals.load(path) for path in results], [path.name for path in results])
-    whole.save(output)
+    whole = merge_totals([load_totals(path) for path in results], [path.name for path in results])
+    save_totals(whole, output)
     typer.echo(f"{output}: {whole.poses.sum():,} poses of {len(results)} results.", err=True)
 
 

@@ -33,9 +33,9 @@ def _draw(result: Path, kind: str, output: Path) -> None:
     check_outputs(result, plot=output)
     from posecal.plot import draw, save
     from posecal.report import Report
-    from posecal.totals import Totals
+    from posecal.results import load_totals
 
-    save(draw(Report(Totals.load(result)), kind), output)
+    save(draw(Report(load_totals(result)), kind), output)
 
 
 @app.command()

@@ -129,7 +129,7 @@ def read_pairs(hypotheses: Path, truth: Path, how: Join, most: int | None = None
     from posecal.errors import PoseFileError
     from posecal.io import read_poses
     from posecal.joining import join
-    from posecal.totals import is_result
+    from posecal.results import is_result
 
     for path in (hypotheses, truth):
         if is_result(path):

@@ -22,6 +22,7 @@ from posecal.errors import PoseDataError
 from posecal.pairs import Hypotheses, PosePairs, Rows
 from posecal.protocol import Protocol
 from posecal.recalibration.folds import at_least_two, folds_of, for_joints, moving, sequences
+from posecal.shards import merge_totals
 from posecal.summation import add_up, walk
 from posecal.totals import Totals
 
@@ -258,4 +259,4 @@ def cross_fitted(
         mended = SpreadMap(pairs.joints, found, 0, 0).applied(held_out)
         after.append(add_up(mended, protocol, threads=threads))
         factors.append(found)
-    return before, Totals.merged(after), factors
+    return before, merge_totals(after), factors
