@@ -159,16 +159,20 @@ def fault_table(
     seed: Seed = 0,
     hypotheses: Annotated[int, typer.Option(help="How many of each pose.", min=2)] = 100,
     poses: Annotated[int, typer.Option(help="How many independent poses.", min=6)] = 1000,
+    joint_correlation: Annotated[
+        float, typer.Option(help="Between the deviations of any two joints.", min=0, max=0.9999)
+    ] = 0.0,
 ) -> None:
     """What the paper's ECE misses: every named fault against the battery, as Markdown."""
     from toy.experiments.fault_table import LEVEL, evaluate_faults
     from toy.experiments.fault_table import fault_table as as_markdown
 
+    together = f", joints correlated {joint_correlation:g}" if joint_correlation else ""
     typer.echo(
-        f"N = {hypotheses}, M = {poses:,} independent poses. Cells: mean |ω − q|, bold where sign-flips give "
+        f"N = {hypotheses}, M = {poses:,} independent poses{together}. Cells: mean |ω − q|, bold where sign-flips give "
         f"p < {LEVEL:g}.\nES ratio: energy score over that of sampling from the truth's own law.\n"
     )
-    typer.echo(as_markdown(evaluate_faults(seed, N=hypotheses, M=poses)))
+    typer.echo(as_markdown(evaluate_faults(seed, N=hypotheses, M=poses, joint_correlation=joint_correlation)))
 
 
 @command

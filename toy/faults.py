@@ -6,7 +6,8 @@ depth, always on one side, in two depth modes) and change its deviation from the
 their sentence, and the truth comes back with the hypotheses.
 
 In :meth:`~toy.pose_world.PoseWorld.independent_joints` every fault shows its textbook number: the deviations are
-``σ z`` with independent standard normal z. In another world a fault is the same act on that world's posterior.
+``σ z`` with independent standard normal z. In another world a fault is the same act on that world's posterior; and a
+case may ask that joints move together, each with the law that it has there.
 
 Conventions: hypotheses (N, M, K, 3), truth (M, K, 3), mm, camera frame; depth is the last coordinate. A joint's sd
 is the root mean square of its three.
@@ -16,7 +17,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -46,20 +47,32 @@ class Case:
         The exact law of the truths given the keypoints.
     rng : numpy.random.Generator
         Where hypotheses come from.
+    joint_correlation : float or None
+        Between the standardised deviations of any two joints, of truths and of perfect hypotheses; None leaves it to
+        the posterior.
     """
 
     world: PoseWorld
     scene: Scene
     posterior: Posterior
     rng: np.random.Generator
+    joint_correlation: float | None = None
 
     @classmethod
-    def of(cls, world: PoseWorld, scene: Scene, rng: np.random.Generator) -> Case:
-        """Work out the posterior of a scene."""
-        return cls(world, scene, world.posterior(scene.keypoints, scene.observed), rng)
+    def of(
+        cls, world: PoseWorld, scene: Scene, rng: np.random.Generator, *, joint_correlation: float | None = None
+    ) -> Case:
+        """Work out the posterior of a scene; where joints are to move together, draw its truths anew about the mean."""
+        case = cls(world, scene, world.posterior(scene.keypoints, scene.observed), rng, joint_correlation)
+        if joint_correlation is None:
+            return case
+        truth = case.posterior.mean + case.correlated(1, joint_correlation)[0]
+        return replace(case, scene=replace(scene, truth=truth))
 
     def deviations(self, N: int) -> Floats:
         """Draw N perfect hypotheses as deviations from the posterior mean, (N, M, K, 3) in mm."""
+        if self.joint_correlation is not None:
+            return self.correlated(N, self.joint_correlation)
         return self.posterior.sample(N, self.rng) - self.posterior.mean
 
     @property
@@ -203,8 +216,17 @@ def _depth_modes(case: Case, N: int) -> tuple[Floats, Floats]:
 
 
 def _ignored_image(case: Case, N: int) -> tuple[Floats, Floats]:
-    prior = case.world.prior(len(case.scene.truth)).sample(N, case.rng)
-    return prior - case.posterior.mean, case.truth_deviation
+    """Draw from the prior: where joints are to move together, from what other poses of the scene may be."""
+    M, mean = len(case.scene.truth), case.posterior.mean
+    if case.joint_correlation is None:
+        return case.world.prior(M).sample(N, case.rng) - mean, case.truth_deviation
+    if N >= M:
+        raise PoseDataError(
+            f"ignored-image: N = {N} hypotheses and M = {M} poses; expected more poses than hypotheses."
+        )
+    others = np.array([case.rng.choice(M - 1, N, replace=False) for _ in range(M)]).T
+    others += others >= np.arange(M)  # each of another pose, and of no pose twice
+    return mean[others] + case.deviations(N) - mean, case.truth_deviation
 
 
 def spread(factor: float) -> Fault:

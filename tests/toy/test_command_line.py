@@ -85,6 +85,17 @@ def test_pose_world_writes_all_faults_into_a_folder_each() -> None:
         assert fault.says in result.stdout
 
 
+def test_the_table_of_faults_says_which_joints_it_is_of() -> None:
+    small = ("fault-table", "--hypotheses", "5", "--poses", "12")
+    apart, together = (run(*small, *more).stdout for more in ((), ("--joint-correlation", "0.3")))
+    assert apart.startswith("N = 5, M = 12 independent poses. Cells")
+    assert together.startswith("N = 5, M = 12 independent poses, joints correlated 0.3. Cells")
+    for table in (apart, together):
+        assert [f"| `{name}` |" in table for name in FAULTS] == [True] * len(FAULTS)
+    # Two faults bring a correlation of their own; a table of others is another
+    assert apart.splitlines()[-1] != together.splitlines()[-1]
+
+
 def test_pose_world_lists_its_faults_and_writes_nothing(tmp_path: Path) -> None:
     result = run("pose-world", "--list")
     assert result.exit_code == 0

@@ -85,6 +85,61 @@ def test_faults_of_the_model_leave_the_truth_alone(name: str) -> None:
     np.testing.assert_allclose(truth, planted.scene.truth, atol=1e-9)
 
 
+# --- where joints move together ---------------------------------------------------------------------------------------
+
+
+def together(correlation: float, n_poses: int = M) -> Case:
+    world, rng = PoseWorld.independent_joints(sigma=SIGMA), np.random.default_rng(2)
+    scene = world.draw(rng, sequences=n_poses, frames=1)
+    return Case.of(world, scene, rng, joint_correlation=correlation)
+
+
+@pytest.mark.parametrize("correlation", [0.3, 0.8])
+def test_truths_and_perfect_hypotheses_move_together_as_asked_and_each_joint_as_before(correlation: float) -> None:
+    planted = together(correlation)
+    pairs = ~np.eye(K, dtype=bool)
+    for values in (planted.truth_deviation[None] / SIGMA, planted.deviations(N) / SIGMA):
+        found = np.einsum("nmka,nmla->kl", values, values)[pairs].mean() / (3 * values.shape[0] * M)
+        np.testing.assert_allclose(found, correlation, atol=4 * 1.25 / math.sqrt(3 * values.shape[0] * M))
+        np.testing.assert_allclose(values.std(), 1, rtol=0.05)
+
+
+def test_the_truth_of_a_case_is_one_draw() -> None:
+    planted = together(0.3)
+    before = planted.truth_deviation
+    FAULTS["mixed-poses"].apply(planted, 3)
+    np.testing.assert_array_equal(planted.truth_deviation, before)
+    np.testing.assert_array_equal(together(0.3).truth_deviation, before)
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_the_ece_of_each_fault_is_the_same_where_joints_move_together(name: str) -> None:
+    # A fault is an act on each joint, whatever the others do; only the noise of the median curve is larger.
+    curve = calibration_curve(*FAULTS[name].apply(together(0.3), N))
+    median, mean = CLOSED[name]
+    noise = math.sqrt(2 / math.pi) * math.pi / 8 / math.sqrt(M)
+    assert abs(ece(curve) - median) < 3 * noise
+    assert abs(ece(curve, "mean") - mean) < 1.5 * noise
+
+
+def test_ignored_image_where_joints_move_together_draws_about_the_means_of_other_poses_none_twice() -> None:
+    planted = together(0.9999999, 40)
+    hypotheses, truth = FAULTS["ignored-image"].apply(planted, 39)
+    np.testing.assert_array_equal(truth, planted.scene.truth)
+    stray = hypotheses[:, :, None] - planted.posterior.mean  # (N, M, M, K, 3): all joints alike about the right mean
+    nearest = stray.std(axis=3).sum(axis=-1).argmin(axis=2)
+    for pose in range(40):
+        assert sorted(nearest[:, pose]) == [other for other in range(40) if other != pose]
+
+
+def test_ignored_image_where_joints_move_together_needs_other_poses() -> None:
+    with pytest.raises(PoseDataError, match="N = 5 hypotheses and M = 5 poses; expected more poses than hypotheses"):
+        FAULTS["ignored-image"].apply(together(0.3, 5), 5)
+
+
+# --- what each fault does ---------------------------------------------------------------------------------------------
+
+
 def deviations(name: str, n: int = N) -> tuple[np.ndarray, np.ndarray]:
     """Hypotheses and truth about the posterior mean, in posterior standard deviations."""
     planted = case()

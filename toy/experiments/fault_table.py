@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,8 +44,16 @@ class Found:
     least_energy: float
 
 
-def evaluate_faults(seed: int = 0, *, N: int = 100, M: int = 1000, joints: str = "h36m-16") -> dict[str, Found]:
-    """Evaluate every named fault in the world of independent joints.
+def evaluate_faults(
+    seed: int = 0,
+    *,
+    N: int = 100,
+    M: int = 1000,
+    joints: str = "h36m-16",
+    joint_correlation: float = 0.0,
+    faults: Sequence[str] = tuple(FAULTS),
+) -> dict[str, Found]:
+    """Evaluate every named fault in the world of independent joints, or where they move together.
 
     Parameters
     ----------
@@ -56,6 +65,10 @@ def evaluate_faults(seed: int = 0, *, N: int = 100, M: int = 1000, joints: str =
         Independent poses.
     joints : str
         One of posecal's joint sets.
+    joint_correlation : float
+        Between the deviations of any two joints from the posterior mean, 0 to below 1.
+    faults : sequence of str
+        Some of them, by name; all by default.
 
     Returns
     -------
@@ -66,11 +79,12 @@ def evaluate_faults(seed: int = 0, *, N: int = 100, M: int = 1000, joints: str =
     -----
     Differs from the published code: not in it.
     """
-    world = PoseWorld.independent_joints(joints)
+    world, correlation = PoseWorld.independent_joints(joints), joint_correlation or None
     found = {}
-    for fault in bar(list(FAULTS.values()), "faults"):
+    for fault in bar([FAULTS[name] for name in faults], "faults"):
         rng = np.random.default_rng(seed)
-        case = Case.of(world, world.draw(rng, sequences=M, frames=1, hidden=0), rng)
+        scene = world.draw(rng, sequences=M, frames=1, hidden=0)
+        case = Case.of(world, scene, rng, joint_correlation=correlation)
         hypotheses, truth = fault.apply(case, N)
         labels = {"sequence": np.arange(M).astype(np.str_)}
         pairs = join(
