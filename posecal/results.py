@@ -32,6 +32,13 @@ FORMAT = 1
 def save_totals(totals: Totals, path: str | os.PathLike[str]) -> None:
     """Write the sums into a compressed ``.npz`` file, whole or not at all.
 
+    Parameters
+    ----------
+    totals : Totals
+        The sums.
+    path : path
+        The file; one that is there is replaced.
+
     Raises
     ------
     PoseFileError
@@ -56,6 +63,16 @@ def save_totals(totals: Totals, path: str | os.PathLike[str]) -> None:
 
 def load_totals(path: str | os.PathLike[str]) -> Totals:
     """Read what :func:`save_totals` wrote.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+
+    Returns
+    -------
+    Totals
+        The sums.
 
     Raises
     ------
