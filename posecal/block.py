@@ -27,7 +27,14 @@ if TYPE_CHECKING:
     from collections.abc import Hashable
 
 __all__ = [
-    *("Block", "FloatArray", "blocks_of", "box_of", "checked", "in_order", "per_pose", "squared_norms"),
+    "Block",
+    "FloatArray",
+    "blocks_of",
+    "box_of",
+    "checked",
+    "in_order",
+    "per_pose",
+    "squared_norms",
     "working_dtype",
 ]
 

@@ -21,6 +21,7 @@ import runpy
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -30,7 +31,13 @@ from posecal.calibration.ranks import rank_weights, shared_ranks
 from posecal.errors import PoseDataError
 
 __all__ = [
-    *("BATTERY", "OF_THE_RUN", "PreRank", "Test", "coordinate_weights", "load_prerank", "user_weights"),
+    "BATTERY",
+    "OF_THE_RUN",
+    "PreRank",
+    "Test",
+    "coordinate_weights",
+    "load_prerank",
+    "user_weights",
     "weights_of_ranks",
 ]
 
@@ -41,11 +48,30 @@ SHRINKAGE = 0.1
 """Share of the pooled covariance that is shrunk to its diagonal."""
 
 
-def pool(block: Block, joints: BoolArray) -> FloatArray:
-    """Hypotheses and, as the last point, the truth, relative to the truth, (B, J, D, N + 1), mm, in double."""
-    offsets = block.offsets[:, joints]
-    zero = np.zeros((*offsets.shape[:-1], 1))
-    return np.concatenate([offsets, zero], axis=-1, dtype=np.float64)
+class Pool(NamedTuple):
+    """The hypotheses of B poses and, among them, the truth.
+
+    Attributes
+    ----------
+    points : array (B, J, D, N + 1)
+        Relative to the truth, which is the last point, mm, in double; 0 for joints that don't count.
+    truth : array (B, J, D)
+        The true poses, mm; NaN for joints that don't count.
+    box : array (2, J, D)
+        The range of all true poses that are evaluated together, mm.
+    """
+
+    points: FloatArray
+    truth: FloatArray
+    box: FloatArray
+
+    @classmethod
+    def of(cls, block: Block, joints: BoolArray) -> Pool:
+        """Take some joints of a block."""
+        offsets, counted = block.offsets[:, joints], block.where[:, joints]
+        zero = np.zeros((*offsets.shape[:-1], 1))
+        truth = np.where(counted[..., None], block.truth[:, joints].astype(np.float64), np.nan)
+        return cls(np.concatenate([offsets, zero], axis=-1, dtype=np.float64), truth, block.box[:, joints])
 
 
 def weights_of_ranks(prerank: FloatArray) -> FloatArray:
@@ -83,21 +109,21 @@ def _ranks(points: FloatArray) -> FloatArray:
     return shared_ranks(points.reshape(len(points), -1, points.shape[-1]))
 
 
-def average_rank(points: FloatArray) -> FloatArray:
+def average_rank(pool: Pool) -> FloatArray:
     """Mean over coordinates of the rank in the pool, (B, N + 1)."""
-    return np.asarray(_ranks(points).mean(axis=1))
+    return np.asarray(_ranks(pool.points).mean(axis=1))
 
 
-def band_depth(points: FloatArray) -> FloatArray:
+def band_depth(pool: Pool) -> FloatArray:
     """Mean over coordinates of (rank - 1)(N + 1 - rank), ranks from 1: how central a point is, (B, N + 1)."""
-    ranks = _ranks(points)
-    return np.asarray((ranks * (points.shape[-1] - 1 - ranks)).mean(axis=1))
+    ranks = _ranks(pool.points)
+    return np.asarray((ranks * (pool.points.shape[-1] - 1 - ranks)).mean(axis=1))
 
 
-def pair_distance(points: FloatArray, truth: FloatArray) -> FloatArray:
+def pair_distance(pool: Pool) -> FloatArray:
     """Sum over joint pairs of (√distance - its mean in the pool)², (B, N + 1): a pooled variogram score."""
-    found = np.zeros((len(points), points.shape[-1]))
-    poses = points + truth[..., None]
+    poses = pool.points + pool.truth[..., None]
+    found = np.zeros((len(poses), poses.shape[-1]))
     for joint in range(1, poses.shape[1]):
         distances = squared_norms(poses[:, :joint] - poses[:, joint, None]) ** 0.25
         distances -= distances.mean(axis=-1, keepdims=True)
@@ -106,18 +132,18 @@ def pair_distance(points: FloatArray, truth: FloatArray) -> FloatArray:
     return found
 
 
-def mahalanobis(points: FloatArray) -> FloatArray:
+def mahalanobis(pool: Pool) -> FloatArray:
     """Squared Mahalanobis distance to the pooled mean, with the pooled covariance shrunk to its diagonal."""
-    flat = points.reshape(len(points), -1, points.shape[-1])
+    flat = pool.points.reshape(len(pool.points), -1, pool.points.shape[-1])
     centred = flat - flat.mean(axis=-1, keepdims=True)
-    covariance = centred @ centred.swapaxes(1, 2) / points.shape[-1]
+    covariance = centred @ centred.swapaxes(1, 2) / flat.shape[-1]
     diagonal = np.einsum("bii->bi", covariance).copy()
     covariance *= 1 - SHRINKAGE
     np.einsum("bii->bi", covariance)[...] = np.where(diagonal > 0, diagonal, 1)  # joints left out don't move
     return np.asarray(np.einsum("bin,bin->bn", centred, np.linalg.solve(covariance, centred)))
 
 
-def tarp_box(points: FloatArray, truth: FloatArray, box: FloatArray) -> FloatArray:
+def tarp_box(pool: Pool) -> FloatArray:
     """Distance to a random point of the box of all true poses, in units of its sides, as published, (B, N + 1).
 
     The point is drawn from a generator seeded by the true pose: the same in any order. The box is of the true poses
@@ -125,7 +151,8 @@ def tarp_box(points: FloatArray, truth: FloatArray, box: FloatArray) -> FloatArr
     every hypothesis: ranks are uniform as far as one pose does not change it. A coordinate in which the true poses
     don't differ is left out, where the published code divides by 1e-10.
     """
-    low, side = box[0], box[1] - box[0]
+    points, truth, (low, high) = pool
+    side = high - low
     share = np.stack([np.random.default_rng(zlib.crc32(pose.tobytes())).random(pose.shape) for pose in truth])
     counted, unit = (side > 0) & ~np.isnan(truth), np.where(side > 0, side, 1)
     from_reference = points / unit[..., None] + ((truth - low) / unit - share)[..., None]
@@ -133,9 +160,9 @@ def tarp_box(points: FloatArray, truth: FloatArray, box: FloatArray) -> FloatArr
     return np.asarray(np.sqrt(squared_norms(from_reference).sum(axis=1)))
 
 
-def tarp_hypothesis(points: FloatArray) -> FloatArray:
+def tarp_hypothesis(pool: Pool) -> FloatArray:
     """Distance to the first hypothesis, which is held out of the pool, (B, N)."""
-    left = points[..., 1:] - points[..., :1]
+    left = pool.points[..., 1:] - pool.points[..., :1]
     return np.asarray(np.sqrt(squared_norms(left).sum(axis=1)))
 
 
@@ -154,13 +181,7 @@ class Test:
     fires : str
         What it means when the test rejects.
     prerank : callable or None
-        From the pool (B, J, D, N + 1), 0 for joints that don't count, to a number of each point; None where
-        ``prerank_of_poses`` is one, and for the coordinates.
-    prerank_of_poses : callable or None
-        The same from the pool and the true poses (B, J, D), NaN for joints that don't count: of what depends on where
-        poses are, and not only on how they differ.
-    prerank_in_box : callable or None
-        The same from these and the range of all true poses that are evaluated together (2, J, D).
+        From a pool to a number of each point, (B, N + 1); None for the ranks of single coordinates.
     """
 
     __test__ = False  # not one of pytest's
@@ -169,24 +190,14 @@ class Test:
     label: str
     definition: str
     fires: str
-    prerank: Callable[[FloatArray], FloatArray] | None = None
-    prerank_of_poses: Callable[[FloatArray, FloatArray], FloatArray] | None = None
-    prerank_in_box: Callable[[FloatArray, FloatArray, FloatArray], FloatArray] | None = None
+    prerank: Callable[[Pool], FloatArray] | None = None
 
     def weights(self, block: Block, joints: BoolArray) -> FloatArray:
         """Weights of the truth's rank, (B, 1, Q), or (B, K, D, Q) for the coordinates."""
-        counted = block.where[:, joints]
-        truth = np.where(counted[..., None], block.truth[:, joints].astype(np.float64), np.nan)
-        if self.prerank is not None:
-            prerank = self.prerank(pool(block, joints))
-        elif self.prerank_of_poses is not None:
-            prerank = self.prerank_of_poses(pool(block, joints), truth)
-        elif self.prerank_in_box is not None:
-            prerank = self.prerank_in_box(pool(block, joints), truth, block.box[:, joints])
-        else:
+        if self.prerank is None:
             return coordinate_weights(block, joints)
-        found = weights_of_ranks(prerank)
-        found[~counted.any(axis=1)] = np.nan
+        found = weights_of_ranks(self.prerank(Pool.of(block, joints)))
+        found[~block.where[:, joints].any(axis=1)] = np.nan
         return found[:, None]
 
 
@@ -198,7 +209,7 @@ def user_weights(block: Block, joints: BoolArray, prerank: PreRank) -> FloatArra
     PoseDataError
         Where it fails, or does not give one number per pooled pose.
     """
-    points = pool(block, joints) + block.truth[:, joints].astype(np.float64)[..., None]
+    points = Pool.of(block, joints).points + block.truth[:, joints].astype(np.float64)[..., None]
     found = np.empty((len(points), points.shape[-1]))
     for b, poses in enumerate(points):
         try:
@@ -275,7 +286,7 @@ BATTERY: tuple[Test, ...] = (
         "pair distance",
         "sum over joint pairs of (√distance − its mean in the pool)²",
         "distances between joints are not predicted as they vary: joints move together less or more than they should",
-        prerank_of_poses=pair_distance,
+        pair_distance,
     ),
     Test(
         "mahalanobis",
@@ -297,10 +308,10 @@ BATTERY: tuple[Test, ...] = (
         "distance of the whole pose, each coordinate in units of its range over all true poses of the run, to a random "
         "point of the box of these ranges",
         "seen from a random point, the truth lies nearer or farther than the hypotheses do",
-        prerank_in_box=tarp_box,
+        tarp_box,
     ),
 )
 """The tests, in the order of a report."""
 
-OF_THE_RUN = frozenset(test.name for test in BATTERY if test.prerank_in_box is not None)
+OF_THE_RUN = frozenset({"tarp_box"})
 """The tests whose ranks depend on which poses are evaluated together: of shards they add, but not to the same."""
