@@ -3,8 +3,9 @@
     python tests/benchmarks/models_speed.py [--sizes small large xlarge] [--device cpu] [--threads 1]
 
 The plain formulation computes the messages of the context anew for every sample and walks the bones one relation at a
-time; its gradients are autograd's. A training step has 200 graphs and their 200 priors. With --device cuda, an epoch of
-the published size (390,000 poses, five graphs and a prior each) is extrapolated from steps of the batch that is given.
+time; its gradients are autograd's. A training step has 200 graphs and their 200 priors. "Alone" are the
+second layers' matrix products in the same run: the floor of any arrangement. With --device cuda, an epoch of the
+published size (390,000 poses, five graphs and a prior each) is extrapolated from steps of the batch that is given.
 """
 
 from __future__ import annotations
@@ -52,6 +53,24 @@ def row(name: str, ours: float, plain: float | None) -> None:
     print(f"{name:44} {ours:10.1f} {compared}", flush=True)
 
 
+def bare_products(model: CGNF, graphs: int, device: str) -> Callable[[], object]:
+    """The matrix products of the second layers alone, for so many graphs: what no arrangement can do without."""
+    second = model.flow.couplings.folded().second.detach()
+    at_once = 128
+    nodes = [last - first for first, last in model.flow.couplings.second.spans]
+    heard = torch.randn(max(nodes) * at_once, second.shape[-1], device=device)
+    spoken = torch.empty_like(heard)
+
+    def multiply() -> None:
+        for start in range(0, graphs, at_once):
+            here = min(at_once, graphs - start)
+            for maps in second:
+                for count, weights in zip(nodes, maps, strict=True):
+                    torch.mm(heard[: count * here], weights, out=spoken[: count * here])
+
+    return multiply
+
+
 def measure(size: str, variant: str, device: str, *, plain: bool) -> None:
     """Print the lines of one size and variant."""
     backward_weights, scale = VARIANTS[variant]
@@ -90,6 +109,8 @@ def measure(size: str, variant: str, device: str, *, plain: bool) -> None:
                 median(sample, device=device),
                 median(plain_sample, device=device) if plain else None,
             )
+            bare = bare_products(model, SAMPLES * poses, device)
+            row("  its largest matrix products alone", median(bare, device=device), None)
     measure_step(model, scale, f"{size}, {variant}", device, plain=plain)
 
 
@@ -122,6 +143,8 @@ def measure_step(model: CGNF, scale: str, which: str, device: str, *, plain: boo
     slow = median(plain_step, device=device) if plain else None
     row(f"training step, {which}", median(lambda: step(1), device=device), slow)
     row(f"  the same, priors of 40 poses shared, {which}", median(lambda: step(5), device=device), slow)
+    with torch.inference_mode():  # once forwards and twice backwards, for 200 graphs and 40 priors
+        row("  its largest matrix products alone", median(bare_products(model, 3 * 240, device), device=device), None)
 
 
 def main() -> None:
