@@ -15,7 +15,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -75,8 +75,8 @@ class Block:
         Those to which alignments are fitted, those that count among them; those that count by default.
     reference : array (R, B, K, D), optional
         Hypotheses of the same poses by another model, that skills are relative to, mm.
-    box : array (2, K, D), optional
-        The range of all true poses that are evaluated together, as :func:`box_of` gives it; of these by default.
+    box : callable, optional
+        Gives the range of all true poses that are evaluated together, as :func:`box_of` does; of these by default.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ class Block:
         occluded: BoolArray | None = None,
         usable: BoolArray | None = None,
         reference: FloatArray | None = None,
-        box: FloatArray | None = None,
+        box: Callable[[], FloatArray] | None = None,
     ) -> None:
         self.occluded = np.zeros(truth.shape[:2], dtype=bool) if occluded is None else occluded
         self.where = np.ones(truth.shape[:2], dtype=bool) if where is None else where
@@ -157,8 +157,8 @@ class Block:
 
     @cached_property
     def box(self) -> FloatArray:
-        """The range of the true poses that are evaluated together, (2, K, D), mm; NaN for joints that never count."""
-        return box_of(self.truth, self.where) if self._box is None else self._box
+        """The range of the true poses that are evaluated together, (4, K, D), mm; see :func:`box_of`."""
+        return box_of(self.truth, self.where) if self._box is None else self._box()
 
     def share(self, key: Hashable, compute: Callable[[], Result]) -> Result:
         """Compute something once per block, whoever asks first."""
@@ -264,7 +264,7 @@ def _relative(truth: FloatArray, root: int | None, dtype: np.dtype[np.floating])
 
 
 def box_of(truth: FloatArray, where: BoolArray | None = None, *, root: int | None = None) -> FloatArray:
-    """Give the range of true poses: the box that holds them.
+    """Give the range of true poses, and what it would be without the one that reaches it.
 
     Parameters
     ----------
@@ -277,20 +277,18 @@ def box_of(truth: FloatArray, where: BoolArray | None = None, *, root: int | Non
 
     Returns
     -------
-    array (2, K, D)
-        The least and the largest of each coordinate of each joint over the poses in which it counts, mm, in double;
-        NaN where it never does.
+    array (4, K, D)
+        The least, second least, second largest and largest value of each coordinate of each joint over the poses in
+        which it counts, mm, in double; infinite where it counts in fewer.
     """
-    low = np.full(truth.shape[1:], np.inf)
-    high = -low
+    least, largest = np.full((2, 2, *truth.shape[1:]), [[[[np.inf]]], [[[-np.inf]]]])
     for start in range(0, len(truth), BOX_POSES):
         poses = slice(start, start + BOX_POSES)
         part = _relative(truth[poses], root, np.dtype(np.float64))
-        counted = True if where is None else where[poses, :, None]
-        with np.errstate(invalid="ignore"):  # what is not finite is refused elsewhere
-            low = np.minimum(low, part.min(axis=0, where=counted, initial=np.inf))
-            high = np.maximum(high, part.max(axis=0, where=counted, initial=-np.inf))
-    return np.where(low <= high, np.stack([low, high]), np.nan)
+        counted = np.isfinite(part) if where is None else np.isfinite(part) & where[poses, :, None]
+        least = np.partition(np.concatenate([least, np.where(counted, part, np.inf)]), 1, axis=0)[:2]
+        largest = np.partition(np.concatenate([largest, np.where(counted, part, -np.inf)]), -2, axis=0)[-2:]
+    return np.concatenate([least, largest])
 
 
 def working_dtype(dtype: npt.DTypeLike) -> np.dtype[np.floating]:
@@ -382,7 +380,7 @@ def blocks_of(
     occluded: BoolArray | None = None,
     usable: BoolArray | None = None,
     reference: FloatArray | None = None,
-    box: FloatArray | None = None,
+    box: Callable[[], FloatArray] | None = None,
 ) -> Iterator[Callable[[], Block]]:
     """Cut checked arrays in the paper's layout into blocks, in the order of their poses.
 
@@ -396,8 +394,9 @@ def blocks_of(
     callable
         Lays out the next few poses as a :class:`Block`: a copy, so better done by the thread that needs it.
     """
-    step = block_length(hypotheses.shape, hypotheses.dtype)
-    box = box_of(truth, where, root=root) if box is None else box
+    most = len(hypotheses) if reference is None else max(len(hypotheses), len(reference))
+    step = block_length((most, *hypotheses.shape[1:]), hypotheses.dtype)
+    box = cache(partial(box_of, truth, where, root=root)) if box is None else box
     for start in range(0, truth.shape[0], step):
         poses = slice(start, start + step)
         if start:

@@ -50,6 +50,8 @@ class Subject:
         Names of the user's own pre-ranks.
     reference : str
         What skills are relative to; empty without skills.
+    n_reference : int
+        Its number of hypotheses.
     masked : bool
         Whether the user left out joints of some poses by a mask of their own.
     """
@@ -63,6 +65,7 @@ class Subject:
     marked: bool = False
     preranks: tuple[str, ...] = ()
     reference: str = ""
+    n_reference: int = 0
     masked: bool = False
 
 

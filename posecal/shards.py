@@ -8,6 +8,7 @@ import numpy as np
 
 from posecal.calibration.battery import OF_THE_RUN
 from posecal.errors import PoseDataError, raise_all
+from posecal.metrics.score_table import PAIRED
 from posecal.totals import Totals, difference_of_signatures
 
 __all__ = ["merge_totals"]
@@ -28,8 +29,10 @@ def merge_totals(parts: Sequence[Totals], names: Sequence[str] | None = None) ->
     Returns
     -------
     Totals
-        What one run over all poses gives. A sequence may be split over shards; runs of frames without sequence
-        labels stay those of their shard, and the box of ``tarp_box`` is that of its shard's true poses.
+        What one run over all poses gives, but for what depends on which poses are evaluated together: the box of
+        ``tarp_box``, climatology's draws and the cuts of ``spread`` are those of each shard, runs of frames without
+        sequence labels stay those of their shard, and no velocity reaches over a cut. A sequence may be split over
+        shards.
 
     Raises
     ------
@@ -98,7 +101,11 @@ def _refuse_twice(parts: Sequence[Totals], names: Sequence[str]) -> None:
     """Refuse a cell that two shards hold with the same labels, number of poses and sums."""
     seen: dict[tuple[object, ...], str] = {}
     for name, part in zip(names, parts, strict=True):
-        sums = [values for statistic, values in part.sums.items() if statistic not in OF_THE_RUN]
+        sums = [
+            values
+            for statistic, values in part.sums.items()
+            if statistic not in OF_THE_RUN and not statistic.startswith(PAIRED)
+        ]
         for place, cell in enumerate(_cells(part)):
             trace = (cell, int(part.poses[place]), *(float(values[place].sum()) for values in sums))
             if trace in seen:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 import numpy.typing as npt
@@ -85,6 +85,7 @@ def add_up(
         masked=masked,
         preranks=tuple(preranks or ()),
         reference="" if pairs.reference is None else pairs.reference.names[0],
+        n_reference=0 if pairs.reference is None else pairs.reference.shape[0],
     )
     statistics = _statistics(protocol, subject, preranks)
     if "sight" in by:
@@ -140,16 +141,18 @@ def _statistics(protocol: Protocol, subject: Subject, preranks: Mapping[str, Pre
 
 def walk(pairs: PosePairs) -> Iterator[tuple[slice, Callable[[], Block]]]:
     """Give the blocks of some pairs, to be laid out, each with the poses that it holds."""
-    n, m, k, d = pairs.shape
-    window = max(1, WINDOW_BYTES // (n * k * d * pairs.hypotheses.itemsize))
+    _, m, k, d = pairs.shape
+    held = [pairs.hypotheses, *([] if pairs.reference is None else [pairs.reference.hypotheses])]
+    most = max(some.n_hypotheses for some in held)
+    window = max(1, WINDOW_BYTES // (k * d * max(some.n_hypotheses * some.itemsize for some in held)))
     sequence = pairs.labels.get("sequence", np.zeros(m, dtype=np.str_))
     follows = np.concatenate([[False], (sequence[1:] == sequence[:-1]) & (np.diff(pairs.place) == 1)])
     previous: Before | None = None
-    box = box_of(pairs.truth, pairs.where, root=pairs.root)
+    box = cache(partial(box_of, pairs.truth, pairs.where, root=pairs.root))
     for start in range(0, m, window):
         poses = slice(start, min(start + window, m))
         hypotheses, truth = pairs.hypotheses.read(poses.start, poses.stop), pairs.truth[poses]
-        size = block_length(hypotheses.shape, hypotheses.dtype)
+        size = block_length((most, *hypotheses.shape[1:]), hypotheses.dtype)
         blocks = blocks_of(
             hypotheses,
             truth,
@@ -193,7 +196,10 @@ def _measure(
     sums: dict[str, tuple[FloatArray, npt.NDArray[np.int64]]] = {}
     kept_values: dict[str, FloatArray] = {}
     for statistic in statistics:
-        values = np.asarray(statistic.compute(block), dtype=np.float64)
+        values = block.share(
+            ("statistic", statistic.name), partial(statistic.compute, block)
+        )  # skills ask for them again
+        values = np.asarray(values, dtype=np.float64)
         if statistic.kept:
             kept_values[statistic.name] = values
             continue
@@ -206,7 +212,7 @@ def _measure(
 
 
 def _spread(pairs: PosePairs, threads: int | None) -> FloatArray:
-    tasks = ((lambda block=block: predicted_spread(block())) for _, block in walk(pairs))
+    tasks = ((lambda block=block: predicted_spread(block())) for _, block in walk(replace(pairs, reference=None)))
     return np.concatenate(list(in_order(tasks, threads)))
 
 

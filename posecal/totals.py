@@ -246,7 +246,7 @@ class Totals:
         shown = {key: value for key, value in parts.items() if key in kept or value != default.get(key)}
         shown["ece"] = f"exchangeable,{self.protocol.summary_over_joints}"
         if s.reference:
-            shown["reference"] = s.reference
+            shown["reference"] = f"{s.reference},N={s.n_reference}"
         return " ".join(f"{key}={value.replace(' ', '_')}" for key, value in shown.items())
 
     # --- sequences --------------------------------------------------------------------------------------------

@@ -233,15 +233,16 @@ class Twin:
     def define_battery(self) -> None:
         M, (_, K, D) = len(self.y), self.y.shape
         ranks = {name: np.full((M, 21), math.nan) for name in [*score_oracles.PRERANKS, "tarp_box"]}
-        joints, box = self.moving_joints, score_oracles.sides(self.y, self.moving)
+        joints = self.moving_joints
         for m, x, y in self.counted_poses():
             pool = np.concatenate([x, y[None]])
             for name, prerank in score_oracles.PRERANKS.items():
                 ranks[name][m] = score_oracles.rank_inside(prerank(pool))
             share = score_oracles.box_share(np.where(self.moving[m][:, None], self.y[m], math.nan)[joints])
             share = share[self.moving[m][joints]]
-            own = [ends for ends, there in zip(box, self.moving[m], strict=True) if there]
-            ranks["tarp_box"][m] = score_oracles.rank_inside(score_oracles.tarp_box(pool, own, share))
+            others = score_oracles.sides(np.delete(self.y, m, axis=0), np.delete(self.moving, m, axis=0))
+            box = [ends for ends, there in zip(others, self.moving[m], strict=True) if there]
+            ranks["tarp_box"][m] = score_oracles.rank_inside(score_oracles.tarp_box(pool, box, share))
         for name, weights in ranks.items():
             self.numbers[name] = lambda poses, weights=weights: oracles.curve_ece(self.pooled(weights[:, None], poses))
         single = np.full((M, K, D, 21), math.nan)

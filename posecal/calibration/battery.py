@@ -57,21 +57,26 @@ class Pool(NamedTuple):
         Relative to the truth, which is the last point, mm, in double; 0 for joints that don't count.
     truth : array (B, J, D)
         The true poses, mm; NaN for joints that don't count.
-    box : array (2, J, D)
-        The range of all true poses that are evaluated together, mm.
+    low, high : arrays (B, J, D)
+        The range of the other true poses that are evaluated together, mm.
     """
 
     points: FloatArray
     truth: FloatArray
-    box: FloatArray
+    low: FloatArray
+    high: FloatArray
 
     @classmethod
     def of(cls, block: Block, joints: BoolArray) -> Pool:
         """Take some joints of a block."""
         offsets, counted = block.offsets[:, joints], block.where[:, joints]
         zero = np.zeros((*offsets.shape[:-1], 1))
-        truth = np.where(counted[..., None], block.truth[:, joints].astype(np.float64), np.nan)
-        return cls(np.concatenate([offsets, zero], axis=-1, dtype=np.float64), truth, block.box[:, joints])
+        truth = np.where(counted[..., None], block.truth[:, joints], np.nan)
+        least, next_to_least, next_to_largest, largest = block.box[:, joints].astype(truth.dtype)
+        low = np.where(truth < next_to_least, next_to_least, least)  # the one pose below it is this one
+        high = np.where(truth > next_to_largest, next_to_largest, largest)
+        points = np.concatenate([offsets, zero], axis=-1, dtype=np.float64)
+        return cls(points, *(values.astype(np.float64) for values in (truth, low, high)))
 
 
 def weights_of_ranks(prerank: FloatArray) -> FloatArray:
@@ -144,15 +149,17 @@ def mahalanobis(pool: Pool) -> FloatArray:
 
 
 def tarp_box(pool: Pool) -> FloatArray:
-    """Distance to a random point of the box of all true poses, in units of its sides, as published, (B, N + 1).
+    """Distance to a random point of the box of all other true poses, in units of its sides, (B, N + 1).
 
     The point is drawn from a generator seeded by the true pose: the same in any order. The box is of the true poses
-    that are evaluated together, so that a shard which is evaluated apart has its own. It holds every truth and not
-    every hypothesis: ranks are uniform as far as one pose does not change it. A coordinate in which the true poses
-    don't differ is left out, where the published code divides by 1e-10.
+    that are evaluated together, so that a shard which is evaluated apart has its own. The published box holds the
+    pose's own truth as well, and not its hypotheses, which rejects perfect samplers on few poses; of many it is the
+    same. A coordinate in which the true poses don't differ is left out, where the published code divides by 1e-10.
     """
-    points, truth, (low, high) = pool
-    side = high - low
+    points, truth, low, high = pool
+    with np.errstate(invalid="ignore"):
+        side = high - low
+    low = np.where(side > 0, low, 0)
     share = np.stack([np.random.default_rng(zlib.crc32(pose.tobytes())).random(pose.shape) for pose in truth])
     counted, unit = (side > 0) & ~np.isnan(truth), np.where(side > 0, side, 1)
     from_reference = points / unit[..., None] + ((truth - low) / unit - share)[..., None]
@@ -305,8 +312,8 @@ BATTERY: tuple[Test, ...] = (
     Test(
         "tarp_box",
         "TARP, box",
-        "distance of the whole pose, each coordinate in units of its range over all true poses of the run, to a random "
-        "point of the box of these ranges",
+        "distance of the whole pose, each coordinate in units of its range over all other true poses of the run, to a "
+        "random point of the box of these ranges",
         "seen from a random point, the truth lies nearer or farther than the hypotheses do",
         tarp_box,
     ),

@@ -125,11 +125,12 @@ def variograms(block: Block, joints: BoolArray | None = None) -> FloatArray:
             continue
         roots = squared_norms(poses[:, :joint] - poses[:, joint, None])
         np.sqrt(np.sqrt(roots, out=roots), out=roots)
-        true = squared_norms((block.truth[:, :joint] - block.truth[:, joint, None])[..., None])[..., 0] ** 0.25
-        middle = roots @ shares
-        roots -= middle[..., None]
+        true = squared_norms((block.truth[:, :joint] - block.truth[:, joint, None])[..., None])
+        roots -= np.sqrt(np.sqrt(true))  # before they are added up, so that little is lost where they differ little
+        apart = roots @ shares
+        roots -= apart[..., None]
         chance = np.einsum("bkn,bkn->bk", roots, roots) / (n * (n - 1))
-        total += np.where(counted, (true - middle) ** 2 - chance, 0).sum(axis=1)
+        total += np.where(counted, apart.astype(np.float64) ** 2 - chance, 0).sum(axis=1)
         pairs += counted.sum(axis=1)
     return np.where(pairs > 0, total / np.maximum(pairs, 1), np.nan)
 

@@ -14,7 +14,7 @@ from posecal.metrics.position import pose_errors
 from posecal.metrics.proper import brier_counts, fair_brier, joint_crps, joint_energies, variograms
 from posecal.metrics.spread import mean_over_joints, predicted_spread
 
-__all__ = ["guide_metrics", "reliability_of_counts", "score_metrics", "skill_metrics"]
+__all__ = ["PAIRED", "guide_metrics", "reliability_of_counts", "score_metrics", "skill_metrics"]
 
 
 def guide_metrics(scope: Scope) -> Iterator[Metric]:
@@ -56,10 +56,7 @@ def score_metrics(scope: Scope) -> Iterator[Metric]:
     """Energy score, CRPS, variogram score and Brier score."""
     joints, n = scope.counted(scope.moving), scope.subject.n_hypotheses
 
-    def energies(block: Block) -> FloatArray:  # slow, and asked for again by the skill
-        return block.share("energies", lambda: joint_energies(block, scope.moving))
-
-    statistic = Statistic("energies", energies, per_joint=True)
+    statistic = Statistic("energies", lambda block: joint_energies(block, scope.moving), per_joint=True)
     yield Metric(
         name="energy_score",
         label="energy score",
@@ -151,7 +148,7 @@ def skill_metrics(scope: Scope) -> Iterator[Metric]:
     for metric in score_metrics(scope):
         if metric.statistic.name not in _SKILLED:
             continue
-        of_reference = f"the same of {reference}"
+        of_reference = f"the same of {reference}, fair in its N={scope.subject.n_reference}"
         if metric.name == "brier":
             of_reference += ", whose hypotheses too are held against the model's own median"
 
@@ -174,6 +171,9 @@ def skill_metrics(scope: Scope) -> Iterator[Metric]:
 
 _SKILLED = ("energies", "crps", "variogram", "brier")
 
+PAIRED = "paired_"
+"""How the names of statistics begin that hold a model's score and its reference's."""
+
 
 def _both(statistic: Statistic, scope: Scope) -> Statistic:
     """Put a score of the reference beside the model's, in the last axis."""
@@ -185,9 +185,10 @@ def _both(statistic: Statistic, scope: Scope) -> Statistic:
             theirs = fair_brier(block, scope.moving, scope.protocol.pck_threshold, forecast=reference)
         else:
             theirs = statistic.compute(reference)
-        return np.stack([statistic.compute(block), theirs], axis=-1)
+        ours = block.share(("statistic", statistic.name), lambda: statistic.compute(block))
+        return np.stack([ours, theirs], axis=-1)
 
-    return Statistic(f"paired_{statistic.name}", both, statistic.per_joint)
+    return Statistic(f"{PAIRED}{statistic.name}", both, statistic.per_joint)
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,8 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from posecal.errors import PoseDataError
+
 __all__ = ["Blocks", "Bones", "Scale", "latents_of", "poses_of"]
 
 Scale = Literal["sigmoid", "exp"]
@@ -140,14 +142,26 @@ class _Room:
             self.hearing.append((self.message.narrow(0, *speakers), self.second.narrow(0, *spoken)))
             said += spoken[1]
 
+
+class _Memory(NamedTuple):
+    """Memory of R rooms, the room first: activations (R, rows, H) and coordinates (R + 1, D + 1, K, p, n).
+
+    The last coordinates are those that leave the last room.
+    """
+
+    coordinates: Tensor
+    activations: Tensor
+
     @classmethod
-    def several(cls, count: int, bones: Bones, coordinates: Tensor, features: int) -> list[_Room]:
-        """Make some rooms in one piece of memory, the first of which holds the coordinates."""
-        rows = coordinates[0, 0].numel() * (bones.relations.shape[0] + 2 * bones.relations.shape[1])
-        memory = coordinates.new_empty(count, rows, features)
-        read = coordinates.new_empty(count, *coordinates.shape)
-        read[0] = coordinates
-        return [cls(*each, bones) for each in zip(read.unbind(), memory.unbind(), strict=True)]
+    def empty(cls, rooms: int, like: Tensor, bones: Bones, features: int) -> _Memory:
+        """Make room for coordinates of one shape."""
+        rows = like[0, 0].numel() * (bones.relations.shape[0] + 2 * bones.relations.shape[1])
+        return cls(like.new_empty(rooms + 1, *like.shape), like.new_empty(rooms, rows, features))
+
+    def rooms(self, bones: Bones) -> list[_Room]:
+        """Give the rooms."""
+        pairs = zip(self.coordinates[:-1].unbind(), self.activations.unbind(), strict=True)
+        return [_Room(coordinates, activations, bones) for coordinates, activations in pairs]
 
 
 def _net(room: _Room, block: Blocks, bones: Bones) -> Tensor:
@@ -213,19 +227,11 @@ def _stretch_backward(gradient: Tensor, stretch: Tensor, scale: Scale) -> Tensor
     return gradient * share * (1 - share)
 
 
-class _Step(NamedTuple):
-    """What one block leaves for the way back."""
-
-    block: int
-    room: _Room
-    uncaught: Tensor
-    stretch: Tensor
-
-
 class _Pass(torch.autograd.Function):
     """All blocks: from poses to latents with the log of the stretch, or, ``back``, from latents to poses.
 
-    A block moves its coordinate by ``z = t + s (b + a x)``; x is the pose's side of it, z the latent's.
+    A block moves its coordinate by ``z = t + s (b + a x)``; x is the pose's side of it, z the latent's. Where gradients
+    are wanted every block on the way has a room of its own, else all have the same.
     """
 
     @staticmethod
@@ -234,24 +240,28 @@ class _Pass(torch.autograd.Function):
     ) -> tuple[Tensor, Tensor]:
         blocks = Blocks(*tensors)
         dimensions, count = len(coordinates) - 1, len(blocks.pool)
+        way = range(count)[::-1] if back else range(count)
+        if blocks.evidence.shape[2] not in (1, poses := coordinates.shape[2]):
+            raise PoseDataError(
+                f"flow: keypoints of {blocks.evidence.shape[2]} poses and {poses} poses; expected as many."
+            )
         found, log_stretch = torch.empty_like(coordinates), torch.zeros_like(coordinates[0])
-        ctx.kept = []
-        rooms: list[_Room] = []
+        kept: list[Tensor] = []
+        memory: _Memory | None = None
         for part in _parts(coordinates):
             here = coordinates[:, :, *part]
-            if keep or not rooms or rooms[0].coordinates.shape != here.shape:
-                rooms = _Room.several(count if keep else 1, bones, here, blocks.pool.shape[-1])
-            else:
-                rooms[0].coordinates.copy_(here)
-            steps: list[_Step] = []
+            if keep or memory is None or memory.coordinates.shape[1:] != here.shape:
+                memory = _Memory.empty(count if keep else 1, here, bones, blocks.pool.shape[-1])
+                rooms = memory.rooms(bones)
+            here = memory.coordinates[0].copy_(here)
+            stretches: list[Tensor] = []
             some = blocks.of_poses(part[0])
-            for place, index in enumerate(reversed(range(count)) if back else range(count)):
+            for place, index in enumerate(way):
                 block, room = some[index], rooms[place if keep else 0]
                 shift, unconstrained = _net(room, block, bones).unbind()
                 stretch = _stretch(unconstrained, scale)
-                here = room.coordinates
                 if keep:
-                    here = rooms[place + 1].coordinates.copy_(here) if place + 1 < count else here.clone()
+                    here = memory.coordinates[place + 1].copy_(here)
                 moved = here[index % dimensions]
                 if back:
                     torch.sub(moved, shift, out=moved).div_(stretch).sub_(block.behind_shift).div_(block.behind_scale)
@@ -259,31 +269,34 @@ class _Pass(torch.autograd.Function):
                     caught_up = torch.addcmul(block.behind_shift, moved, block.behind_scale)
                     torch.addcmul(shift, caught_up, stretch, out=moved)
                     log_stretch[:, *part] += stretch.log()
-                if keep:
-                    uncaught = moved if back else room.coordinates[index % dimensions]
-                    steps.append(_Step(index, room, uncaught, stretch))
+                stretches.append(stretch)
             found[:, :, *part] = here
-            if keep:
-                ctx.kept.append((part, steps))
-        ctx.back, ctx.scale, ctx.bones = back, scale, bones
-        ctx.save_for_backward(*tensors)
+            if keep and count:
+                kept += [*memory, torch.stack(stretches)]
+        ctx.back, ctx.scale, ctx.bones, ctx.way, ctx.parts = back, scale, bones, way, _parts(coordinates)
+        ctx.save_for_backward(*tensors, *kept)
         return found, log_stretch
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Any, ...]:
-        blocks = Blocks(*ctx.saved_tensors)
+        width = len(Blocks._fields)
+        blocks, kept = Blocks(*ctx.saved_tensors[:width]), ctx.saved_tensors[width:]
         into = Blocks(*(torch.zeros_like(tensor) for tensor in blocks))
-        d_coordinates = torch.empty_like(gradients[0])
-        for part, steps in ctx.kept:
-            d_here = gradients[0][:, :, *part].clone(memory_format=torch.contiguous_format)
+        d_coordinates = gradients[0].clone()
+        dimensions = len(d_coordinates) - 1
+        for number, part in enumerate(ctx.parts if kept else []):
+            coordinates, activations, stretches = kept[3 * number : 3 * number + 3]
+            rooms = _Memory(coordinates, activations).rooms(ctx.bones)
+            d_here = d_coordinates[:, :, *part].clone(memory_format=torch.contiguous_format)
             d_log_stretch = gradients[1][:, *part]
-            (scratch,) = _Room.several(1, ctx.bones, d_here, blocks.pool.shape[-1])
+            (scratch,) = _Memory.empty(1, d_here, ctx.bones, activations.shape[-1]).rooms(ctx.bones)
             some, into_some = blocks.of_poses(part[0]), into.of_poses(part[0])
-            for index, room, uncaught, stretch in reversed(steps):
-                block, into_block = some[index], into_some[index]
+            for place, index in reversed(list(enumerate(ctx.way))):
+                block, into_block, room, stretch = some[index], into_some[index], rooms[place], stretches[place]
+                uncaught = coordinates[place + ctx.back, index % dimensions]
                 caught_up = torch.addcmul(block.behind_shift, uncaught, block.behind_scale)
-                d_moved = d_here[index % (len(d_here) - 1)]
+                d_moved = d_here[index % dimensions]
                 if ctx.back:
                     d_caught_up = d_moved / -block.behind_scale
                     torch.div(d_caught_up, stretch, out=d_moved)
