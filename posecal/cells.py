@@ -84,8 +84,8 @@ def cells_of(pairs: PosePairs, by: Sequence[str], spread: Callable[[], FloatArra
     wanted = dict.fromkeys([] if average == "poses" else [average], "average")
     wanted |= {label_name(entry): "by" for entry in by}
     for name, option in wanted.items():
-        if name not in labels:
-            known = [*labels, "spread" if option == "by" else "poses"]
+        if name not in (labels if option == "by" else pairs.labels):
+            known = [*labels, "spread"] if option == "by" else [*pairs.labels, "poses"]
             raise PoseDataError(f"{option}: {name!r} is not a label of these poses. {did_you_mean(name, known)}")
     labelled, n_poses = "sequence" in labels, len(pairs.truth)
     runs = np.arange(n_poses) * min(RUNS, n_poses) // n_poses

@@ -58,7 +58,7 @@ def climatology(pairs: PosePairs, n_hypotheses: int | None = None, seed: int = 0
     Parameters
     ----------
     pairs : PosePairs
-        M poses. Without sequences, any other pose may be drawn.
+        M poses. Without sequences, any other pose may be drawn; never one that lacks a joint.
     n_hypotheses : int, optional
         How many; as many as there were by default.
     seed : int
@@ -72,20 +72,27 @@ def climatology(pairs: PosePairs, n_hypotheses: int | None = None, seed: int = 0
     Raises
     ------
     PoseDataError
-        Where all poses are of one sequence.
+        Where there are no whole poses of other sequences.
     """
     n = n_hypotheses or pairs.shape[0]
     m = len(pairs.truth)
+    whole = np.isfinite(pairs.truth).all(axis=(1, 2))
+    if pairs.where is not None:
+        whole &= pairs.where.all(axis=1)
     sequence = pairs.labels.get("sequence", np.arange(m).astype(np.str_))
     _, place = np.unique(sequence, return_inverse=True)
-    if place.max() == 0:
-        raise PoseDataError(f"{pairs.names[1]}: one sequence; expected several to draw poses of others from.")
+    order = np.flatnonzero(whole)[np.argsort(place[whole], kind="stable")]
+    size = np.bincount(place[whole], minlength=place.max() + 1)
+    others = len(order) - size[place]
+    if not others.all():
+        what = "one sequence" if place.max() == 0 else "too few true poses without missing joints"
+        raise PoseDataError(
+            f"{pairs.names[1]}: {what}; climatology draws whole poses of other sequences. Give another file of "
+            "hypotheses as the reference."
+        )
     random = np.random.default_rng(seed)
-    order = np.argsort(place, kind="stable")
-    first = np.searchsorted(place[order], np.arange(place.max() + 1))
-    size = np.bincount(place)
-    draws = random.integers(0, (m - size[place])[:, None], (m, n))
-    own_first, own_size = first[place][:, None], size[place][:, None]
+    draws = random.integers(0, others[:, None], (m, n))
+    own_first, own_size = (np.cumsum(size) - size)[place][:, None], size[place][:, None]
     donors = order[np.where(draws >= own_first, draws + own_size, draws)]  # over the gap that one's own sequence is
     return replace(
         pairs,
@@ -97,7 +104,7 @@ def climatology(pairs: PosePairs, n_hypotheses: int | None = None, seed: int = 0
 
 
 def held_against(pairs: PosePairs, reference: PosePairs) -> PosePairs:
-    """Put the hypotheses of a reference beside a model's, so that skills are reported.
+    """Put the hypotheses of a reference beside a model's, so that skills are reported with the metrics ``scores``.
 
     Parameters
     ----------
@@ -112,21 +119,29 @@ def held_against(pairs: PosePairs, reference: PosePairs) -> PosePairs:
     Raises
     ------
     PoseDataError
-        Where the two are not over the same frames, joints and true poses, or the reference has one hypothesis.
+        Where the two are not over the same frames, joints, root and true poses, or the reference has one hypothesis.
     """
     ours, theirs = pairs.names[0], reference.names[0]
     if reference.shape[0] < 2:
-        raise PoseDataError(f"{theirs}: N = 1; fair scores need at least 2.")
-    if pairs.joints != reference.joints or pairs.root != reference.root:
-        expected = ", ".join(pairs.joints)
+        raise PoseDataError(f"{theirs}: N = 1; fair scores need at least 2. Give a reference with more hypotheses.")
+    if pairs.joints != reference.joints:
+        differ = sorted(set(pairs.joints) ^ set(reference.joints)) or ["their order"]
         raise PoseDataError(
-            f"{theirs} holds other joints than {ours}: {', '.join(reference.joints)}; expected {expected}."
+            f"{theirs} and {ours} hold other joints: {', '.join(differ)}. Score those in both with --joints, for both."
+        )
+    if pairs.root != reference.root:
+        roots = ["none" if p.root is None else p.joints[p.root] for p in (reference, pairs)]
+        raise PoseDataError(
+            f"{theirs} and {ours} have other root joints: {' and '.join(roots)}; expected the same. Name it for both."
         )
     if not np.array_equal(pairs.frame_id, reference.frame_id):
+        alone = [frame for frame in pairs.frame_id if frame not in set(reference.frame_id)]
+        alone = alone or [frame for frame in reference.frame_id if frame not in set(pairs.frame_id)] or ["their order"]
         raise PoseDataError(
-            f"{theirs} and {ours} hold other frames: {len(reference.truth):,} and {len(pairs.truth):,}; expected the "
-            "same. --missing skip may have left some out."
+            f"{theirs} and {ours} hold other frames: {len(reference.truth):,} and {len(pairs.truth):,} (first: "
+            f"{alone[0]}). A skill needs both on the same frames: evaluate those in both."
         )
     if not np.array_equal(pairs.truth, reference.truth, equal_nan=True):
         raise PoseDataError(f"{theirs} and {ours} are held against different true poses; expected the same.")
-    return replace(pairs, reference=reference)
+    remarks = [f"{theirs}: {remark}" for remark in reference.remarks if remark not in pairs.remarks]
+    return replace(pairs, reference=reference, remarks=(*pairs.remarks, *remarks))

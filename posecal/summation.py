@@ -72,6 +72,8 @@ def add_up(
         For labels or masks that the pairs lack, options that don't fit, and coordinates that are not finite.
     """
     protocol = protocol or Protocol()
+    if not {"all", "scores"}.intersection(protocol.wanted) and not any(n.endswith("_skill") for n in protocol.wanted):
+        pairs = replace(pairs, reference=None)  # no number needs it
     masked = pairs.where is not None
     pairs = _scored(pairs, protocol)
     subject = Subject(

@@ -456,6 +456,8 @@ EVALUATE = ["evaluate", "hyps.npz", "gt.npz"]
         ([*EVALUATE, "--plot", "p.jpg"], "p.jpg: .jpg; expected a name that ends with .svg, .png or .pdf."),
         ([*EVALUATE, "--plot", "p"], "p: no ending; expected a name that ends with .svg, .png or .pdf."),
         ([*EVALUATE, "--html", "gt.npz"], "gt.npz is read already; expected another name."),
+        ([*EVALUATE, "--skill", "r.npz", "--save", "r.npz"], "r.npz is read already; expected another name."),
+        ([*EVALUATE, "--prerank", "p.py:height", "--save", "p.py"], "p.py is read already; expected another name."),
         ([*EVALUATE, "--save", "x", "--html", "./x"], "x is written already; expected another name."),
         (["merge", "result.npz", "-o", "./result.npz"], "result.npz is read already; expected another name."),
         (["merge", "result.npz"], "Missing option '--output'"),

@@ -7,7 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from posecal import summation
+from posecal.block import Block
 from posecal.errors import PoseDataError
+from posecal.metrics.proper import joint_energies
 from posecal.protocol import Protocol
 from posecal.reference import climatology, held_against
 from posecal.report import Report
@@ -57,7 +60,7 @@ def test_climatology_has_as_many_hypotheses_and_is_the_same_every_time() -> None
 
 def test_one_sequence_has_no_others_to_draw_from() -> None:
     pairs = pairs_of(*skewed(3, 2, 5, 2), labels={"sequence": ["a"] * 5})
-    with pytest.raises(PoseDataError, match=r"truth: one sequence; expected several to draw poses of others from"):
+    with pytest.raises(PoseDataError, match=r"^truth: one sequence; climatology draws whole poses of other seq"):
         climatology(pairs)
 
 
@@ -80,7 +83,7 @@ def test_a_skill_is_the_share_of_the_reference_s_score_that_is_saved() -> None:
             np.testing.assert_allclose(found.value(name), 1 - ours.value(score) / theirs.value(score), rtol=1e-9)
     row = next(row for row in found.rows if row.metric == "energy_skill")
     assert 0.5 < row.low < row.value < row.high < 1
-    assert "S_ref: the same of climatology" in row.definition
+    assert "S_ref: the same of climatology, fair in its N=8" in row.definition
 
 
 def test_a_model_that_ignores_the_image_is_calibrated_and_has_no_skill() -> None:
@@ -132,16 +135,80 @@ def test_skills_can_be_grouped_by_what_only_the_model_says() -> None:
 def test_a_reference_on_other_poses_is_refused() -> None:
     x, y = gaussian(7, 4, 20, 2)
     pairs = pairs_of(x, y)
-    with pytest.raises(
-        PoseDataError, match=r"^hypotheses and hypotheses hold other frames: 15 and 20; expected the sa"
-    ):
+    with pytest.raises(PoseDataError, match=r"^hypotheses and hypotheses hold other frames: 15 and 20 \(first: 15\)"):
         held_against(pairs, pairs_of(x[:, :15], y[:15]))
     with pytest.raises(PoseDataError, match=r"are held against different true poses"):
         held_against(pairs, pairs_of(x, y + 1))
-    with pytest.raises(PoseDataError, match=r"holds other joints than hypotheses: joint 0; expected joint 0, joint 1"):
+    with pytest.raises(PoseDataError, match=r"hold other joints: joint 1\. Score those in both with --joints"):
         held_against(pairs, pairs_of(x[:, :, :1], y[:, :1]))
-    with pytest.raises(PoseDataError, match=r"N = 1; fair scores need at least 2"):
+    with pytest.raises(PoseDataError, match=r"have other root joints: joint 1 and none; expected the same"):
+        held_against(pairs, pairs_of(x, y, root_joint="1"))
+    with pytest.raises(PoseDataError, match=r"N = 1; fair scores need at least 2\. Give a reference with more"):
         held_against(pairs, pairs_of(x[:1], y))
+
+
+def test_without_scores_the_reference_is_not_read() -> None:
+    x, y = gaussian(12, 4, 20, 2)
+    pairs = pairs_of(x, y)
+    found = add_up(held_against(pairs, pairs_of(x, y)), Protocol(metrics="ece"))
+    assert found.signature == add_up(pairs, Protocol(metrics="ece")).signature
+    assert "reference=hypotheses,N=4" in add_up(held_against(pairs, pairs_of(x, y)), SCORES).signature
+
+
+def test_a_perfect_reference_leaves_no_skill_to_have() -> None:
+    x, y = gaussian(13, 4, 20, 3)
+    found = Report(add_up(held_against(pairs_of(x, y), pairs_of(np.repeat(y[None], 3, axis=0), y)), SCORES))
+    for name in ("energy_skill", "joint_energy_skill", "crps_skill", "variogram_skill"):
+        assert np.isnan(found.value(name))
+
+
+def test_no_more_of_a_reference_is_read_at_once_than_fits_the_window(monkeypatch: pytest.MonkeyPatch) -> None:
+    x, y = gaussian(14, 2, 40, 2)
+    many = np.repeat(x, 50, axis=0)
+    monkeypatch.setattr(summation, "WINDOW_BYTES", many[:, :8].nbytes)
+    reference, read = pairs_of(many, y), []
+    source = reference.hypotheses
+
+    class Watched:
+        n_hypotheses, itemsize = source.n_hypotheses, source.itemsize
+
+        def read(self, start: int, stop: int) -> Array:
+            read.append(stop - start)
+            return source.read(start, stop)
+
+    watched = replace(reference, hypotheses=Watched())  # type: ignore[arg-type]
+    add_up(held_against(pairs_of(x, y), watched), SCORES, threads=1)
+    assert sum(read) == 40
+    assert max(read) == 8
+
+
+def test_the_reference_keeps_to_the_frames_and_joints_that_are_scored() -> None:
+    x, y = gaussian(15, 8, 30, 3)
+    other = 60 * np.random.default_rng(16).standard_normal((5, 30, 3, 3)) + y
+    seen = np.random.default_rng(17).random((30, 3)) < 0.7
+    kept = np.arange(0, 30, 2)
+    protocol = SCORES.changed({"where": "visible", "frames": "good"})
+    good = np.where(np.arange(30) % 2, "no", "yes")
+    x[:, ~seen], other[:, ~seen], y[~seen] = np.nan, np.nan, np.nan
+    pairs, reference = (pairs_of(h, y, labels={"good": good}, occluded=~seen) for h in (x, other))
+    found = Report(add_up(held_against(pairs, reference), protocol))
+    ours, theirs = (
+        float(np.nanmean(joint_energies(Block(h[:, kept], y[kept], seen[kept]))[:, -1])) for h in (x, other)
+    )
+    np.testing.assert_allclose(found.value("energy_skill"), 1 - ours / theirs, rtol=1e-9)
+
+
+def test_climatology_draws_no_pose_that_lacks_a_joint() -> None:
+    x, y = skewed(18, 3, 8, 2)
+    y[[1, 4], 1] = np.nan
+    found = read(climatology(pairs_of(x, y, labels={"sequence": LABELS}), 300))
+    assert np.isfinite(found).all()
+    for m in range(8):
+        drawn = {int(np.flatnonzero((pose == y).all(axis=(1, 2)))[0]) for pose in found[:, m]}
+        assert drawn == {i for i in range(8) if LABELS[i] != LABELS[m] and i not in {1, 4}}
+    y[:, 0, 0] = np.nan
+    with pytest.raises(PoseDataError, match=r"^truth: too few true poses without missing joints; climatology draws"):
+        climatology(pairs_of(x, y, labels={"sequence": LABELS}))
 
 
 def test_a_reference_that_is_not_finite_is_refused_by_its_name() -> None:

@@ -11,6 +11,7 @@ from posecal.calibration.battery import OF_THE_RUN
 from posecal.errors import PoseDataError
 from posecal.leave_one_out import without
 from posecal.protocol import Protocol
+from posecal.reference import climatology, held_against
 from posecal.registry import known_metrics
 from posecal.shards import merge_totals
 from posecal.summation import add_up
@@ -116,6 +117,14 @@ def test_a_sequence_that_two_shards_have_in_common_is_refused() -> None:
     parts = [some.taken(np.flatnonzero(some.sequence != left)).totals(Protocol()) for left in ("S9/a", "S11/c")]
     with pytest.raises(PoseDataError, match=r"part 1 and part 2 hold the same poses \(cell S9/b, sit\)"):
         merge_totals(parts)
+
+
+def test_a_sequence_in_common_is_refused_beside_a_reference_that_is_drawn_anew() -> None:
+    some = world(6, M=23)
+    parts = [some.taken(np.flatnonzero(some.sequence != left)).pairs for left in ("S9/a", "S11/c")]
+    scores = [add_up(held_against(pairs, climatology(pairs)), Protocol(metrics="scores")) for pairs in parts]
+    with pytest.raises(PoseDataError, match=r"part 1 and part 2 hold the same poses \(cell S9/b, sit\)"):
+        merge_totals(scores)
 
 
 def test_the_same_poses_twice_are_refused() -> None:

@@ -85,18 +85,20 @@ def evaluate(
     from posecal.report import Report
     from posecal.summation import add_up
 
+    reference = Path(skill) if skill not in {None, "climatology"} else None
+    tests = [Path(entry.rpartition(":")[0]) for entry in prerank or []]
+    check_outputs(hypotheses, truth, *filter(None, [reference]), *tests, save=save, plot=plot, html=html)
     groups = [word for word, asked in (("battery", battery or prerank), ("scores", scores or skill)) if asked]
     preranks = dict(load_prerank(entry) for entry in prerank or [])
     protocol = protocol_of(preset, options or [], where, joints, metrics, preranks)
     protocol = protocol.changed({"metrics": ", ".join([protocol.metrics, *groups])}) if groups else protocol
     how = join_of(axes, truth_axes, unit, truth_unit, joint_names, root_joint, missing, joints)
-    check_outputs(hypotheses, truth, save=save, plot=plot, html=html)
     pairs = read_pairs(hypotheses, truth, how, most)
     if skill is not None:
         from posecal.reference import climatology, held_against
 
         pairs = held_against(
-            pairs, climatology(pairs) if skill == "climatology" else read_pairs(Path(skill), truth, how, most)
+            pairs, climatology(pairs) if reference is None else read_pairs(reference, truth, how, most)
         )
     with progress(len(pairs.truth)) as advance:
         totals = add_up(pairs, protocol, by=by or (), preranks=preranks, threads=threads, progress=advance)
@@ -136,7 +138,7 @@ def merge(
     results: Annotated[list[Path], typer.Argument(help="Saved results of shards of one test set.", show_default=False)],
     output: Output,
 ) -> None:
-    """Add the results of shards: the same numbers as one run over everything (tarp_box: about the same)."""
+    """Add the results of shards: the same numbers as one run, but for what depends on all poses of a run."""
     check_outputs(*results, output=output)
     from posecal.results import load_totals, save_totals
     from posecal.shards import merge_totals

@@ -154,7 +154,7 @@ def skill_metrics(scope: Scope) -> Iterator[Metric]:
 
         def skill(mean: FloatArray, metric: Metric = metric) -> float:
             ours, theirs = metric.finish(mean[..., 0]), metric.finish(mean[..., 1])
-            return 1 - ours / theirs if theirs > 0 else float("nan")
+            return 1 - ours / theirs if theirs > NOTHING else float("nan")
 
         yield Metric(
             name=metric.name.removesuffix("_score") + "_skill",
@@ -170,6 +170,9 @@ def skill_metrics(scope: Scope) -> Iterator[Metric]:
 
 
 _SKILLED = ("energies", "crps", "variogram", "brier")
+
+NOTHING = 1e-9
+"""A reference's score up to this, mm, is 0 but for rounding; there is no skill to have."""
 
 PAIRED = "paired_"
 """How the names of statistics begin that hold a model's score and its reference's."""

@@ -248,6 +248,7 @@ class _Pass(torch.autograd.Function):
         found, log_stretch = torch.empty_like(coordinates), torch.zeros_like(coordinates[0])
         kept: list[Tensor] = []
         memory: _Memory | None = None
+        rooms: list[_Room] = []
         for part in _parts(coordinates):
             here = coordinates[:, :, *part]
             if keep or memory is None or memory.coordinates.shape[1:] != here.shape:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import math
+import weakref
 
 import numpy as np
 import pytest
@@ -257,3 +259,39 @@ def test_a_graph_refuses_a_parent_that_is_not_there():
 def test_a_graph_refuses_its_root_as_a_node():
     with pytest.raises(PoseDataError, match="Hip is the root and no node"):
         PoseGraph.of_joints(("Hip", "RHip"))
+
+
+def test_activations_are_let_go_after_the_way_back():
+    flow, (keypoints, observed, poses) = random_flow(), inputs()
+    loss = flow.ready(flow.evidence(keypoints, observed)).log_prob_per_node(poses).sum()
+    step = next(node for node in nodes_of(loss.grad_fn) if "_Pass" in type(node).__name__)
+    activations = weakref.ref(step.saved_tensors[len(passes.Blocks._fields) + 1].untyped_storage())
+    del step
+    loss.backward()
+    gc.collect()
+    assert activations() is None
+
+
+def nodes_of(node):
+    """All nodes of a graph of gradients."""
+    found, left = set(), [node]
+    while left:
+        if (node := left.pop()) is not None and node not in found:
+            found.add(node)
+            left += [before for before, _ in node.next_functions]
+    return found
+
+
+def test_without_blocks_poses_are_their_latents_and_have_gradients():
+    flow, (keypoints, observed, poses) = random_flow(), inputs()
+    poses.requires_grad_()
+    latents, _ = flow.ready(flow.evidence(keypoints, observed), blocks=0).forward(poses)
+    torch.testing.assert_close(latents, poses)
+    latents.sum().backward()
+    torch.testing.assert_close(poses.grad, torch.ones_like(poses))
+
+
+def test_poses_without_keypoints_of_their_own_are_refused():
+    flow, (keypoints, observed, poses) = random_flow(), inputs()
+    with pytest.raises(PoseDataError, match=r"flow: keypoints of 7 poses and 3 poses; expected as many\."):
+        flow.ready(flow.evidence(keypoints, observed)).forward(poses[:3])

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.distance import pdist
 
 from posecal.calibration.battery import BATTERY
+from posecal.errors import PoseDataError
 from posecal.joining import join
 from posecal.layout import MemoryArray
 from posecal.pairs import Poses
@@ -75,10 +76,19 @@ def evaluate_faults(
     dict
         What was found, by the fault's name.
 
+    Raises
+    ------
+    PoseDataError
+        Where joints are to move together and there are no more poses than hypotheses.
+
     Notes
     -----
     Differs from the published code: not in it.
     """
+    if joint_correlation and M <= N:
+        raise PoseDataError(
+            f"M = {M} poses and N = {N} hypotheses; expected more poses, which ignored-image draws from."
+        )
     world, correlation = PoseWorld.independent_joints(joints), joint_correlation or None
     found = {}
     for fault in bar([FAULTS[name] for name in faults], "faults"):
