@@ -16,7 +16,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache, cached_property, partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Block",
+    "Box",
     "FloatArray",
     "blocks_of",
     "box_of",
@@ -42,9 +43,6 @@ FloatArray = npt.NDArray[np.floating]
 BoolArray = npt.NDArray[np.bool_]
 Result = TypeVar("Result")
 Before = tuple[FloatArray, FloatArray, BoolArray | None]
-
-BOX_POSES = 4096
-"""How many true poses are gone through at a time for their range."""
 
 BLOCK_BYTES = 1024 * 1024
 """About what the offsets of one block take: few enough to stay in cache, enough to be worth a call."""
@@ -76,7 +74,9 @@ class Block:
     reference : array (R, B, K, D), optional
         Hypotheses of the same poses by another model, that skills are relative to, mm.
     box : callable, optional
-        Gives the range of all true poses that are evaluated together, as :func:`box_of` does; of these by default.
+        Gives the range of all true poses that are evaluated together; of these by default.
+    sequence : array of int (B,), optional
+        The sequence of each pose; each pose is one by default.
 
     Attributes
     ----------
@@ -101,7 +101,8 @@ class Block:
         occluded: BoolArray | None = None,
         usable: BoolArray | None = None,
         reference: FloatArray | None = None,
-        box: Callable[[], FloatArray] | None = None,
+        box: Callable[[], Box] | None = None,
+        sequence: npt.NDArray[np.intp] | None = None,
     ) -> None:
         self.occluded = np.zeros(truth.shape[:2], dtype=bool) if occluded is None else occluded
         self.where = np.ones(truth.shape[:2], dtype=bool) if where is None else where
@@ -111,7 +112,7 @@ class Block:
             self.offsets[~self.where] = 0
             self.truth = np.where(self.where[..., None], self.truth, 0)
         self._root, self._previous, self._follows, self._scores = root, previous, follows, scores
-        self._box = box
+        self._box, self._sequence = box, sequence
         self._shared: dict[Hashable, Any] = {}
         self._whole: Callable[[], Block] | None = None
         if usable is not None:
@@ -137,7 +138,7 @@ class Block:
         other = Block.__new__(Block)
         other.where, other.occluded, other.truth = self.where, self.occluded, self.truth
         other._root, other._previous, other._follows, other._scores = self._root, None, self._follows, self._scores
-        other._shared, other._reference, other._box = {}, self._reference, self._box
+        other._shared, other._reference, other._box, other._sequence = {}, self._reference, self._box, self._sequence
         other._whole = None if self._whole is None else lambda: self.whole.stretched(factor)
         other.offsets = centre + times * (self.offsets - centre)
         other.__dict__["sorted"] = centre + times * (self.sorted - centre)  # stretching keeps the order
@@ -156,9 +157,10 @@ class Block:
         return None if self._reference is None else self._reference()
 
     @cached_property
-    def box(self) -> FloatArray:
-        """The range of the true poses that are evaluated together, (4, K, D), mm; see :func:`box_of`."""
-        return box_of(self.truth, self.where) if self._box is None else self._box()
+    def box_of_others(self) -> tuple[FloatArray, FloatArray]:
+        """The range of the true poses of the other sequences that are evaluated together, (B, K, D) twice, mm."""
+        box = box_of(self.truth, self.where, sequence=self._sequence) if self._box is None else self._box()
+        return box.without(np.arange(len(self.truth)) if self._sequence is None else self._sequence)
 
     def share(self, key: Hashable, compute: Callable[[], Result]) -> Result:
         """Compute something once per block, whoever asks first."""
@@ -263,8 +265,36 @@ def _relative(truth: FloatArray, root: int | None, dtype: np.dtype[np.floating])
         return (wide if root is None else wide - wide[:, root, None]).astype(dtype)
 
 
-def box_of(truth: FloatArray, where: BoolArray | None = None, *, root: int | None = None) -> FloatArray:
-    """Give the range of true poses, and what it would be without the one that reaches it.
+class Box(NamedTuple):
+    """The range of each coordinate of some true poses, and what it is without any one sequence.
+
+    Attributes
+    ----------
+    least, largest : array (2, K, D)
+        Over all poses, and over those of other sequences than the one that reaches it, mm; infinite where none is.
+    reached_by : array of int (2, K, D)
+        The sequence that reaches the least and the largest value.
+    """
+
+    least: FloatArray
+    largest: FloatArray
+    reached_by: npt.NDArray[np.intp]
+
+    def without(self, sequence: npt.NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+        """Give the least and the largest values over all sequences but one, (B, K, D) each, for each of B poses."""
+        own = sequence[:, None, None] == self.reached_by[:, None]
+        low, high = np.where(own[0], self.least[1], self.least[0]), np.where(own[1], self.largest[1], self.largest[0])
+        return low, high
+
+
+def box_of(
+    truth: FloatArray,
+    where: BoolArray | None = None,
+    *,
+    root: int | None = None,
+    sequence: npt.NDArray[np.intp] | None = None,
+) -> Box:
+    """Give the range of true poses.
 
     Parameters
     ----------
@@ -274,21 +304,30 @@ def box_of(truth: FloatArray, where: BoolArray | None = None, *, root: int | Non
         The joints that count.
     root : int, optional
         The joint that is subtracted from every pose.
+    sequence : array of int (M,), optional
+        The sequence of each pose, counted from 0; each pose is one by default.
 
     Returns
     -------
-    array (4, K, D)
-        The least, second least, second largest and largest value of each coordinate of each joint over the poses in
-        which it counts, mm, in double; infinite where it counts in fewer.
+    Box
+        Of the coordinates that count and are finite.
     """
-    least, largest = np.full((2, 2, *truth.shape[1:]), [[[[np.inf]]], [[[-np.inf]]]])
-    for start in range(0, len(truth), BOX_POSES):
-        poses = slice(start, start + BOX_POSES)
-        part = _relative(truth[poses], root, np.dtype(np.float64))
-        counted = np.isfinite(part) if where is None else np.isfinite(part) & where[poses, :, None]
-        least = np.partition(np.concatenate([least, np.where(counted, part, np.inf)]), 1, axis=0)[:2]
-        largest = np.partition(np.concatenate([largest, np.where(counted, part, -np.inf)]), -2, axis=0)[-2:]
-    return np.concatenate([least, largest])
+    relative = _relative(truth, root, working_dtype(truth.dtype))
+    counted = np.isfinite(relative) if where is None else np.isfinite(relative) & where[..., None]
+    least, largest = np.where(counted, relative, np.inf), np.where(counted, relative, -np.inf)
+    if sequence is not None:
+        order = np.argsort(sequence, kind="stable")
+        starts = np.searchsorted(sequence[order], np.arange(sequence.max(initial=-1) + 1))
+        least, largest = np.minimum.reduceat(least[order], starts), np.maximum.reduceat(largest[order], starts)
+    reached_by = np.stack([least.argmin(axis=0), largest.argmax(axis=0)])
+    return Box(_with_next(least, reached_by[0], np.min), _with_next(largest, reached_by[1], np.max), reached_by)
+
+
+def _with_next(values: FloatArray, reached_by: npt.NDArray[np.intp], end: Callable[..., FloatArray]) -> FloatArray:
+    """Give the end of (S, K, D) values that sequences reach, and that of the other sequences, (2, K, D)."""
+    first = end(values, axis=0)
+    np.put_along_axis(values, reached_by[None], -np.inf if end is np.max else np.inf, axis=0)
+    return np.stack([first, end(values, axis=0)])
 
 
 def working_dtype(dtype: npt.DTypeLike) -> np.dtype[np.floating]:
@@ -380,13 +419,14 @@ def blocks_of(
     occluded: BoolArray | None = None,
     usable: BoolArray | None = None,
     reference: FloatArray | None = None,
-    box: Callable[[], FloatArray] | None = None,
+    box: Callable[[], Box] | None = None,
+    sequence: npt.NDArray[np.intp] | None = None,
 ) -> Iterator[Callable[[], Block]]:
     """Cut checked arrays in the paper's layout into blocks, in the order of their poses.
 
     Parameters
     ----------
-    hypotheses, truth, where, root, scores, follows, previous, occluded, usable, reference, box
+    hypotheses, truth, where, root, scores, follows, previous, occluded, usable, reference, box, sequence
         As for :class:`Block`, of M poses instead of B.
 
     Yields
@@ -396,7 +436,8 @@ def blocks_of(
     """
     most = len(hypotheses) if reference is None else max(len(hypotheses), len(reference))
     step = block_length((most, *hypotheses.shape[1:]), hypotheses.dtype)
-    box = cache(partial(box_of, truth, where, root=root)) if box is None else box
+    box = cache(partial(box_of, truth, where, root=root, sequence=sequence)) if box is None else box
+    sequence = np.arange(len(truth)) if sequence is None else sequence
     for start in range(0, truth.shape[0], step):
         poses = slice(start, start + step)
         if start:
@@ -415,6 +456,7 @@ def blocks_of(
             usable=None if usable is None else usable[poses],
             reference=None if reference is None else reference[:, poses],
             box=box,
+            sequence=sequence[poses],
         )
 
 

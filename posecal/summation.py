@@ -150,7 +150,8 @@ def walk(pairs: PosePairs) -> Iterator[tuple[slice, Callable[[], Block]]]:
     sequence = pairs.labels.get("sequence", np.zeros(m, dtype=np.str_))
     follows = np.concatenate([[False], (sequence[1:] == sequence[:-1]) & (np.diff(pairs.place) == 1)])
     previous: Before | None = None
-    box = cache(partial(box_of, pairs.truth, pairs.where, root=pairs.root))
+    own = np.unique(sequence, return_inverse=True)[1] if "sequence" in pairs.labels else np.arange(m)
+    box = cache(partial(box_of, pairs.truth, pairs.where, root=pairs.root, sequence=own))
     for start in range(0, m, window):
         poses = slice(start, min(start + window, m))
         hypotheses, truth = pairs.hypotheses.read(poses.start, poses.stop), pairs.truth[poses]
@@ -167,6 +168,7 @@ def walk(pairs: PosePairs) -> Iterator[tuple[slice, Callable[[], Block]]]:
             usable=None if pairs.usable is None else pairs.usable[poses],
             reference=None if pairs.reference is None else pairs.reference.hypotheses.read(poses.start, poses.stop),
             box=box,
+            sequence=own[poses],
         )
         for number, block in enumerate(blocks):
             yield slice(start + number * size, min(start + (number + 1) * size, poses.stop)), block

@@ -20,7 +20,6 @@ from posecal.block import (
     Block,
     block_length,
     blocks_of,
-    box_of,
     checked,
     in_order,
     per_pose,
@@ -135,21 +134,22 @@ def test_a_block_of_which_every_usable_joint_counts_is_its_own_whole(arrays: tup
 
 
 @pytest.mark.parametrize("root", [None, 1])
-def test_the_box_is_the_two_least_and_the_two_largest_of_the_true_poses_of_which_a_joint_counts(
-    arrays: tuple[Array, Array], root: int | None, monkeypatch: pytest.MonkeyPatch
+def test_the_box_reaches_over_the_true_poses_of_other_sequences_of_which_a_joint_counts(
+    arrays: tuple[Array, Array], root: int | None
 ) -> None:
-    monkeypatch.setattr(block_module, "BOX_POSES", 3)
     y = arrays[1].copy()
     where = np.ones((M, K), dtype=bool)
     where[0, 2] = where[4:, 2] = where[:, 3] = False
     y[0, 2], y[5, 3] = np.nan, np.inf
     relative = y if root is None else oracles.relative(y, root)
-    found = box_of(y, where, root=root)
-    for k, d in np.ndindex(K, D):
-        column = sorted(relative[where[:, k] & np.isfinite(relative[:, k, d]), k, d])
-        least, largest = [*column, math.inf, math.inf][:2], [-math.inf, -math.inf, *column][-2:]
-        np.testing.assert_allclose(found[:, k, d], [*least, *largest])
-    np.testing.assert_array_equal(Block(arrays[0], y, where, root=root).box, found)
+    sequence = np.arange(M) % 3
+    for own in (sequence, np.arange(M)):
+        found = Block(arrays[0], y, where, root=root, sequence=own).box_of_others
+        for m, k, d in np.ndindex(M, K, D):
+            others = (own != own[m]) & where[:, k] & np.isfinite(relative[:, k, d])
+            column = relative[others, k, d]
+            expected = column.min(initial=math.inf), column.max(initial=-math.inf)
+            np.testing.assert_allclose([ends[m, k, d] for ends in found], expected)
 
 
 def test_blocks_of_poses_and_what_is_made_of_them_have_the_box_of_all_of_them(
@@ -159,8 +159,10 @@ def test_blocks_of_poses_and_what_is_made_of_them_have_the_box_of_all_of_them(
     blocks = [lay_out() for lay_out in blocks_of(*arrays, root=0)]
     assert len(blocks) == M
     for block in blocks:
-        np.testing.assert_array_equal(block.box, box_of(arrays[1], root=0))
-        np.testing.assert_array_equal(block.stretched(1.3).box, block.box)
+        np.testing.assert_array_equal(block.stretched(1.3).box_of_others, block.box_of_others)
+    whole = Block(*arrays, root=0).box_of_others
+    for end, of_all in enumerate(whole):
+        np.testing.assert_array_equal([block.box_of_others[end][0] for block in blocks], of_all)
 
 
 def test_what_is_shared_is_computed_once(arrays: tuple[Array, Array]) -> None:

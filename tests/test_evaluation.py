@@ -174,12 +174,14 @@ def test_every_pose_is_in_one_block_in_the_order_of_the_poses(
     monkeypatch.setattr(block_module, "BLOCK_BYTES", block)
     blocks = [(poses, lay_out()) for poses, lay_out in walk(some.pairs)]
     assert np.concatenate([np.arange(M)[poses] for poses, _ in blocks]).tolist() == list(range(M))
-    whole = block_module.Block(some.x, some.y, root=some.root)
+    sequence = np.unique(some.sequence, return_inverse=True)[1]
+    whole = block_module.Block(some.x, some.y, root=some.root, sequence=sequence)
     for name in ("offsets", "truth"):
         joined = np.concatenate([getattr(one, name) for _, one in blocks])
         np.testing.assert_array_equal(joined, getattr(whole, name))
-    for _, one in blocks:
-        np.testing.assert_array_equal(one.box, whole.box)
+    for end, expected in enumerate(whole.box_of_others):
+        joined = np.concatenate([one.box_of_others[end] for _, one in blocks])
+        np.testing.assert_array_equal(joined, expected)
     scores = np.concatenate([one.scores for _, one in blocks])
     np.testing.assert_array_equal(scores, some.scores.T)
 

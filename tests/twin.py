@@ -240,7 +240,8 @@ class Twin:
                 ranks[name][m] = score_oracles.rank_inside(prerank(pool))
             share = score_oracles.box_share(np.where(self.moving[m][:, None], self.y[m], math.nan)[joints])
             share = share[self.moving[m][joints]]
-            others = score_oracles.sides(np.delete(self.y, m, axis=0), np.delete(self.moving, m, axis=0))
+            apart = self.world.sequence != self.world.sequence[m]
+            others = score_oracles.sides(self.y[apart], self.moving[apart])
             box = [ends for ends, there in zip(others, self.moving[m], strict=True) if there]
             ranks["tarp_box"][m] = score_oracles.rank_inside(score_oracles.tarp_box(pool, box, share))
         for name, weights in ranks.items():

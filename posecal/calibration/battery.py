@@ -58,7 +58,7 @@ class Pool(NamedTuple):
     truth : array (B, J, D)
         The true poses, mm; NaN for joints that don't count.
     low, high : arrays (B, J, D)
-        The range of the other true poses that are evaluated together, mm.
+        The range of the true poses of the other sequences that are evaluated together, mm.
     """
 
     points: FloatArray
@@ -72,11 +72,9 @@ class Pool(NamedTuple):
         offsets, counted = block.offsets[:, joints], block.where[:, joints]
         zero = np.zeros((*offsets.shape[:-1], 1))
         truth = np.where(counted[..., None], block.truth[:, joints], np.nan)
-        least, next_to_least, next_to_largest, largest = block.box[:, joints].astype(truth.dtype)
-        low = np.where(truth < next_to_least, next_to_least, least)  # the one pose below it is this one
-        high = np.where(truth > next_to_largest, next_to_largest, largest)
+        low, high = (ends[:, joints].astype(np.float64) for ends in block.box_of_others)
         points = np.concatenate([offsets, zero], axis=-1, dtype=np.float64)
-        return cls(points, *(values.astype(np.float64) for values in (truth, low, high)))
+        return cls(points, truth.astype(np.float64), low, high)
 
 
 def weights_of_ranks(prerank: FloatArray) -> FloatArray:
@@ -149,12 +147,13 @@ def mahalanobis(pool: Pool) -> FloatArray:
 
 
 def tarp_box(pool: Pool) -> FloatArray:
-    """Distance to a random point of the box of all other true poses, in units of its sides, (B, N + 1).
+    """Distance to a random point of the box of the true poses of other sequences, in units of its sides, (B, N + 1).
 
     The point is drawn from a generator seeded by the true pose: the same in any order. The box is of the true poses
     that are evaluated together, so that a shard which is evaluated apart has its own. The published box holds the
-    pose's own truth as well, and not its hypotheses, which rejects perfect samplers on few poses; of many it is the
-    same. A coordinate in which the true poses don't differ is left out, where the published code divides by 1e-10.
+    pose's own truth and its neighbours as well, not its hypotheses, which rejects perfect samplers on few sequences; of
+    many it is the same. A coordinate in which the true poses don't differ is left out, where the published code
+    divides by 1e-10.
     """
     points, truth, low, high = pool
     with np.errstate(invalid="ignore"):
@@ -312,8 +311,8 @@ BATTERY: tuple[Test, ...] = (
     Test(
         "tarp_box",
         "TARP, box",
-        "distance of the whole pose, each coordinate in units of its range over all other true poses of the run, to a "
-        "random point of the box of these ranges",
+        "distance of the whole pose, each coordinate in units of its range over the true poses of the other sequences, "
+        "to a random point of the box of these ranges",
         "seen from a random point, the truth lies nearer or farther than the hypotheses do",
         tarp_box,
     ),

@@ -178,7 +178,8 @@ def rejections() -> dict[str, int]:
     x = centre + widths * (mix * own + np.sqrt(1 - mix**2) * common)
     joints, counts = np.ones(K, dtype=bool), {}
     runs = [slice(start, start + SEQUENCES * FRAMES) for start in range(0, poses, SEQUENCES * FRAMES)]
-    blocks = [lay_out() for run in runs for lay_out in blocks_of(x[:, run], y[run])]
+    sequence = np.arange(SEQUENCES).repeat(FRAMES)
+    blocks = [lay_out() for run in runs for lay_out in blocks_of(x[:, run], y[run], sequence=sequence)]
     for test in BATTERY:
         weights = np.concatenate([test.weights(block, joints) for block in blocks])
         D = (weights - LEVELS).reshape(REPLICATES, SEQUENCES, FRAMES, -1, LEVELS.size).sum(axis=2)
