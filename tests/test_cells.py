@@ -160,3 +160,9 @@ def test_parts_that_make_no_sense_are_refused(by: str) -> None:
 def test_a_label_that_the_poses_lack_is_refused_with_the_nearest() -> None:
     with pytest.raises(PoseDataError, match=r"by: 'acton' is not a label of these poses\. Did you mean action\?"):
         cells_of(pairs_with(sequence=["a"] * M, action=["sit"] * M), ["acton"], never)
+
+
+def test_an_average_over_parts_of_the_spread_is_refused_also_beside_groups_of_them() -> None:
+    for by in ([], ["spread"]):
+        with pytest.raises(PoseDataError, match=r"^average: 'spread' is not a label of these poses\."):
+            cells_of(pairs_with(), by, lambda: np.arange(float(M)), average="spread")

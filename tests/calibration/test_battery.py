@@ -151,6 +151,11 @@ def test_in_independent_isotropic_joints_a_distance_is_blind_to_a_shift(
     assert found["together"][fault].report.value(test) > found["apart"][fault].report.value(test)
 
 
+def test_where_joints_move_together_there_must_be_more_poses_than_hypotheses() -> None:
+    with pytest.raises(PoseDataError, match=r"^M = 6 poses and N = 6 hypotheses; expected more poses"):
+        evaluate_faults(N=6, M=6, joint_correlation=0.3)
+
+
 def test_every_fault_of_the_toy_world_is_in_the_table() -> None:
     assert list(TABLE) == list(FAULTS)
 
