@@ -81,8 +81,8 @@ def cells_of(pairs: PosePairs, by: Sequence[str], spread: Callable[[], FloatArra
     for entry in by:
         if re.match("spread(?![^:=])", entry) and label_name(entry) not in labels:
             labels[label_name(entry)] = _parts(entry, spread())
-    wanted = dict.fromkeys([] if average == "poses" else [average], "average")
-    wanted |= {label_name(entry): "by" for entry in by}
+    wanted = {label_name(entry): "by" for entry in by}
+    wanted |= dict.fromkeys([] if average == "poses" else [average], "average")
     for name, option in wanted.items():
         if name not in (labels if option == "by" else pairs.labels):
             known = [*labels, "spread"] if option == "by" else [*pairs.labels, "poses"]
