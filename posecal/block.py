@@ -16,11 +16,12 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache, cached_property, partial
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
+from posecal.box import Box, box_of
 from posecal.errors import PoseDataError
 
 if TYPE_CHECKING:
@@ -28,10 +29,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Block",
-    "Box",
     "FloatArray",
     "blocks_of",
-    "box_of",
     "checked",
     "in_order",
     "per_pose",
@@ -263,71 +262,6 @@ def _relative(truth: FloatArray, root: int | None, dtype: np.dtype[np.floating])
     with np.errstate(invalid="ignore", over="ignore"):
         wide = truth.astype(working_dtype(truth.dtype), copy=False)
         return (wide if root is None else wide - wide[:, root, None]).astype(dtype)
-
-
-class Box(NamedTuple):
-    """The range of each coordinate of some true poses, and what it is without any one sequence.
-
-    Attributes
-    ----------
-    least, largest : array (2, K, D)
-        Over all poses, and over those of other sequences than the one that reaches it, mm; infinite where none is.
-    reached_by : array of int (2, K, D)
-        The sequence that reaches the least and the largest value.
-    """
-
-    least: FloatArray
-    largest: FloatArray
-    reached_by: npt.NDArray[np.intp]
-
-    def without(self, sequence: npt.NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
-        """Give the least and the largest values over all sequences but one, (B, K, D) each, for each of B poses."""
-        own = sequence[:, None, None] == self.reached_by[:, None]
-        low, high = np.where(own[0], self.least[1], self.least[0]), np.where(own[1], self.largest[1], self.largest[0])
-        return low, high
-
-
-def box_of(
-    truth: FloatArray,
-    where: BoolArray | None = None,
-    *,
-    root: int | None = None,
-    sequence: npt.NDArray[np.intp] | None = None,
-) -> Box:
-    """Give the range of true poses.
-
-    Parameters
-    ----------
-    truth : array (M, K, D)
-        True poses, mm.
-    where : bool array (M, K), optional
-        The joints that count.
-    root : int, optional
-        The joint that is subtracted from every pose.
-    sequence : array of int (M,), optional
-        The sequence of each pose, counted from 0; each pose is one by default.
-
-    Returns
-    -------
-    Box
-        Of the coordinates that count and are finite.
-    """
-    relative = _relative(truth, root, working_dtype(truth.dtype))
-    counted = np.isfinite(relative) if where is None else np.isfinite(relative) & where[..., None]
-    least, largest = np.where(counted, relative, np.inf), np.where(counted, relative, -np.inf)
-    if sequence is not None:
-        order = np.argsort(sequence, kind="stable")
-        starts = np.searchsorted(sequence[order], np.arange(sequence.max(initial=-1) + 1))
-        least, largest = np.minimum.reduceat(least[order], starts), np.maximum.reduceat(largest[order], starts)
-    reached_by = np.stack([least.argmin(axis=0), largest.argmax(axis=0)])
-    return Box(_with_next(least, reached_by[0], np.min), _with_next(largest, reached_by[1], np.max), reached_by)
-
-
-def _with_next(values: FloatArray, reached_by: npt.NDArray[np.intp], end: Callable[..., FloatArray]) -> FloatArray:
-    """Give the end of (S, K, D) values that sequences reach, and that of the other sequences, (2, K, D)."""
-    first = end(values, axis=0)
-    np.put_along_axis(values, reached_by[None], -np.inf if end is np.max else np.inf, axis=0)
-    return np.stack([first, end(values, axis=0)])
 
 
 def working_dtype(dtype: npt.DTypeLike) -> np.dtype[np.floating]:

@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 import posecal
-from posecal.block import Before, Block, FloatArray, block_length, blocks_of, box_of, in_order
+from posecal.block import Before, Block, FloatArray, block_length, blocks_of, in_order
+from posecal.box import box_of
 from posecal.calibration.battery import PreRank
 from posecal.cells import cells_of
 from posecal.errors import PoseDataError
