@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 import posecal
-from posecal.block import Before, Block, FloatArray, block_length, blocks_of, in_order
+from posecal.block import Before, Block, FloatArray, block_length, blocks_of
 from posecal.box import box_of
 from posecal.calibration.battery import PreRank
 from posecal.cells import cells_of
@@ -24,6 +24,7 @@ from posecal.metrics.spread import predicted_spread
 from posecal.pairs import PosePairs
 from posecal.protocol import Protocol
 from posecal.registry import curves_of, metrics_of, sights_of
+from posecal.threads import in_order
 from posecal.totals import Totals
 
 __all__ = ["add_up", "walk"]

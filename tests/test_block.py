@@ -5,9 +5,8 @@ from __future__ import annotations
 import gc
 import math
 import re
-import threading
 import weakref
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +20,6 @@ from posecal.block import (
     block_length,
     blocks_of,
     checked,
-    in_order,
     per_pose,
     squared_norms,
     working_dtype,
@@ -398,75 +396,6 @@ def test_a_statistic_of_every_pose_comes_in_the_order_of_the_poses(
 
 def test_squared_norms_are_sums_of_squares() -> None:
     assert squared_norms(np.array([[3.0, 1.0], [4.0, 2.0]])).tolist() == [25.0, 5.0]
-
-
-# --- threads -----------------------------------------------------------------------------------------------------
-
-
-def number(value: int, gate: threading.Event | None = None) -> Callable[[], int]:
-    def run() -> int:
-        if gate is not None:
-            gate.wait(10)
-        return value
-
-    return run
-
-
-@pytest.mark.parametrize("threads", [1, 2, 5, None])
-def test_results_come_in_the_order_of_the_tasks(threads: int | None) -> None:
-    assert list(in_order((number(i) for i in range(40)), threads)) == list(range(40))
-
-
-def test_a_slow_first_task_does_not_let_later_ones_pass() -> None:
-    gate = threading.Event()
-
-    def tasks() -> Iterator[Callable[[], int]]:
-        yield number(0, gate)
-        yield number(1)
-        gate.set()
-        yield number(2)
-
-    assert list(in_order(tasks(), 2)) == [0, 1, 2]
-
-
-def test_tasks_are_taken_only_a_few_ahead() -> None:
-    taken: list[int] = []
-
-    def tasks() -> Iterator[Callable[[], int]]:
-        for i in range(100):
-            taken.append(i)
-            yield number(i)
-
-    results = in_order(tasks(), 2)
-    assert next(results) == 0
-    assert len(taken) <= 2 * 2 + 1
-    results.close()  # type: ignore[attr-defined]
-
-
-@pytest.mark.parametrize("threads", [1, 3])
-def test_an_error_in_a_task_comes_out_and_stops_the_rest(threads: int) -> None:
-    def fail() -> int:
-        raise PoseDataError("truth: a test")
-
-    taken: list[int] = []
-
-    def tasks() -> Iterator[Callable[[], int]]:
-        yield fail
-        for i in range(100):
-            taken.append(i)
-            yield number(i)
-
-    with pytest.raises(PoseDataError, match="truth: a test"):
-        list(in_order(tasks(), threads))
-    assert len(taken) < 100
-
-
-def test_without_a_mask_of_cores_all_cores_are_used(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delattr(block_module.os, "sched_getaffinity", raising=False)
-    monkeypatch.setattr(block_module.os, "cpu_count", lambda: 7)
-    assert block_module.available_cores() == 7
-    monkeypatch.setattr(block_module.os, "cpu_count", lambda: None)
-    assert block_module.available_cores() == 1
 
 
 def test_a_block_is_let_go_as_soon_as_nobody_holds_it() -> None:

@@ -85,7 +85,7 @@ def test_a_name_that_is_not_there_is_an_attribute_error() -> None:
 
 FLOORS = (
     "errors box",
-    "units skeleton block layout file_array archive tables numbers",
+    "units skeleton threads block layout file_array archive tables numbers",
     "align pairs",
     "io sanity cells declared",
     "joining metrics.best_of",

@@ -9,12 +9,13 @@ from functools import partial
 
 import numpy as np
 
-from posecal.block import Block, FloatArray, in_order
+from posecal.block import Block, FloatArray
 from posecal.errors import PoseDataError
 from posecal.metrics.spread import joint_deviations
 from posecal.pairs import PosePairs
 from posecal.recalibration.folds import at_least_two, folds_of, moving, sequences
 from posecal.summation import walk
+from posecal.threads import in_order
 
 __all__ = ["RadiusMap", "fit_radius", "held_out_coverage"]
 

@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from posecal.block import Block, BoolArray, FloatArray, block_length, in_order
+from posecal.block import Block, BoolArray, FloatArray, block_length
 from posecal.calibration.curve import inside_table
 from posecal.calibration.ranks import LEVELS
 from posecal.errors import PoseDataError
@@ -24,6 +24,7 @@ from posecal.protocol import Protocol
 from posecal.recalibration.folds import at_least_two, folds_of, for_joints, moving, sequences
 from posecal.shards import merge_totals
 from posecal.summation import add_up, walk
+from posecal.threads import in_order
 from posecal.totals import Totals
 
 __all__ = ["FACTORS", "SpreadMap", "Stretched", "cross_fitted", "fit_spread", "stretched"]

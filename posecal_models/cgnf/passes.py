@@ -249,7 +249,8 @@ class _Pass(torch.autograd.Function):
         kept: list[Tensor] = []
         memory: _Memory | None = None
         rooms: list[_Room] = []
-        for part in _parts(coordinates):
+        parts = _parts(coordinates)
+        for part in parts:
             here = coordinates[:, :, *part]
             if keep or memory is None or memory.coordinates.shape[1:] != here.shape:
                 memory = _Memory.empty(count if keep else 1, here, bones, blocks.pool.shape[-1])
@@ -274,7 +275,7 @@ class _Pass(torch.autograd.Function):
             found[:, :, *part] = here
             if keep and count:
                 kept += [*memory, torch.stack(stretches)]
-        ctx.back, ctx.scale, ctx.bones, ctx.way, ctx.parts = back, scale, bones, way, _parts(coordinates)
+        ctx.back, ctx.scale, ctx.bones, ctx.way, ctx.parts = back, scale, bones, way, parts
         ctx.save_for_backward(*tensors, *kept)
         return found, log_stretch
 

@@ -16,7 +16,7 @@ from collections.abc import Callable
 import numpy as np
 
 from posecal.align import aligned_errors
-from posecal.block import Block, FloatArray, available_cores, blocks_of, in_order
+from posecal.block import Block, FloatArray, blocks_of
 from posecal.calibration import DEFINITIONS, LEVELS
 from posecal.calibration.ranks import inside
 from posecal.joining import join
@@ -26,6 +26,7 @@ from posecal.metrics.position import pose_errors
 from posecal.pairs import Poses
 from posecal.protocol import Protocol
 from posecal.summation import add_up
+from posecal.threads import available_cores, in_order
 
 
 def plain_errors(x: FloatArray, y: FloatArray) -> tuple[FloatArray, ...]:
