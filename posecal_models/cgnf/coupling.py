@@ -18,19 +18,21 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import pad
 
-from posecal_models.cgnf.message_passing import Evidence, MessagePassing
+from posecal_models.cgnf.message_passing import MessagePassing
 from posecal_models.graph import PoseGraph
 
 __all__ = ["Couplings", "FoldedCouplings"]
 
 
 class FoldedCouplings(NamedTuple):
-    """The blocks of a flow with their weights multiplied out; see :class:`posecal_models.cgnf.passes.Blocks`.
+    """The blocks of a flow with their weights multiplied out.
 
     Attributes
     ----------
     first, second, pool : Tensor
-        (L, maps, D + 1, H), (L, maps, H, H) and (L, 2, H), where H counts the feature that carries biases and zeros.
+        Of :class:`posecal_models.cgnf.passes.Blocks`.
+    hear_first, hear_next, hear_second : Tensor
+        The maps of :class:`posecal_models.cgnf.hearing.Voices`.
     behind_scale, behind_shift : Tensor
         (L + 1, D) each: the ActNorms that a coordinate has yet to pass in each block, and after all blocks.
     log_determinant : Tensor
@@ -40,6 +42,9 @@ class FoldedCouplings(NamedTuple):
     first: Tensor
     second: Tensor
     pool: Tensor
+    hear_first: Tensor
+    hear_next: Tensor
+    hear_second: Tensor
     behind_scale: Tensor
     behind_shift: Tensor
     log_determinant: Tensor
@@ -160,33 +165,32 @@ class Couplings(nn.Module):
             first=torch.cat([torch.cat([first, biases[..., None]], dim=-1).mT, carrier], dim=-1),
             second=pad(second, (0, more, 0, more - 1)),
             pool=pad(self.second.pool.weight[:blocks], (0, more)),
+            hear_first=self.first.from_context.carrying(self.width)[:blocks],
+            hear_next=self.first.onward[0].carrying(self.width, on=True)[:blocks],
+            hear_second=pad(self.second.from_context.carrying(self.width)[:blocks], (0, 0, 0, more - 1)),
             behind_scale=behind_scale,
             behind_shift=behind_shift,
             log_determinant=log_scale.sum(),
         )
 
-    def messages(self, evidence: Evidence) -> tuple[Tensor, Tensor]:
-        """Compute what context and root add after each layer.
+    def told_by_root(self, root: Tensor) -> tuple[Tensor, Tensor]:
+        """Compute what the root adds after each layer.
 
         Parameters
         ----------
-        evidence : Evidence
-            Embedded keypoints and root of P poses.
+        root : Tensor
+            Features of the root, (P or 1, D).
 
         Returns
         -------
-        evidence, offset : Tensor
-            (L, K, P, 1, H) after the first layer, H filled up, and, pooled, (L, 2, K, P, 1) after the second.
+        root, root_offset : Tensor
+            Of :class:`posecal_models.cgnf.hearing.Voices`; the second with the biases of the second layer's update.
         """
-        from_context, from_root, carried = self.first.hear(evidence, width=self.width)
-        after_first = self.first.place(from_context, from_root, evidence)
-        from_context, from_root, _ = self.second.hear(carried)
-        to_two = self.second.pool.weight.mT
-        if from_context is not None:
-            from_context = from_context @ to_two
-        after_second = self.second.place(from_context, from_root @ to_two, evidence)
-        after_second = after_second + self.second.pool.bias[:, None, None]
-        return after_first.unsqueeze(3), after_second.movedim(-1, 1).unsqueeze(4)
+        first = pad(self.first.from_root(root), (0, self.width - self.first.from_root.bias.shape[1]))
+        second = self.second.from_root(self.first.onward[1](root)) @ self.second.pool.weight.mT
+        near = self.first.next_to_root[:, None, None]
+        offset = near * second[:, None] + self.second.pool.bias[:, None, None]
+        return (near * first[:, None]).unsqueeze(3), offset.movedim(3, 1).unsqueeze(4)
 
 
 def _behind(log_scale: Tensor, shift: Tensor) -> tuple[Tensor, Tensor]:

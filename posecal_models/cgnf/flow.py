@@ -15,11 +15,12 @@ from torch import Tensor, nn
 
 from posecal_models.cgnf.coupling import Couplings, FoldedCouplings
 from posecal_models.cgnf.embedding import ContextEmbedding
-from posecal_models.cgnf.message_passing import Evidence
-from posecal_models.cgnf.passes import Blocks, Bones, Scale, latents_of, poses_of
+from posecal_models.cgnf.hearing import Seats, Voices
+from posecal_models.cgnf.passes import Blocks, Scale, latents_of, poses_of
+from posecal_models.cgnf.rooms import Bones, Workspace
 from posecal_models.graph import PoseGraph
 
-__all__ = ["SIZES", "FlowSize", "GraphFlow", "ReadyFlow"]
+__all__ = ["SIZES", "Evidence", "FlowSize", "GraphFlow", "ReadyFlow"]
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,24 @@ SIZES = {
 """The paper's three sizes, and a tiny one for trying things out."""
 
 
+class Evidence(NamedTuple):
+    """What is known of P poses beforehand: the embedded keypoints that were observed, and the root.
+
+    Attributes
+    ----------
+    keypoints : Tensor or None
+        Features of R keypoints with a 1 at the end, (R, C + 1), zeros where one was not observed; None where none was.
+    seats : Seats or None
+        Which node of which pose each of them speaks to.
+    root : Tensor
+        Features of the root, (P or 1, D). The root of a root-relative pose is 0.
+    """
+
+    keypoints: Tensor | None
+    seats: Seats | None
+    root: Tensor
+
+
 class ReadyFlow(NamedTuple):
     """The flow for given keypoints: a map between poses and latents.
 
@@ -48,23 +67,27 @@ class ReadyFlow(NamedTuple):
     ----------
     folded : FoldedCouplings
         The L blocks with their weights multiplied out.
-    evidence, offset : Tensor
-        What context and root add after the first layer, (L, K, P or 1, 1, H), and after the second,
-        (L, 2, K, P or 1, 1).
+    voices : Voices
+        What speaks to the poses.
+    seats : Seats or None
+        Where the keypoints speak.
     bones : Bones
         Who speaks to whom, in the flow's own order of the nodes.
     order : Tensor
         Which node of a pose is which of the flow's, (K,), and back, (K,): (2, K), integer.
     scale : str
         How an unconstrained scale becomes a positive one.
+    workspace : Workspace or None
+        Memory for activations that is used again and again.
     """
 
     folded: FoldedCouplings
-    evidence: Tensor
-    offset: Tensor
+    voices: Voices
+    seats: Seats | None
     bones: Bones
     order: Tensor
     scale: Scale
+    workspace: Workspace | None = None
 
     def forward(self, poses: Tensor) -> tuple[Tensor, Tensor]:
         """Give the latents of poses.
@@ -81,7 +104,7 @@ class ReadyFlow(NamedTuple):
         log_determinant : Tensor
             (P, n, K): log of the volume change at each node, nats.
         """
-        coordinates, log_stretch = latents_of(self._coordinates(poses), self._blocks(), self.bones, self.scale)
+        coordinates, log_stretch = latents_of(self._coordinates(poses), *self._path())
         latents = self._poses(coordinates) * self.folded.behind_scale[-1] + self.folded.behind_shift[-1]
         log_determinant = log_stretch[self.order[1]] + self.folded.log_determinant
         return latents, log_determinant.permute(1, 2, 0)
@@ -100,7 +123,7 @@ class ReadyFlow(NamedTuple):
             (P, n, K, D), standardised poses, unitless.
         """
         latents = (latents - self.folded.behind_shift[-1]) / self.folded.behind_scale[-1]
-        return self._poses(poses_of(self._coordinates(latents), self._blocks(), self.bones, self.scale))
+        return self._poses(poses_of(self._coordinates(latents), *self._path()))
 
     def log_prob_per_node(self, poses: Tensor) -> Tensor:
         """Give each node's share of the log density; they sum to the log density of the pose.
@@ -119,11 +142,13 @@ class ReadyFlow(NamedTuple):
         dimensions = latents.shape[-1]
         return log_determinant - 0.5 * (latents.square().sum(-1) + dimensions * math.log(2 * math.pi))
 
-    def _blocks(self) -> Blocks:
-        moved = torch.arange(len(self.evidence), device=self.evidence.device) % self.folded.behind_scale.shape[1]
-        both = (self.folded.behind_scale, self.folded.behind_shift)
+    def _path(self) -> tuple[Blocks, Voices, Seats | None, Bones, Scale, Workspace | None]:
+        folded = self.folded
+        moved = torch.arange(len(folded.pool), device=folded.pool.device) % folded.behind_scale.shape[1]
+        both = (folded.behind_scale, folded.behind_shift)
         behind = (behind[:-1].gather(1, moved[:, None]).squeeze(1) for behind in both)
-        return Blocks(*self.folded[:3], self.evidence, self.offset, *behind)
+        blocks = Blocks(folded.first, folded.second, folded.pool, *behind)
+        return blocks, self.voices, self.seats, self.bones, self.scale, self.workspace
 
     def _coordinates(self, poses: Tensor) -> Tensor:
         """Turn (P, n, K, D) into (D + 1, K, P, n), the last row ones."""
@@ -212,21 +237,29 @@ class GraphFlow(nn.Module):
         Evidence
             The keypoints' features and the root's.
         """
-        context = self.embedding(keypoints, observed).transpose(0, 1)[self.order[0]].flatten(0, 1)
-        seen = observed.T[self.order[0]].flatten()
+        features = torch.cat([self.embedding(keypoints, observed), torch.ones_like(keypoints[..., :1])], dim=-1)
+        features = features[:, self.order[0]].flatten(0, 1)
+        seen = observed[:, self.order[0]].flatten()
         root = keypoints.new_zeros(1, self.dimensions) if root is None else root
-        if context.device.type == "cpu":
-            rows = seen.nonzero().squeeze(1)
-            return Evidence(context[rows][None], rows, None, root[None], len(keypoints))
         rows = torch.arange(len(seen), device=seen.device)
-        return Evidence(context[None], rows, seen[:, None].to(context.dtype), root[None], len(keypoints))
+        if _chooses_rows(seen.device):
+            rows = rows[seen]
+            features = features[rows]
+        else:
+            features = features * seen[:, None]
+        return Evidence(features, Seats(rows // observed.shape[1], rows % observed.shape[1], len(observed)), root)
 
     def no_evidence(self) -> Evidence:
         """Give what is known of a pose of which nothing was observed: that its root is the origin."""
-        return Evidence(None, None, None, self.embedding.adjacency.new_zeros(1, 1, self.dimensions), 1)
+        return Evidence(None, None, self.embedding.adjacency.new_zeros(1, self.dimensions))
 
     def ready(
-        self, evidence: Evidence, *, folded: FoldedCouplings | None = None, blocks: int | None = None
+        self,
+        evidence: Evidence,
+        *,
+        folded: FoldedCouplings | None = None,
+        blocks: int | None = None,
+        workspace: Workspace | None = None,
     ) -> ReadyFlow:
         """Compute everything that the samples of a pose share.
 
@@ -238,6 +271,8 @@ class GraphFlow(nn.Module):
             The multiplied weights, where they are at hand.
         blocks : int, optional
             Only the first blocks; all of them where not given.
+        workspace : Workspace, optional
+            Memory to use again and again. Gradients of one pass must then be taken before the next one begins.
 
         Returns
         -------
@@ -245,9 +280,17 @@ class GraphFlow(nn.Module):
             The map between poses and latents.
         """
         folded = self.couplings.folded(blocks) if folded is None else folded
-        after_first, after_second = self.couplings.messages(evidence)
-        bones = Bones(self.couplings.first.spans, self.couplings.first.relations)
-        return ReadyFlow(folded, after_first[:blocks], after_second[:blocks], bones, self.order, self.scale)
+        keypoints = folded.hear_first.new_empty(0, folded.hear_first.shape[1])
+        voices = Voices(
+            keypoints if evidence.keypoints is None else evidence.keypoints,
+            folded.hear_first,
+            folded.hear_next,
+            folded.hear_second,
+            folded.pool,
+            *(told[:blocks] for told in self.couplings.told_by_root(evidence.root)),
+        )
+        bones = Bones.of(self.couplings.first.spans, self.couplings.first.relations)
+        return ReadyFlow(folded, voices, evidence.seats, bones, self.order, self.scale, workspace)
 
     @torch.no_grad()
     def initialise_actnorm(self, poses: Tensor, evidence: Evidence) -> None:
@@ -265,3 +308,8 @@ class GraphFlow(nn.Module):
             spread, mean = torch.std_mean(reaching, dim=(0, 1, 2))
             self.couplings.actnorm_log_scale[block] = -torch.log(spread)
             self.couplings.actnorm_shift[block] = -mean / spread
+
+
+def _chooses_rows(device: torch.device) -> bool:
+    """Whether missing keypoints are left out: a GPU would have to wait for their number."""
+    return device.type == "cpu"

@@ -1,16 +1,12 @@
-"""What do a joint's neighbours tell it? The learned maps of one message-passing layer, and the messages of the context.
+"""What do a joint's neighbours tell it? The learned maps of one message-passing layer.
 
-Every message is ReLU(W h + b). What the context and the root say depends on the keypoints alone, never on the pose:
-it is computed once per pose here, and shared among all samples of the pose.
-
-The weights of all L blocks of a flow lie in one tensor, the block first, so that what is computed from weights alone is
-computed for all blocks at once.
+Every message is ReLU(W h + b). The weights of all L blocks of a flow lie in one tensor, the block first, so that what
+is computed from weights alone is computed for all blocks at once.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -18,31 +14,7 @@ from torch.nn.functional import pad
 
 from posecal_models.graph import PoseGraph
 
-__all__ = ["Evidence", "Linears", "MessagePassing"]
-
-
-class Evidence(NamedTuple):
-    """What is known beside the pose itself: the embedded keypoints that were observed, and the root.
-
-    Attributes
-    ----------
-    context : Tensor or None
-        Features of keypoints, (1 or L, R, C); None where nothing is observed.
-    rows : Tensor or None
-        Where each of them stands in the (K, P) grid, flattened; (R,), integer.
-    counts : Tensor or None
-        How much each of them says, (R, 1): 1 if observed, 0 if not. None where all of them are observed.
-    root : Tensor
-        Features of the root, (1 or L, P, D), P = 1 where all poses share them. The root of a root-relative pose is 0.
-    poses : int
-        P; 1 where nothing is observed and all poses share the same messages.
-    """
-
-    context: Tensor | None
-    rows: Tensor | None
-    counts: Tensor | None
-    root: Tensor
-    poses: int
+__all__ = ["Linears", "MessagePassing"]
 
 
 class Linears(nn.Module):
@@ -71,6 +43,43 @@ class Linears(nn.Module):
         bound = 1 / math.sqrt(features)
         self.weight = nn.Parameter(torch.empty(blocks, features_out, features).uniform_(-bound, bound))
         self.bias = nn.Parameter(torch.empty(blocks, features_out).uniform_(-bound, bound))
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Apply the maps, each with its ReLU.
+
+        Parameters
+        ----------
+        features : Tensor
+            (1 or L, P, features).
+
+        Returns
+        -------
+        Tensor
+            (L, P, features_out).
+        """
+        return torch.relu(features @ self.weight.mT + self.bias[:, None])
+
+    def carrying(self, width: int, *, on: bool = False) -> Tensor:
+        """Write weights and biases in one, for features that end with a 1.
+
+        Parameters
+        ----------
+        width : int
+            Features after the maps: more than ``features_out``, filled up with zeros.
+        on : bool
+            Whether the first of these is 1 instead, to carry the next biases.
+
+        Returns
+        -------
+        Tensor
+            (L, features + 1, width).
+        """
+        maps = pad(torch.cat([self.weight.mT, self.bias[:, None]], dim=1), (0, width - self.bias.shape[1]))
+        if not on:
+            return maps
+        carrier = torch.zeros_like(maps[0])
+        carrier[-1, self.bias.shape[1]] = 1
+        return maps + carrier
 
 
 class MessagePassing(nn.Module):
@@ -153,6 +162,13 @@ class MessagePassing(nn.Module):
         next_to_root[: len(graph.next_to_root)] = 1
         self.register_buffer("next_to_root", next_to_root, persistent=False)
 
+    @property
+    def onward(self) -> tuple[Linears, Linears]:
+        """The maps that carry keypoints and root on to the next layer."""
+        if self.next_context is None or self.next_root is None:
+            raise AttributeError("the last layer carries nothing on")
+        return self.next_context, self.next_root
+
     def weights_and_biases(self) -> tuple[Tensor, Tensor]:
         """Stack the maps between nodes.
 
@@ -163,67 +179,3 @@ class MessagePassing(nn.Module):
         """
         maps = [self.from_self, self.from_parent, *([] if self.from_child is None else [self.from_child])]
         return torch.stack([m.weight for m in maps], dim=1), torch.stack([m.bias for m in maps], dim=1)
-
-    def hear(self, evidence: Evidence, width: int | None = None) -> tuple[Tensor | None, Tensor, Evidence]:
-        """Give what context and root say to this layer, and carry them on to the next.
-
-        Parameters
-        ----------
-        evidence : Evidence
-            Keypoints and root.
-        width : int, optional
-            Features of a message, those above H being 0; H where not given.
-
-        Returns
-        -------
-        from_context, from_root : Tensor
-            The messages of the keypoints (L, R, width), None where nothing is observed, and of the root
-            (L, P or 1, width).
-        evidence : Evidence
-            For the next layer, H features each; unchanged where this is the last.
-        """
-        from_root, root = _said(self.from_root, self.next_root, evidence.root, width)
-        if evidence.context is None:
-            return None, from_root, evidence._replace(root=root)
-        from_context, context = _said(self.from_context, self.next_context, evidence.context, width)
-        return from_context, from_root, evidence._replace(context=context, root=root)
-
-    def place(self, from_context: Tensor | None, from_root: Tensor, evidence: Evidence) -> Tensor:
-        """Bring the messages to the nodes that they are for, and add them up.
-
-        Parameters
-        ----------
-        from_context, from_root : Tensor
-            (L, R, features) and (L, P or 1, features), as of :meth:`hear` or linear in it.
-        evidence : Evidence
-            Which node each keypoint speaks to.
-
-        Returns
-        -------
-        Tensor
-            (L, K, P or 1, features), the same for every sample of a pose.
-        """
-        messages = self.next_to_root[:, None, None] * from_root[:, None]
-        if from_context is None or evidence.rows is None:
-            return messages
-        if evidence.counts is not None:
-            from_context = from_context * evidence.counts
-        blocks, nodes, _, features = messages.shape
-        everywhere = messages.expand(-1, -1, evidence.poses, -1).reshape(blocks, -1, features).contiguous()
-        return everywhere.index_add_(1, evidence.rows, from_context).view(blocks, nodes, -1, features)
-
-
-def _said(said: Linears, carried: Linears | None, features: Tensor, width: int | None) -> tuple[Tensor, Tensor]:
-    """Apply L maps with ReLU, and L more where a layer follows, to features (1 or L, R, F), in one product.
-
-    What the first maps say is filled up with zeros to the width.
-    """
-    maps = [said] if carried is None else [said, carried]
-    more = 0 if width is None else width - said.bias.shape[1]
-    weights = torch.cat([pad(said.weight, (0, 0, 0, more)), *(m.weight for m in maps[1:])], dim=1)
-    biases = torch.cat([pad(said.bias, (0, more)), *(m.bias for m in maps[1:])], dim=1)
-    spoken = torch.relu_(torch.baddbmm(biases[:, None], features.expand(len(weights), -1, -1), weights.mT))
-    if carried is None:
-        return spoken, features
-    first, second = torch.split(spoken, [said.bias.shape[1] + more, carried.bias.shape[1]], dim=-1)
-    return first, second

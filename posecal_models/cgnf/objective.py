@@ -17,6 +17,7 @@ from torch import Tensor
 
 from posecal.errors import PoseDataError
 from posecal_models.cgnf.model import CGNF
+from posecal_models.cgnf.rooms import Workspace
 from posecal_models.contract import Context
 
 __all__ = ["FlowObjective", "mode_error"]
@@ -96,6 +97,7 @@ class FlowObjective:
         self.per_node = per_node
         self.sample_loss: SampleLoss = sample_loss
         self.graphs_at_once = graphs_at_once
+        self._there, self._back = Workspace(), Workspace()
 
     def initialise(self, context: Context, truth: Tensor) -> None:
         """Set the ActNorms from a first batch.
@@ -150,11 +152,13 @@ class FlowObjective:
         keypoints = standardizer.keypoints(context)
         for part in self._pieces(len(poses)):
             share = len(poses[part]) / len(poses)
-            ready = flow.ready(flow.evidence(keypoints[part], context.observed[part]), folded=folded)
+            evidence = flow.evidence(keypoints[part], context.observed[part])
+            ready = flow.ready(evidence, folded=folded, workspace=self._there)
             nats = -ready.log_prob_per_node(poses[part]).sum((1, 2)).mean()
             loss = half * nats
             if self.sample_weight:
-                mode = standardizer.millimetres(ready.inverse(torch.zeros_like(poses[part])))[:, 0]
+                back = ready._replace(workspace=self._back)
+                mode = standardizer.millimetres(back.inverse(torch.zeros_like(poses[part])))[:, 0]
                 error = mode_error(mode, truth[part], kind=self.sample_loss).mean()
                 loss = loss + self.sample_weight * error
                 losses["mode"] += share * error.detach()
@@ -164,7 +168,7 @@ class FlowObjective:
         distinct = poses[::graphs_per_pose]
         for part in self._pieces(len(distinct)):
             share = len(distinct[part]) / len(distinct)
-            ready = flow.ready(flow.no_evidence(), folded=folded)
+            ready = flow.ready(flow.no_evidence(), folded=folded, workspace=self._there)
             nats = -ready.log_prob_per_node(distinct[part]).sum((1, 2)).mean()
             torch.autograd.backward(share * half * nats)
             losses["prior"] += share * nats.detach()

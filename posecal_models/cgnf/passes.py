@@ -14,6 +14,7 @@ Coordinates are rows of (D + 1, K, P, n), the last row all ones, which carries t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
 import torch
@@ -21,8 +22,10 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from posecal.errors import PoseDataError
+from posecal_models.cgnf.hearing import HeardBackward, Seats, Voices, hear
+from posecal_models.cgnf.rooms import Bones, Room, Workspace, parts_of
 
-__all__ = ["Blocks", "Bones", "Scale", "latents_of", "poses_of"]
+__all__ = ["Blocks", "Scale", "latents_of", "poses_of"]
 
 Scale = Literal["sigmoid", "exp"]
 
@@ -30,7 +33,7 @@ _FLOOR = 1e-3
 
 
 class Blocks(NamedTuple):
-    """What the L blocks consist of, once the keypoints are known.
+    """What the L blocks consist of, but for what they are told of the keypoints.
 
     H counts the hidden features and a last one that is 1, which carries the biases of the second layer, filled up with
     zeros to a multiple of 8, on which matrix products are fastest.
@@ -43,10 +46,6 @@ class Blocks(NamedTuple):
         The first layer's update and the second layer's maps in one: (L, maps, H, H).
     pool : Tensor
         The second layer's update: (L, 2, H).
-    evidence : Tensor
-        What context and root add after the first layer: (L, K, P or 1, 1, H).
-    offset : Tensor
-        What context and root add after the second layer: (L, 2, K, P or 1, 1).
     behind_scale, behind_shift : Tensor
         a and b, (L,) each: the ActNorms that the moved coordinate has yet to pass.
     """
@@ -54,177 +53,83 @@ class Blocks(NamedTuple):
     first: Tensor
     second: Tensor
     pool: Tensor
-    evidence: Tensor
-    offset: Tensor
     behind_scale: Tensor
     behind_shift: Tensor
 
-    def of_poses(self, poses: slice) -> list[Blocks]:
-        """Give the blocks one by one, with what is said to some poses."""
-        evidence, offset = _of_poses(self.evidence, poses, 2), _of_poses(self.offset, poses, 3)
-        every = self._replace(evidence=evidence, offset=offset)
-        return [Blocks(*block) for block in zip(*(tensor.unbind() for tensor in every), strict=True)]
 
+class _Block:
+    """What one block consists of but for what it is told of the keypoints, map by map."""
 
-class Bones(NamedTuple):
-    """Who speaks, and to whom.
-
-    Attributes
-    ----------
-    spans : tuple of (int, int)
-        For each map the nodes that speak by it, (start, stop): all of them to themselves, some along the bones.
-    relations : Tensor
-        (K, S): what all S messages, the spans after one another, add up to.
-    """
-
-    spans: tuple[tuple[int, int], ...]
-    relations: Tensor
-
-
-Part = tuple[slice, slice]
-"""Some poses and some of their samples, few enough for their activations to stay in the processor's cache."""
-
-_ROWS_IN_CACHE = 2048
-
-
-def _parts(coordinates: Tensor) -> list[Part]:
-    """Cut the (P, n) grid of poses and samples into parts."""
-    _, nodes, poses, samples = coordinates.shape
-    at_once = max(1, _ROWS_IN_CACHE // nodes) if coordinates.device.type == "cpu" else poses * samples
-    samples_each = -(-samples // -(-samples // at_once))
-    poses_each = max(1, at_once // samples_each)
-    return [
-        (slice(p, min(p + poses_each, poses)), slice(n, min(n + samples_each, samples)))
-        for p in range(0, poses, poses_each)
-        for n in range(0, samples, samples_each)
-    ]
-
-
-def _of_poses(shared: Tensor, poses: slice, dim: int) -> Tensor:
-    """Take some poses out of messages, unless all poses share them."""
-    if shared.shape[dim] == 1:
-        return shared
-    return shared.narrow(dim, poses.start, poses.stop - poses.start)
-
-
-class _Room:
-    """Memory for one block and one part, written over and over, and views of it by which messages pass.
-
-    Rows of activations are (node or message, pose, sample), flattened.
-
-    Attributes
-    ----------
-    coordinates : Tensor
-        What the block reads, (D + 1, K, p, n).
-    first, message, second : Tensor
-        After the first maps, after the sum over bones and after the second maps: (S p n, H), (K p n, H), (S p n, H).
-    to_add, added : Tensor
-        The same rows before and after that sum, one for each message (S, p n H) and for each node (K, p n H).
-    grid : Tensor
-        The sums once more, (K, p, n, H).
-    reading, hearing : list of (Tensor, Tensor)
-        For each map of the first and of the second layer the rows of the nodes that speak by it, and of what they say.
-    """
-
-    def __init__(self, coordinates: Tensor, memory: Tensor, bones: Bones) -> None:
-        self.coordinates, self.shape = coordinates, coordinates.shape[2:]
-        nodes, messages = bones.relations.shape
-        columns = self.shape.numel()
-        lengths = [count * columns for count in (messages, nodes, messages)]
-        self.first, self.message, self.second = torch.split(memory, lengths)
-        self.grid = self.message.view(nodes, *self.shape, -1)
-        self.to_add, self.added = self.first.view(messages, -1), self.message.view(nodes, -1)
-        rows, said = coordinates.view(len(coordinates), -1).T, 0
-        self.reading, self.hearing = [], []
-        for start, stop in bones.spans:
-            speakers, spoken = (start * columns, (stop - start) * columns), (said, (stop - start) * columns)
-            self.reading.append((rows.narrow(0, *speakers), self.first.narrow(0, *spoken)))
-            self.hearing.append((self.message.narrow(0, *speakers), self.second.narrow(0, *spoken)))
-            said += spoken[1]
-
-
-class _Memory(NamedTuple):
-    """Memory of R rooms, the room first: activations (R, rows, H) and coordinates (R + 1, D + 1, K, p, n).
-
-    The last coordinates are those that leave the last room.
-    """
-
-    coordinates: Tensor
-    activations: Tensor
+    def __init__(self, first: Tensor, second: Tensor, pool: Tensor, behind_scale: Tensor, behind_shift: Tensor) -> None:
+        self.first, self.second, self.pool = first.unbind(), second.unbind(), pool
+        self.behind_scale, self.behind_shift = behind_scale, behind_shift
 
     @classmethod
-    def empty(cls, rooms: int, like: Tensor, bones: Bones, features: int) -> _Memory:
-        """Make room for coordinates of one shape."""
-        rows = like[0, 0].numel() * (bones.relations.shape[0] + 2 * bones.relations.shape[1])
-        return cls(like.new_empty(rooms + 1, *like.shape), like.new_empty(rooms, rows, features))
-
-    def rooms(self, bones: Bones) -> list[_Room]:
-        """Give the rooms."""
-        pairs = zip(self.coordinates[:-1].unbind(), self.activations.unbind(), strict=True)
-        return [_Room(coordinates, activations, bones) for coordinates, activations in pairs]
+    def each(cls, blocks: Blocks) -> list[_Block]:
+        """Take all blocks apart."""
+        tensors = (blocks.first, blocks.second, blocks.pool, blocks.behind_scale, blocks.behind_shift)
+        return [cls(*block) for block in zip(*(tensor.unbind() for tensor in tensors), strict=True)]
 
 
-def _net(room: _Room, block: Blocks, bones: Bones) -> Tensor:
-    """Give shift and unconstrained scale of a block, (2, K, p, n), and leave the activations in the room."""
-    for (heard, spoken), weights in zip(room.reading, block.first.unbind(), strict=True):
+def _net(room: Room, block: _Block, evidence: Tensor, offset: Tensor, bones: Bones) -> None:
+    """Leave a block's shift and unconstrained scale in the room, and the activations that lead to them."""
+    for (heard, spoken), weights in zip(room.reading, block.first, strict=True):
         torch.mm(heard, weights, out=spoken)
     room.first.relu_()
-    torch.mm(bones.relations, room.to_add, out=room.added)
-    room.grid.add_(block.evidence)
-    for (heard, spoken), weights in zip(room.hearing, block.second.unbind(), strict=True):
+    torch.add(room.own_grid, evidence, out=room.message_grid)
+    room.message_each.addmm_(bones.between, room.others_each)
+    for (heard, spoken), weights in zip(room.hearing, block.second, strict=True):
         torch.mm(heard, weights, out=spoken)
     room.second.relu_()
-    pooled = torch.mm(block.pool, room.second.T)
-    told = torch.matmul(bones.relations, pooled.view(2, len(room.to_add), -1))
-    return told.view(2, -1, *room.shape).add_(block.offset)
+    torch.mm(block.pool, room.second_across, out=room.pooled)
+    room.told.copy_(offset)
+    room.told_each.addmm_(bones.twice, room.pooled_each)
 
 
-def _net_backward(gradient: Tensor, room: _Room, block: Blocks, bones: Bones, into: Blocks, scratch: _Room) -> Tensor:
-    """Give the gradient of the coordinates, (D + 1, K, p, n), and add those of the block's tensors.
+def _net_backward(room: Room, block: _Block, bones: Bones, into: _Block, scratch: Room) -> None:
+    """Leave the gradients of coordinates and sums in the scratch room, and add those of the block's tensors.
 
-    ``gradient`` is of shift and unconstrained scale; the scratch room takes the gradients of the activations.
+    The scratch room holds the gradients of shift and unconstrained scale.
     """
     silence = torch.ops.aten.threshold_backward.grad_input
-    pooled = torch.matmul(bones.relations.T, gradient.view(2, len(room.added), -1)).view(2, -1)
-    into.pool.addmm_(pooled, room.second)
-    torch.mm(pooled.T, block.pool, out=scratch.second)
+    torch.mm(bones.twice.T, scratch.told_each, out=scratch.pooled_each)
+    into.pool.addmm_(scratch.pooled, room.second)
+    torch.mm(scratch.pooled.T, block.pool, out=scratch.second)
     silence(scratch.second, room.second, 0, grad_input=scratch.second)
-    maps = zip(room.hearing, scratch.hearing, block.second.unbind(), into.second.unbind(), strict=True)
+    maps = zip(room.hearing, scratch.hearing, block.second, into.second, strict=True)
     for which, ((heard, _), (d_heard, d_spoken), weights, d_weights) in enumerate(maps):
         d_weights.addmm_(heard.T, d_spoken)
         if which:
             d_heard.addmm_(d_spoken, weights.T)
         else:  # all nodes speak to themselves
             torch.mm(d_spoken, weights.T, out=d_heard)
-    if scratch.grid.shape == into.evidence.shape:
-        into.evidence.add_(scratch.grid)
-    else:
-        over = (1, 2) if into.evidence.shape[1] == 1 else 2
-        into.evidence.add_(scratch.grid.sum(over, keepdim=True))
-    torch.mm(bones.relations.T, scratch.added, out=scratch.to_add)
-    silence(scratch.first, room.first, 0, grad_input=scratch.first)
-    maps = zip(room.reading, scratch.reading, block.first.unbind(), into.first.unbind(), strict=True)
+    torch.mm(bones.between.T, scratch.message_each, out=scratch.others_each)
+    silence(scratch.others, room.others, 0, grad_input=scratch.others)
+    silence(scratch.message, room.own, 0, grad_input=scratch.own)
+    maps = zip(room.reading, scratch.reading, block.first, into.first, strict=True)
     for which, ((read, _), (d_read, d_spoken), weights, d_weights) in enumerate(maps):
         d_weights.addmm_(read.T, d_spoken)
         if which:
             d_read.T.addmm_(weights, d_spoken.T)
         else:
             torch.mm(weights, d_spoken.T, out=d_read.T)
-    into.offset.add_(gradient.sum((2, 3) if into.offset.shape[2] == 1 else 3, keepdim=True))
-    return scratch.coordinates
 
 
-def _stretch(unconstrained: Tensor, scale: Scale) -> Tensor:
+def _stretch(unconstrained: Tensor, scale: Scale) -> None:
     """Turn the unconstrained scale into the positive one, in place."""
-    return unconstrained.exp_() if scale == "exp" else unconstrained.add_(2).sigmoid_().add_(_FLOOR)
-
-
-def _stretch_backward(gradient: Tensor, stretch: Tensor, scale: Scale) -> Tensor:
-    """Give the gradient of the unconstrained scale."""
     if scale == "exp":
-        return gradient * stretch
-    share = stretch - _FLOOR
-    return gradient * share * (1 - share)
+        unconstrained.exp_()
+    else:
+        unconstrained.add_(2).sigmoid_().add_(_FLOOR)
+
+
+def _stretch_backward(gradient: Tensor, stretch: Tensor, scale: Scale) -> None:
+    """Turn the gradient of the scale into that of the unconstrained one, in place."""
+    if scale == "exp":
+        gradient.mul_(stretch)
+    else:
+        share = stretch - _FLOOR
+        gradient.mul_(share).mul_(1 - share)
 
 
 class _Pass(torch.autograd.Function):
@@ -236,88 +141,110 @@ class _Pass(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, back: bool, scale: Scale, keep: bool, bones: Bones, coordinates: Tensor, *tensors: Tensor
+        ctx: Any,
+        back: bool,
+        scale: Scale,
+        keep: bool,
+        workspace: Workspace | None,
+        bones: Bones,
+        seats: Seats | None,
+        coordinates: Tensor,
+        *tensors: Tensor,
     ) -> tuple[Tensor, Tensor]:
-        blocks = Blocks(*tensors)
-        dimensions, count = len(coordinates) - 1, len(blocks.pool)
-        way = range(count)[::-1] if back else range(count)
-        if blocks.evidence.shape[2] not in (1, poses := coordinates.shape[2]):
-            raise PoseDataError(
-                f"flow: keypoints of {blocks.evidence.shape[2]} poses and {poses} poses; expected as many."
-            )
-        found, log_stretch = torch.empty_like(coordinates), torch.zeros_like(coordinates[0])
-        kept: list[Tensor] = []
-        memory: _Memory | None = None
-        rooms: list[_Room] = []
-        parts = _parts(coordinates)
-        for part in parts:
-            here = coordinates[:, :, *part]
-            if keep or memory is None or memory.coordinates.shape[1:] != here.shape:
-                memory = _Memory.empty(count if keep else 1, here, bones, blocks.pool.shape[-1])
-                rooms = memory.rooms(bones)
-            here = memory.coordinates[0].copy_(here)
-            stretches: list[Tensor] = []
-            some = blocks.of_poses(part[0])
-            for place, index in enumerate(way):
-                block, room = some[index], rooms[place if keep else 0]
-                shift, unconstrained = _net(room, block, bones).unbind()
-                stretch = _stretch(unconstrained, scale)
+        blocks, voices = _sorted(tensors)
+        space = Workspace() if workspace is None else workspace
+        dimensions, features = len(coordinates) - 1, blocks.pool.shape[-1]
+        each = _Block.each(blocks)
+        way = range(len(each))[::-1] if back else range(len(each))
+        found, log_stretch = coordinates.clone(), torch.zeros_like(coordinates[0])
+        parts = parts_of(coordinates) if each else []
+        told: list[tuple[Tensor, Tensor]] = []
+        for number, part in enumerate(parts):
+            if part[1].start == 0:  # the first samples of these poses
+                told = list(zip(*hear(voices, seats, part[0], space, keep=keep), strict=True))
+            here = found[:, :, *part]
+            use, count = (f"part {number}", len(each)) if keep else ("part", 1)
+            rooms = space.rooms(use, count, here, bones, features, keep=keep)
+            rooms[0].entering.copy_(here)
+            for index, room in zip(way, rooms * (len(each) // count), strict=True):
+                block = each[index]
+                _net(room, block, *told[index], bones)
+                _stretch(room.stretch, scale)
                 if keep:
-                    here = memory.coordinates[place + 1].copy_(here)
-                moved = here[index % dimensions]
+                    room.leaving.copy_(room.entering)
+                moved = room.leaving[index % dimensions]
                 if back:
-                    torch.sub(moved, shift, out=moved).div_(stretch).sub_(block.behind_shift).div_(block.behind_scale)
+                    moved.sub_(room.shift).div_(room.stretch).sub_(block.behind_shift).div_(block.behind_scale)
                 else:
                     caught_up = torch.addcmul(block.behind_shift, moved, block.behind_scale)
-                    torch.addcmul(shift, caught_up, stretch, out=moved)
-                    log_stretch[:, *part] += stretch.log()
-                stretches.append(stretch)
-            found[:, :, *part] = here
-            if keep and count:
-                kept += [*memory, torch.stack(stretches)]
-        ctx.back, ctx.scale, ctx.bones, ctx.way, ctx.parts = back, scale, bones, way, parts
-        ctx.save_for_backward(*tensors, *kept)
+                    torch.addcmul(room.shift, caught_up, room.stretch, out=moved)
+                    log_stretch[:, *part] += room.stretch.log()
+            here.copy_(rooms[-1].leaving)
+        kept = space.memory if keep else {}
+        ctx.back, ctx.scale, ctx.workspace, ctx.bones, ctx.seats = back, scale, workspace, bones, seats
+        ctx.parts, ctx.uses = parts, tuple(kept)
+        ctx.save_for_backward(*tensors, *kept.values())
         return found, log_stretch
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Any, ...]:
-        width = len(Blocks._fields)
-        blocks, kept = Blocks(*ctx.saved_tensors[:width]), ctx.saved_tensors[width:]
-        into = Blocks(*(torch.zeros_like(tensor) for tensor in blocks))
+        width = len(Blocks._fields) + len(Voices._fields)
+        tensors, kept = ctx.saved_tensors[:width], ctx.saved_tensors[width:]
+        space = ctx.workspace or Workspace(dict(zip(ctx.uses, kept, strict=True)))
+        into_tensors = [torch.zeros_like(tensor) for tensor in tensors]
+        (blocks, voices), (into, into_voices) = _sorted(tensors), _sorted(into_tensors)
         d_coordinates = gradients[0].clone()
-        dimensions = len(d_coordinates) - 1
-        for number, part in enumerate(ctx.parts if kept else []):
-            coordinates, activations, stretches = kept[3 * number : 3 * number + 3]
-            rooms = _Memory(coordinates, activations).rooms(ctx.bones)
-            d_here = d_coordinates[:, :, *part].clone(memory_format=torch.contiguous_format)
-            d_log_stretch = gradients[1][:, *part]
-            (scratch,) = _Memory.empty(1, d_here, ctx.bones, activations.shape[-1]).rooms(ctx.bones)
-            some, into_some = blocks.of_poses(part[0]), into.of_poses(part[0])
-            for place, index in reversed(list(enumerate(ctx.way))):
-                block, into_block, room, stretch = some[index], into_some[index], rooms[place], stretches[place]
-                uncaught = coordinates[place + ctx.back, index % dimensions]
+        dimensions, features = len(d_coordinates) - 1, blocks.pool.shape[-1]
+        each, into_each = _Block.each(blocks), _Block.each(into)
+        way = range(len(each)) if ctx.back else range(len(each))[::-1]
+        for number, part in enumerate(ctx.parts):
+            d_here, d_log_stretch = d_coordinates[:, :, *part], gradients[1][:, *part]
+            rooms = space.rooms(f"part {number}", len(each), d_here, ctx.bones, features, keep=True)
+            (scratch,) = space.rooms("gradients", 1, d_here, ctx.bones, features, keep=True)
+            heard = HeardBackward(voices, into_voices, ctx.seats, part[0], space)
+            d_flow = scratch.leaving.copy_(d_here)
+            for index, room in zip(way, reversed(rooms), strict=True):
+                block, into_block = each[index], into_each[index]
+                uncaught = (room.leaving if ctx.back else room.entering)[index % dimensions]
                 caught_up = torch.addcmul(block.behind_shift, uncaught, block.behind_scale)
-                d_moved = d_here[index % dimensions]
+                d_moved = d_flow[index % dimensions]
                 if ctx.back:
                     d_caught_up = d_moved / -block.behind_scale
-                    torch.div(d_caught_up, stretch, out=d_moved)
-                    told = torch.stack([d_moved, d_moved * caught_up])
+                    torch.div(d_caught_up, room.stretch, out=d_moved)
+                    torch.mul(d_moved, caught_up, out=scratch.stretch)
+                    scratch.shift.copy_(d_moved)
                     d_moved.neg_()
                 else:
-                    d_stretch = torch.addcdiv(d_moved * caught_up, d_log_stretch, stretch)
-                    told = torch.stack([d_moved, d_stretch])
-                    d_caught_up = d_moved * stretch
+                    torch.mul(d_moved, caught_up, out=scratch.stretch).addcdiv_(d_log_stretch, room.stretch)
+                    scratch.shift.copy_(d_moved)
+                    d_caught_up = d_moved * room.stretch
                     torch.mul(d_caught_up, block.behind_scale, out=d_moved)
-                told[1] = _stretch_backward(told[1], stretch, ctx.scale)
+                _stretch_backward(scratch.stretch, room.stretch, ctx.scale)
                 into_block.behind_scale.add_((d_caught_up * uncaught).sum())
                 into_block.behind_shift.add_(d_caught_up.sum())
-                d_here += _net_backward(told, room, block, ctx.bones, into_block, scratch)
-            d_coordinates[:, :, *part] = d_here
-        return None, None, None, None, d_coordinates, *into
+                _net_backward(room, block, ctx.bones, into_block, scratch)
+                d_flow += scratch.entering
+                heard.add(index, scratch.message_grid, scratch.told)
+            heard.finish()
+            d_here.copy_(d_flow)
+        return None, None, None, None, None, None, d_coordinates, *into_tensors
 
 
-def latents_of(coordinates: Tensor, blocks: Blocks, bones: Bones, scale: Scale) -> tuple[Tensor, Tensor]:
+def _sorted(tensors: Sequence[Tensor]) -> tuple[Blocks, Voices]:
+    """Tell the tensors of blocks and voices apart."""
+    return Blocks(*tensors[: len(Blocks._fields)]), Voices(*tensors[len(Blocks._fields) :])
+
+
+def latents_of(
+    coordinates: Tensor,
+    blocks: Blocks,
+    voices: Voices,
+    seats: Seats | None,
+    bones: Bones,
+    scale: Scale,
+    workspace: Workspace | None = None,
+) -> tuple[Tensor, Tensor]:
     """Pass poses through all blocks.
 
     Parameters
@@ -326,10 +253,16 @@ def latents_of(coordinates: Tensor, blocks: Blocks, bones: Bones, scale: Scale) 
         (D + 1, K, P, n), unitless, the last row ones.
     blocks : Blocks
         The L blocks; block l moves coordinate l modulo D.
+    voices : Voices
+        What speaks to the P poses.
+    seats : Seats or None
+        Where keypoints speak; None where none was observed.
     bones : Bones
         Who speaks to whom.
     scale : str
         How the unconstrained scale becomes a positive one.
+    workspace : Workspace, optional
+        Memory for the activations; fresh memory where not given.
 
     Returns
     -------
@@ -338,30 +271,48 @@ def latents_of(coordinates: Tensor, blocks: Blocks, bones: Bones, scale: Scale) 
     log_stretch : Tensor
         (K, P, n), nats: the sum of log s over the blocks.
     """
-    keep = torch.is_grad_enabled()
-    latents, log_stretch = _Pass.apply(False, scale, keep, bones, coordinates, *blocks)  # type: ignore[no-untyped-call]
-    return latents, log_stretch
+    return _walk(False, coordinates, blocks, voices, seats, bones, scale, workspace)
 
 
-def poses_of(coordinates: Tensor, blocks: Blocks, bones: Bones, scale: Scale) -> Tensor:
+def poses_of(
+    coordinates: Tensor,
+    blocks: Blocks,
+    voices: Voices,
+    seats: Seats | None,
+    bones: Bones,
+    scale: Scale,
+    workspace: Workspace | None = None,
+) -> Tensor:
     """Pass latents back through all blocks.
 
     Parameters
     ----------
-    coordinates : Tensor
-        (D + 1, K, P, n), unitless, the last row ones.
-    blocks : Blocks
-        The L blocks, first to last.
-    bones : Bones
-        Who speaks to whom.
-    scale : str
-        How the unconstrained scale becomes a positive one.
+    coordinates, blocks, voices, seats, bones, scale, workspace
+        As of :func:`latents_of`; the blocks first to last.
 
     Returns
     -------
     Tensor
-        The same shape.
+        (D + 1, K, P, n), unitless.
     """
-    keep = torch.is_grad_enabled()
-    poses: Tensor = _Pass.apply(True, scale, keep, bones, coordinates, *blocks)[0]  # type: ignore[no-untyped-call]
-    return poses
+    return _walk(True, coordinates, blocks, voices, seats, bones, scale, workspace)[0]
+
+
+def _walk(
+    back: bool,
+    coordinates: Tensor,
+    blocks: Blocks,
+    voices: Voices,
+    seats: Seats | None,
+    bones: Bones,
+    scale: Scale,
+    workspace: Workspace | None,
+) -> tuple[Tensor, Tensor]:
+    """Pass through all blocks, one way or the other."""
+    said_to = voices.root.shape[2] if seats is None else seats.poses
+    if said_to not in (1, poses := coordinates.shape[2]):
+        raise PoseDataError(f"flow: keypoints of {said_to} poses and {poses} poses; expected as many.")
+    found: tuple[Tensor, Tensor] = _Pass.apply(  # type: ignore[no-untyped-call]
+        back, scale, torch.is_grad_enabled(), workspace, bones, seats, coordinates, *blocks, *voices
+    )
+    return found

@@ -12,7 +12,8 @@ import torch
 from torch import Tensor
 
 from posecal.errors import PoseDataError
-from posecal_models.cgnf import passes
+from posecal_models.cgnf import flow as flows
+from posecal_models.cgnf import hearing, passes, rooms
 from posecal_models.cgnf.flow import SIZES, FlowSize, GraphFlow
 from posecal_models.cgnf.model import CGNF
 from posecal_models.cgnf.parameters import PUBLISHED, parameter_table
@@ -56,7 +57,7 @@ OPTIONS = [{"backward_weights": backward, "scale": scale} for backward in (False
 @pytest.mark.parametrize("options", OPTIONS)
 @pytest.mark.parametrize("rows_in_cache", [16, 48, 100_000])
 def test_density_and_gradients_equal_the_naive_twin_whatever_the_parts(monkeypatch, options, rows_in_cache):
-    monkeypatch.setattr(passes, "_ROWS_IN_CACHE", rows_in_cache)
+    monkeypatch.setattr(rooms, "_ROWS_IN_CACHE", rows_in_cache)
     flow, (keypoints, observed, poses) = random_flow(**options), inputs()
     weights = dict(flow.named_parameters())
     root = torch.zeros(1, 3, dtype=torch.float64)
@@ -81,7 +82,7 @@ def test_density_and_gradients_equal_the_naive_twin_whatever_the_parts(monkeypat
 @pytest.mark.parametrize("options", OPTIONS)
 @pytest.mark.parametrize("rows_in_cache", [32, 100_000])
 def test_samples_and_their_gradients_equal_the_naive_twin(monkeypatch, options, rows_in_cache):
-    monkeypatch.setattr(passes, "_ROWS_IN_CACHE", rows_in_cache)
+    monkeypatch.setattr(rooms, "_ROWS_IN_CACHE", rows_in_cache)
     flow, (keypoints, observed, latents) = random_flow(**options), inputs()
     weights = dict(flow.named_parameters())
     root = torch.zeros(1, 3, dtype=torch.float64)
@@ -265,11 +266,74 @@ def test_activations_are_let_go_after_the_way_back():
     flow, (keypoints, observed, poses) = random_flow(), inputs()
     loss = flow.ready(flow.evidence(keypoints, observed)).log_prob_per_node(poses).sum()
     step = next(node for node in nodes_of(loss.grad_fn) if "_Pass" in type(node).__name__)
-    activations = weakref.ref(step.saved_tensors[len(passes.Blocks._fields) + 1].untyped_storage())
+    place = len(passes.Blocks._fields) + len(hearing.Voices._fields) + step.uses.index("part 0")
+    activations = weakref.ref(step.saved_tensors[place].untyped_storage())
     del step
     loss.backward()
     gc.collect()
     assert activations() is None
+
+
+def test_gradients_that_come_after_the_next_pass_in_the_same_memory_are_refused():
+    flow, (keypoints, observed, poses) = random_flow(), inputs()
+    ready = flow.ready(flow.evidence(keypoints, observed), workspace=rooms.Workspace())
+    first, second = (ready.log_prob_per_node(poses).sum() for _ in range(2))
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        first.backward(retain_graph=True)
+    second.backward()
+
+
+@pytest.mark.parametrize("back", [False, True])
+def test_memory_that_is_used_again_changes_no_gradient(back):
+    flow, (keypoints, observed, poses) = random_flow(), inputs()
+    workspace = rooms.Workspace()
+
+    def gradients(count, workspace):
+        flow.zero_grad()
+        ready = flow.ready(flow.evidence(keypoints[:count], observed[:count]), workspace=workspace)
+        found = ready.inverse(poses[:count]) if back else ready.log_prob_per_node(poses[:count])
+        found.square().sum().backward()
+        return [weights.grad.clone() for weights in flow.parameters() if weights.grad is not None]
+
+    lay: dict[str, int] = {}
+    for count in (7, 3, 5):
+        fresh, again = gradients(count, None), gradients(count, workspace)
+        assert all(torch.equal(one, two) for one, two in zip(fresh, again, strict=True))
+        memory = {use: tensor.data_ptr() for use, tensor in workspace.memory.items()}
+        assert memory == (lay := lay or memory)  # what was enough for seven is enough for fewer
+
+
+def test_missing_keypoints_may_be_left_out_or_silenced(monkeypatch):
+    flow, (keypoints, observed, poses) = random_flow(), inputs()
+    observed[2] = False
+
+    def density_and_gradients():
+        flow.zero_grad()
+        evidence = flow.evidence(keypoints, observed)
+        density = flow.ready(evidence).log_prob_per_node(poses)
+        density.sum().backward()
+        return (
+            len(evidence.keypoints),
+            density.detach(),
+            [w.grad.clone() for w in flow.parameters() if w.grad is not None],
+        )
+
+    chosen, one, gradients = density_and_gradients()
+    monkeypatch.setattr(flows, "_chooses_rows", lambda device: False)
+    every, two, others = density_and_gradients()
+    assert chosen == observed.sum() < every == observed.numel()
+    torch.testing.assert_close(one, two, rtol=1e-12, atol=1e-12)
+    torch.testing.assert_close(gradients, others, rtol=1e-10, atol=1e-12)
+
+
+def test_keypoints_of_some_poses_are_found_and_placed():
+    seats = hearing.Seats(pose=torch.tensor([0, 0, 2, 3, 3]), node=torch.tensor([1, 4, 0, 2, 5]), poses=4)
+    rows, places = seats.of_poses(slice(2, 4))
+    assert rows == slice(2, 5)
+    assert places.tolist() == [0 * 2 + 0, 2 * 2 + 1, 5 * 2 + 1]
+    assert seats.of_poses(slice(1, 2))[1].tolist() == []
+    rows, places = seats.of_poses(slice(0, 4))
+    assert (rows, places.tolist()) == (slice(0, 5), [4, 16, 2, 11, 23])
 
 
 def nodes_of(node):

@@ -9,8 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from posecal_models.cgnf.flow import FlowSize, GraphFlow
-from posecal_models.cgnf.message_passing import Evidence
+from posecal_models.cgnf.flow import Evidence, FlowSize, GraphFlow
 from posecal_models.cgnf.model import CGNF
 from posecal_models.cgnf.objective import FlowObjective
 from posecal_models.cgnf.released import from_released
