@@ -31,7 +31,7 @@ class FoldedCouplings(NamedTuple):
     ----------
     first, second, pool : Tensor
         Of :class:`posecal_models.cgnf.passes.Blocks`.
-    hear_first, hear_next, hear_second : Tensor
+    hear_first, hear_second : Tensor
         The maps of :class:`posecal_models.cgnf.hearing.Voices`.
     behind_scale, behind_shift : Tensor
         (L + 1, D) each: the ActNorms that a coordinate has yet to pass in each block, and after all blocks.
@@ -43,7 +43,6 @@ class FoldedCouplings(NamedTuple):
     second: Tensor
     pool: Tensor
     hear_first: Tensor
-    hear_next: Tensor
     hear_second: Tensor
     behind_scale: Tensor
     behind_shift: Tensor
@@ -161,12 +160,13 @@ class Couplings(nn.Module):
         more = self.width - second.shape[-1]
         carrier = first.new_zeros(*biases.shape[:2], dimensions + 1, more)
         carrier[:, 0, -1, 0] = 1  # said once by every node to itself
+        to_nodes = self.first.from_context.carrying(self.width)[:blocks]
+        on = self.first.onward[0].carrying(self.width, on=True)[:blocks]
         return FoldedCouplings(
             first=torch.cat([torch.cat([first, biases[..., None]], dim=-1).mT, carrier], dim=-1),
             second=pad(second, (0, more, 0, more - 1)),
             pool=pad(self.second.pool.weight[:blocks], (0, more)),
-            hear_first=self.first.from_context.carrying(self.width)[:blocks],
-            hear_next=self.first.onward[0].carrying(self.width, on=True)[:blocks],
+            hear_first=torch.stack([to_nodes, on]),
             hear_second=pad(self.second.from_context.carrying(self.width)[:blocks], (0, 0, 0, more - 1)),
             behind_scale=behind_scale,
             behind_shift=behind_shift,

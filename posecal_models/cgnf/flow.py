@@ -280,11 +280,10 @@ class GraphFlow(nn.Module):
             The map between poses and latents.
         """
         folded = self.couplings.folded(blocks) if folded is None else folded
-        keypoints = folded.hear_first.new_empty(0, folded.hear_first.shape[1])
+        keypoints = folded.hear_first.new_empty(0, folded.hear_first.shape[2])
         voices = Voices(
             keypoints if evidence.keypoints is None else evidence.keypoints,
             folded.hear_first,
-            folded.hear_next,
             folded.hear_second,
             folded.pool,
             *(told[:blocks] for told in self.couplings.told_by_root(evidence.root)),

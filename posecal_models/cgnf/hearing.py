@@ -61,8 +61,8 @@ class Voices(NamedTuple):
     ----------
     keypoints : Tensor
         Features of the keypoints, and a 1 that carries biases: (R, C + 1). A row of zeros says nothing.
-    first, next : Tensor
-        The first layer's maps to the nodes and on to the second layer, which has a 1 again: (L, C + 1, H) each.
+    first : Tensor
+        The first layer's maps to the nodes and on to the second layer, which has a 1 again: (2, L, C + 1, H).
     second : Tensor
         The second layer's map to the nodes: (L, H, H).
     pool : Tensor
@@ -73,7 +73,6 @@ class Voices(NamedTuple):
 
     keypoints: Tensor
     first: Tensor
-    next: Tensor
     second: Tensor
     pool: Tensor
     root: Tensor
@@ -121,10 +120,8 @@ def hear(voices: Voices, seats: Seats | None, poses: slice, space: Workspace, *,
     blocks, _, features = voices.pool.shape
     said = _said(voices, len(places), poses if keep else None, space)
     to_nodes, on, second = said.unbind()
-    keypoints = voices.keypoints[rows].expand(blocks, -1, -1)
-    torch.bmm(keypoints, voices.first, out=to_nodes)
-    torch.bmm(keypoints, voices.next, out=on)
-    said[:2].relu_()
+    keypoints = voices.keypoints[rows].expand(2 * blocks, -1, -1)
+    torch.bmm(keypoints, voices.first.flatten(0, 1), out=said[:2].flatten(0, 1)).relu_()
     torch.bmm(on, voices.second, out=second).relu_()
     grid = (heard.evidence.shape[1], poses.stop - poses.start, 1)
     evidence = space.stack("evidence", (blocks, *grid, features), second).copy_(heard.evidence)
@@ -186,19 +183,17 @@ class HeardBackward:
         voices, into = self._voices, self._into
         silence = torch.ops.aten.threshold_backward.grad_input
         _, on, second = self._said.unbind()
-        d_to_nodes, d_on, d_second = self._d_said.unbind()
+        _, d_on, d_second = self._d_said.unbind()
         into.pool.baddbmm_(self._d_pooled, second)
         torch.bmm(self._d_pooled.mT, voices.pool, out=d_second)
         silence(d_second, second, 0, grad_input=d_second)
         into.second.baddbmm_(on.mT, d_second)
         torch.bmm(d_second, voices.second.mT, out=d_on)
-        silence(self._d_said[:2], self._said[:2], 0, grad_input=self._d_said[:2])
-        keypoints = voices.keypoints[self._rows].mT.expand(len(on), -1, -1)
-        into.first.baddbmm_(keypoints, d_to_nodes)
-        into.next.baddbmm_(keypoints, d_on)
-        d_keypoints = into.keypoints[self._rows]
-        d_keypoints += torch.bmm(d_to_nodes, voices.first.mT).sum(0)
-        d_keypoints += torch.bmm(d_on, voices.next.mT).sum(0)
+        d_first, first = self._d_said[:2].flatten(0, 1), self._said[:2].flatten(0, 1)
+        silence(d_first, first, 0, grad_input=d_first)
+        keypoints = voices.keypoints[self._rows].mT.expand(len(first), -1, -1)
+        into.first.flatten(0, 1).baddbmm_(keypoints, d_first)
+        into.keypoints[self._rows] += torch.bmm(d_first, voices.first.flatten(0, 1).mT).sum(0)
 
 
 def _said(voices: Voices, count: int, poses: slice | None, space: Workspace) -> Tensor:
