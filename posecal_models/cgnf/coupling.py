@@ -33,6 +33,8 @@ class FoldedCouplings(NamedTuple):
         Of :class:`posecal_models.cgnf.passes.Blocks`.
     hear_first, hear_second : Tensor
         The maps of :class:`posecal_models.cgnf.hearing.Voices`.
+    root, root_offset : Tensor
+        What a root at the origin adds, of the same.
     behind_scale, behind_shift : Tensor
         (L + 1, D) each: the ActNorms that a coordinate has yet to pass in each block, and after all blocks.
     log_determinant : Tensor
@@ -44,6 +46,8 @@ class FoldedCouplings(NamedTuple):
     pool: Tensor
     hear_first: Tensor
     hear_second: Tensor
+    root: Tensor
+    root_offset: Tensor
     behind_scale: Tensor
     behind_shift: Tensor
     log_determinant: Tensor
@@ -162,24 +166,29 @@ class Couplings(nn.Module):
         carrier[:, 0, -1, 0] = 1  # said once by every node to itself
         to_nodes = self.first.from_context.carrying(self.width)[:blocks]
         on = self.first.onward[0].carrying(self.width, on=True)[:blocks]
+        root, root_offset = self.told_by_root(log_scale.new_zeros(1, dimensions), blocks)
         return FoldedCouplings(
             first=torch.cat([torch.cat([first, biases[..., None]], dim=-1).mT, carrier], dim=-1),
             second=pad(second, (0, more, 0, more - 1)),
             pool=pad(self.second.pool.weight[:blocks], (0, more)),
             hear_first=torch.stack([to_nodes, on]),
             hear_second=pad(self.second.from_context.carrying(self.width)[:blocks], (0, 0, 0, more - 1)),
+            root=root,
+            root_offset=root_offset,
             behind_scale=behind_scale,
             behind_shift=behind_shift,
             log_determinant=log_scale.sum(),
         )
 
-    def told_by_root(self, root: Tensor) -> tuple[Tensor, Tensor]:
+    def told_by_root(self, root: Tensor, blocks: int | None = None) -> tuple[Tensor, Tensor]:
         """Compute what the root adds after each layer.
 
         Parameters
         ----------
         root : Tensor
             Features of the root, (P or 1, D).
+        blocks : int, optional
+            Only the first blocks; all of them where not given.
 
         Returns
         -------
@@ -190,7 +199,7 @@ class Couplings(nn.Module):
         second = self.second.from_root(self.first.onward[1](root)) @ self.second.pool.weight.mT
         near = self.first.next_to_root[:, None, None]
         offset = near * second[:, None] + self.second.pool.bias[:, None, None]
-        return (near * first[:, None]).unsqueeze(3), offset.movedim(3, 1).unsqueeze(4)
+        return (near * first[:, None])[:blocks].unsqueeze(3), offset[:blocks].movedim(3, 1).unsqueeze(4)
 
 
 def _behind(log_scale: Tensor, shift: Tensor) -> tuple[Tensor, Tensor]:

@@ -51,13 +51,33 @@ class Evidence(NamedTuple):
         Features of R keypoints with a 1 at the end, (R, C + 1), zeros where one was not observed; None where none was.
     seats : Seats or None
         Which node of which pose each of them speaks to.
-    root : Tensor
-        Features of the root, (P or 1, D). The root of a root-relative pose is 0.
+    root : Tensor or None
+        Features of the root, (P, D); None where it is the origin, as of root-relative poses.
     """
 
     keypoints: Tensor | None
     seats: Seats | None
-    root: Tensor
+    root: Tensor | None
+
+    def of_poses(self, poses: slice) -> Evidence:
+        """Take what is known of some poses.
+
+        Parameters
+        ----------
+        poses : slice
+            p poses that stand together.
+
+        Returns
+        -------
+        Evidence
+            Of p poses.
+        """
+        root = None if self.root is None else self.root[poses]
+        if self.keypoints is None or self.seats is None:
+            return Evidence(None, None, root)
+        rows, _ = self.seats.of_poses(poses)
+        seats = Seats(self.seats.pose[rows] - poses.start, self.seats.node[rows], poses.stop - poses.start)
+        return Evidence(self.keypoints[rows], seats, root)
 
 
 class ReadyFlow(NamedTuple):
@@ -230,7 +250,7 @@ class GraphFlow(nn.Module):
         observed : Tensor
             (P, K), bool.
         root : Tensor, optional
-            (P, D), the root's features; 0 where not given.
+            (P, D), the root's features; the origin where not given.
 
         Returns
         -------
@@ -240,7 +260,6 @@ class GraphFlow(nn.Module):
         features = torch.cat([self.embedding(keypoints, observed), torch.ones_like(keypoints[..., :1])], dim=-1)
         features = features[:, self.order[0]].flatten(0, 1)
         seen = observed[:, self.order[0]].flatten()
-        root = keypoints.new_zeros(1, self.dimensions) if root is None else root
         rows = torch.arange(len(seen), device=seen.device)
         if _chooses_rows(seen.device):
             rows = rows[seen]
@@ -251,7 +270,7 @@ class GraphFlow(nn.Module):
 
     def no_evidence(self) -> Evidence:
         """Give what is known of a pose of which nothing was observed: that its root is the origin."""
-        return Evidence(None, None, self.embedding.adjacency.new_zeros(1, self.dimensions))
+        return Evidence(None, None, None)
 
     def ready(
         self,
@@ -280,14 +299,12 @@ class GraphFlow(nn.Module):
             The map between poses and latents.
         """
         folded = self.couplings.folded(blocks) if folded is None else folded
-        keypoints = folded.hear_first.new_empty(0, folded.hear_first.shape[2])
-        voices = Voices(
-            keypoints if evidence.keypoints is None else evidence.keypoints,
-            folded.hear_first,
-            folded.hear_second,
-            folded.pool,
-            *(told[:blocks] for told in self.couplings.told_by_root(evidence.root)),
-        )
+        nobody = folded.hear_first.new_empty(0, folded.hear_first.shape[2])
+        root = folded.root, folded.root_offset
+        if evidence.root is not None:
+            root = self.couplings.told_by_root(evidence.root, blocks)
+        keypoints = nobody if evidence.keypoints is None else evidence.keypoints
+        voices = Voices(keypoints, folded.hear_first, folded.hear_second, folded.pool, *root)
         bones = Bones.of(self.couplings.first.spans, self.couplings.first.relations)
         return ReadyFlow(folded, voices, evidence.seats, bones, self.order, self.scale, workspace)
 

@@ -149,11 +149,10 @@ class FlowObjective:
             losses["mode"] = poses.new_zeros(())
         cut = _Cut()
         folded = cut.off(flow.couplings.folded())
-        keypoints = standardizer.keypoints(context)
+        evidence = cut.off(flow.evidence(standardizer.keypoints(context), context.observed))
         for part in self._pieces(len(poses)):
             share = len(poses[part]) / len(poses)
-            evidence = flow.evidence(keypoints[part], context.observed[part])
-            ready = flow.ready(evidence, folded=folded, workspace=self._there)
+            ready = flow.ready(evidence.of_poses(part), folded=folded, workspace=self._there)
             nats = -ready.log_prob_per_node(poses[part]).sum((1, 2)).mean()
             loss = half * nats
             if self.sample_weight:
@@ -225,11 +224,13 @@ class _Cut:
         self._leaves: dict[int, tuple[Tensor, Tensor]] = {}
 
     def off(self, whole: Any) -> Any:
-        """Give a tensor or a tuple of tensors with leaves in their place."""
+        """Give a tensor, or a tuple that holds tensors, with leaves in their place."""
         if isinstance(whole, Tensor):
             if not whole.requires_grad:
                 return whole
             return self._leaves.setdefault(id(whole), (whole, whole.detach().requires_grad_()))[1]
+        if not isinstance(whole, tuple):
+            return whole
         parts = (self.off(part) for part in whole)
         return type(whole)(*parts) if hasattr(whole, "_fields") else type(whole)(parts)
 

@@ -4,8 +4,10 @@
 
 The plain formulation computes the messages of the context anew for every sample and walks the bones one relation at a
 time; its gradients are autograd's. A training step has 200 graphs and their 200 priors. "Alone" are the
-second layers' matrix products in the same run: the floor of any arrangement. With --device cuda, an epoch of the
-published size (390,000 poses, five graphs and a prior each) is extrapolated from steps of the batch that is given.
+second layers' matrix products in the same run: the floor of any arrangement. With --published FOLDER, a checkout of
+github.com/sinzlab/propose (it needs torch_geometric, torch_sparse, nflows and wandb), its model runs in the same run.
+With --device cuda, an epoch of the published size (390,000 poses, five graphs and a prior each) is extrapolated from
+steps of the batch that is given.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -26,6 +29,7 @@ from posecal_models.cgnf.model import CGNF
 from posecal_models.cgnf.objective import FlowObjective
 from posecal_models.contract import Context
 from posecal_models.cuda_graph import Recorded
+from posecal_models.graph import human36m_graph
 from tests.models import plain_cgnf
 
 GRAPHS, SAMPLES = 200, 200
@@ -47,10 +51,57 @@ def median(call: Callable[[], object], *, device: str, most_seconds: float = 20.
     return 1000 * statistics.median(timed() for _ in range(repeats))
 
 
-def row(name: str, ours: float, plain: float | None) -> None:
-    """One line of the table."""
-    compared = "" if plain is None else f"{plain:12.1f} {plain / ours:8.1f} x"
-    print(f"{name:44} {ours:10.1f} {compared}", flush=True)
+def row(name: str, ours: float, *others: float | None) -> None:
+    """One line of the table: ours, and what it is compared with."""
+    compared = ("" if other is None else f"{other:12.1f} {other / ours:8.1f} x" for other in others)
+    print(f"{name:44} {ours:10.1f} {''.join(f'{text:23}' for text in compared)}".rstrip(), flush=True)
+
+
+class Published:
+    """The published small model, random weights, on the graphs that ours are given."""
+
+    def __init__(self, folder: str) -> None:
+        sys.path.insert(0, folder)
+        from propose.models.flows import CondGraphFlow
+        from propose.models.nn.embedding import SageEmbedding
+        from torch_geometric.data import HeteroData
+
+        self._data = HeteroData
+        sizes = {"features": 3, "num_layers": 10, "context_features": 10, "hidden_features": 100}
+        self.flow = CondGraphFlow(**sizes, embedding_net=SageEmbedding(2, 128, 10), use_attention=False)
+        self.optimizer = torch.optim.Adam(self.flow.parameters(), 1e-4)
+        graph = human36m_graph()
+        self._bones, self._near = torch.tensor(graph.bones).T, torch.tensor(graph.next_to_root)
+
+    def graphs(self, poses: torch.Tensor, keypoints: torch.Tensor, observed: torch.Tensor) -> Any:
+        """Poses (G, 16, 3) as one graph; the first of them have keypoints (P, 16, 2), of which some are observed."""
+        data, count = self._data(), len(poses)
+        first = 16 * torch.arange(count)
+        data["x"].x, data["x"].batch = poses.reshape(-1, 3).clone(), torch.arange(count).repeat_interleave(16)
+        data["c"].x, data["r"].x = keypoints.reshape(-1, 2).clone(), torch.zeros(count, 3)
+        bones = (self._bones[:, None] + first[:, None]).flatten(1)
+        seen = observed.flatten().nonzero().squeeze(1)
+        root = torch.stack([torch.arange(count).repeat_interleave(3), (self._near + first[:, None]).flatten()])
+        edges = {("x", "->", "x"): bones, ("x", "<-", "x"): bones, ("c", "->", "x"): seen.repeat(2, 1)}
+        for relation, index in {**edges, ("r", "->", "x"): root, ("r", "<-", "x"): root}.items():
+            data[relation].edge_index = index
+        return data
+
+    def log_prob(self, *inputs: torch.Tensor) -> object:
+        """Log densities of poses."""
+        return self.flow(self.graphs(*inputs))
+
+    def sample(self, *inputs: torch.Tensor) -> object:
+        """200 samples of each pose."""
+        return self.flow.sample(SAMPLES, self.graphs(*inputs))
+
+    def step(self, poses: torch.Tensor, keypoints: torch.Tensor, observed: torch.Tensor) -> None:
+        """One training step: every graph and its prior."""
+        self.optimizer.zero_grad()
+        nats = -self.flow(self.graphs(torch.cat([poses, poses]), keypoints, observed))
+        (0.5 * nats[nats.numel() // 2 :].mean() + 0.5 * nats[: nats.numel() // 2].mean()).backward()
+        torch.nn.utils.clip_grad_norm_(self.flow.parameters(), 1.0)
+        self.optimizer.step()
 
 
 def bare_products(model: CGNF, graphs: int, device: str) -> Callable[[], object]:
@@ -71,7 +122,7 @@ def bare_products(model: CGNF, graphs: int, device: str) -> Callable[[], object]
     return multiply
 
 
-def measure(size: str, variant: str, device: str, *, plain: bool) -> None:
+def measure(size: str, variant: str, device: str, *, plain: bool, published: Published | None) -> None:
     """Print the lines of one size and variant."""
     backward_weights, scale = VARIANTS[variant]
     torch.manual_seed(0)
@@ -98,23 +149,31 @@ def measure(size: str, variant: str, device: str, *, plain: bool) -> None:
         def plain_sample(all_of_them=every) -> object:
             return plain_cgnf.inverse(weights, *all_of_them, root, parents, scale=scale)
 
+        def published_log_prob(k=keypoints, o=observed, x=truth) -> object:
+            return published.log_prob(x, k, o)
+
+        def published_sample(k=keypoints, o=observed, x=truth) -> object:
+            return published.sample(x, k, o)
+
         with torch.inference_mode():
             row(
                 f"log_prob of {poses} poses, {size}, {variant}",
                 median(log_prob, device=device),
                 median(plain_log_prob, device=device) if plain else None,
+                median(published_log_prob, device=device) if published else None,
             )
             row(
                 f"{SAMPLES} samples of {poses} poses, {size}, {variant}",
                 median(sample, device=device),
                 median(plain_sample, device=device) if plain else None,
+                median(published_sample, device=device) if published else None,
             )
             bare = bare_products(model, SAMPLES * poses, device)
-            row("  its largest matrix products alone", median(bare, device=device), None)
-    measure_step(model, scale, f"{size}, {variant}", device, plain=plain)
+            row("  its largest matrix products alone", median(bare, device=device))
+    measure_step(model, scale, f"{size}, {variant}", device, plain=plain, published=published)
 
 
-def measure_step(model: CGNF, scale: str, which: str, device: str, *, plain: bool) -> None:
+def measure_step(model: CGNF, scale: str, which: str, device: str, *, plain: bool, published: Published | None) -> None:
     """Print the lines of a training step."""
     weights, parents = dict(model.flow.named_parameters()), model.graph.parents
     root = torch.zeros(1, 3, device=device)
@@ -140,11 +199,14 @@ def measure_step(model: CGNF, scale: str, which: str, device: str, *, plain: boo
         torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)
         optimizer.step()
 
-    slow = median(plain_step, device=device) if plain else None
-    row(f"training step, {which}", median(lambda: step(1), device=device), slow)
-    row(f"  the same, priors of 40 poses shared, {which}", median(lambda: step(5), device=device), slow)
+    slow = [
+        median(plain_step, device=device) if plain else None,
+        median(lambda: published.step(truth, keypoints, observed), device=device) if published else None,
+    ]
+    row(f"training step, {which}", median(lambda: step(1), device=device), *slow)
+    row(f"  the same, priors of 40 poses shared, {which}", median(lambda: step(5), device=device), *slow)
     with torch.inference_mode():  # once forwards and twice backwards, for 200 graphs and 40 priors
-        row("  its largest matrix products alone", median(bare_products(model, 3 * 240, device), device=device), None)
+        row("  its largest matrix products alone", median(bare_products(model, 3 * 240, device), device=device))
 
 
 def main() -> None:
@@ -155,14 +217,17 @@ def main() -> None:
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--no-plain", action="store_true", help="leave the plain formulation out")
+    parser.add_argument("--published", metavar="FOLDER", help="a checkout of the published code, for the small model")
     asked = parser.parse_args()
     torch.set_num_threads(asked.threads)
     name = torch.cuda.get_device_name() if asked.device.startswith("cuda") else f"CPU, {asked.threads} thread(s)"
     print(f"PyTorch {torch.__version__}, {name}, single precision; medians in ms")
-    print(f"{'':44} {'ours':>10} {'plain':>12} {'ratio':>10}")
+    print(f"{'':44} {'ours':>10} {'plain':>12} {'ratio':>10} {'published':>12} {'ratio':>10}")
+    published = Published(asked.published) if asked.published else None
     for size in asked.sizes:
         for variant in asked.variants:
-            measure(size, variant, asked.device, plain=not asked.no_plain)
+            other = published if size == "small" else None
+            measure(size, variant, asked.device, plain=not asked.no_plain, published=other)
     if asked.device.startswith("cuda"):
         measure_epoch(asked.device)
 
