@@ -36,25 +36,30 @@ GRAPHS, SAMPLES = 200, 200
 VARIANTS = {"paper": (True, "exp"), "released": (False, "sigmoid")}
 
 
-def median(call: Callable[[], object], *, device: str, most_seconds: float = 20.0) -> float:
-    """Median of at least three calls, in ms, after one that warms up."""
+def medians(*calls: Callable[[], object] | None, device: str, most_seconds: float = 40.0) -> list[float | None]:
+    """Median of at least three calls each, in ms, after one to warm up; in turns: a slow minute is shared."""
 
-    def timed() -> float:
+    def timed(call: Callable[[], object]) -> float:
         start = time.perf_counter()
         call()
         if device.startswith("cuda"):
             torch.cuda.synchronize()
         return time.perf_counter() - start
 
-    first = timed()
+    there = [call for call in calls if call is not None]
+    first = sum(timed(call) for call in there)
     repeats = int(min(20, max(3, most_seconds / max(first, 1e-4))))
-    return 1000 * statistics.median(timed() for _ in range(repeats))
+    rounds = [[timed(call) for call in there] for _ in range(repeats)]
+    found = iter(1000 * statistics.median(times) for times in zip(*rounds, strict=True))
+    return [None if call is None else next(found) for call in calls]
 
 
-def row(name: str, ours: float, *others: float | None) -> None:
-    """One line of the table: ours, and what it is compared with."""
-    compared = ("" if other is None else f"{other:12.1f} {other / ours:8.1f} x" for other in others)
-    print(f"{name:44} {ours:10.1f} {''.join(f'{text:23}' for text in compared)}".rstrip(), flush=True)
+def row(name: str, ours: float | None, alone: float | None, *others: float | None) -> None:
+    """One line of the table: ours, the products alone, and what ours is compared with."""
+    compared = (f"{other:12,.1f} {other / ours:7.1f} x" if ours and other else f"{'':22}" for other in others)
+    print(
+        f"{name:48} {ours:9,.1f} {'' if alone is None else f'{alone:,.1f}':>9} {''.join(compared)}".rstrip(), flush=True
+    )
 
 
 class Published:
@@ -156,20 +161,12 @@ def measure(size: str, variant: str, device: str, *, plain: bool, published: Pub
             return published.sample(x, k, o)
 
         with torch.inference_mode():
-            row(
-                f"log_prob of {poses} poses, {size}, {variant}",
-                median(log_prob, device=device),
-                median(plain_log_prob, device=device) if plain else None,
-                median(published_log_prob, device=device) if published else None,
-            )
-            row(
-                f"{SAMPLES} samples of {poses} poses, {size}, {variant}",
-                median(sample, device=device),
-                median(plain_sample, device=device) if plain else None,
-                median(published_sample, device=device) if published else None,
-            )
             bare = bare_products(model, SAMPLES * poses, device)
-            row("  its largest matrix products alone", median(bare, device=device))
+            told = f"{poses} pose{'s' * (poses > 1)}, {size}, {variant}"
+            calls = log_prob, None, plain_log_prob if plain else None, published_log_prob if published else None
+            row(f"log_prob of {told}", *medians(*calls, device=device))
+            calls = sample, bare, plain_sample if plain else None, published_sample if published else None
+            row(f"{SAMPLES} samples of {told}", *medians(*calls, device=device))
     measure_step(model, scale, f"{size}, {variant}", device, plain=plain, published=published)
 
 
@@ -199,14 +196,14 @@ def measure_step(model: CGNF, scale: str, which: str, device: str, *, plain: boo
         torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)
         optimizer.step()
 
-    slow = [
-        median(plain_step, device=device) if plain else None,
-        median(lambda: published.step(truth, keypoints, observed), device=device) if published else None,
-    ]
-    row(f"training step, {which}", median(lambda: step(1), device=device), *slow)
-    row(f"  the same, priors of 40 poses shared, {which}", median(lambda: step(5), device=device), *slow)
-    with torch.inference_mode():  # once forwards and twice backwards, for 200 graphs and 40 priors
-        row("  its largest matrix products alone", median(bare_products(model, 3 * 240, device), device=device))
+    def published_step() -> None:
+        published.step(truth, keypoints, observed)
+
+    bare = bare_products(model, 3 * (GRAPHS + GRAPHS // 5), device)  # once forwards and twice backwards
+    slow = plain_step if plain else None, published_step if published else None
+    ours, shared, alone, *others = medians(lambda: step(1), lambda: step(5), bare, *slow, device=device)
+    row(f"training step, {which}", ours, None, *others)
+    row(f"  priors of 40 poses shared, {which}", shared, alone, *others)
 
 
 def main() -> None:
@@ -222,7 +219,7 @@ def main() -> None:
     torch.set_num_threads(asked.threads)
     name = torch.cuda.get_device_name() if asked.device.startswith("cuda") else f"CPU, {asked.threads} thread(s)"
     print(f"PyTorch {torch.__version__}, {name}, single precision; medians in ms")
-    print(f"{'':44} {'ours':>10} {'plain':>12} {'ratio':>10} {'published':>12} {'ratio':>10}")
+    print(f"{'':48} {'ours':>9} {'alone':>9} {'plain':>12} {'ratio':>9} {'published':>12} {'ratio':>9}")
     published = Published(asked.published) if asked.published else None
     for size in asked.sizes:
         for variant in asked.variants:
