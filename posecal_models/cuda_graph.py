@@ -21,6 +21,8 @@ _WARM_UP = 3
 class Recorded:
     """An objective whose backward pass is recorded as a CUDA graph at its first batch.
 
+    The recording lies in the objective's memory: its own ``backward`` must not be called any more.
+
     Parameters
     ----------
     objective : Objective

@@ -165,7 +165,7 @@ class Couplings(nn.Module):
         carrier = first.new_zeros(*biases.shape[:2], dimensions + 1, more)
         carrier[:, 0, -1, 0] = 1  # said once by every node to itself
         to_nodes = self.first.from_context.carrying(self.width)[:blocks]
-        on = self.first.onward[0].carrying(self.width, on=True)[:blocks]
+        on = self.first.onward()[0].carrying(self.width, on=True)[:blocks]
         root, root_offset = self.told_by_root(log_scale.new_zeros(1, dimensions), blocks)
         return FoldedCouplings(
             first=torch.cat([torch.cat([first, biases[..., None]], dim=-1).mT, carrier], dim=-1),
@@ -196,7 +196,7 @@ class Couplings(nn.Module):
             Of :class:`posecal_models.cgnf.hearing.Voices`; the second with the biases of the second layer's update.
         """
         first = pad(self.first.from_root(root), (0, self.width - self.first.from_root.bias.shape[1]))
-        second = self.second.from_root(self.first.onward[1](root)) @ self.second.pool.weight.mT
+        second = self.second.from_root(self.first.onward()[1](root)) @ self.second.pool.weight.mT
         near = self.first.next_to_root[:, None, None]
         offset = near * second[:, None] + self.second.pool.bias[:, None, None]
         return (near * first[:, None])[:blocks].unsqueeze(3), offset[:blocks].movedim(3, 1).unsqueeze(4)

@@ -75,8 +75,7 @@ class Evidence(NamedTuple):
         root = None if self.root is None else self.root[poses]
         if self.keypoints is None or self.seats is None:
             return Evidence(None, None, root)
-        rows, _ = self.seats.of_poses(poses)
-        seats = Seats(self.seats.pose[rows] - poses.start, self.seats.node[rows], poses.stop - poses.start)
+        rows, seats = self.seats.of_poses(poses)
         return Evidence(self.keypoints[rows], seats, root)
 
 
@@ -260,13 +259,14 @@ class GraphFlow(nn.Module):
         features = torch.cat([self.embedding(keypoints, observed), torch.ones_like(keypoints[..., :1])], dim=-1)
         features = features[:, self.order[0]].flatten(0, 1)
         seen = observed[:, self.order[0]].flatten()
-        rows = torch.arange(len(seen), device=seen.device)
+        nodes = observed.shape[1]
+        rows, starts = torch.arange(len(seen), device=seen.device), list(range(0, len(seen) + 1, nodes))
         if _chooses_rows(seen.device):
-            rows = rows[seen]
+            rows, starts = rows[seen], [0, *observed.sum(1).cumsum(0).tolist()]
             features = features[rows]
         else:
             features = features * seen[:, None]
-        return Evidence(features, Seats(rows // observed.shape[1], rows % observed.shape[1], len(observed)), root)
+        return Evidence(features, Seats(rows // nodes, rows % nodes, starts), root)
 
     def no_evidence(self) -> Evidence:
         """Give what is known of a pose of which nothing was observed: that its root is the origin."""
@@ -280,7 +280,7 @@ class GraphFlow(nn.Module):
         blocks: int | None = None,
         workspace: Workspace | None = None,
     ) -> ReadyFlow:
-        """Compute everything that the samples of a pose share.
+        """Compute what the weights alone decide, and bring the keypoints in.
 
         Parameters
         ----------

@@ -6,12 +6,13 @@ and is not computed: keypoints are rows, as many as were observed.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from posecal_models.cgnf.rooms import Workspace
+from posecal_models.cgnf.rooms import KEPT, Workspace
 
 __all__ = ["Heard", "HeardBackward", "Seats", "Voices", "hear"]
 
@@ -23,16 +24,21 @@ class Seats(NamedTuple):
     ----------
     pose, node : Tensor
         To which node of which pose, (R,) each, integer; poses in order.
-    poses : int
-        P.
+    starts : sequence of int
+        Where the keypoints of each of P poses begin, and R.
     """
 
     pose: Tensor
     node: Tensor
-    poses: int
+    starts: Sequence[int]
 
-    def of_poses(self, poses: slice) -> tuple[slice, Tensor]:
-        """Find the keypoints of some poses.
+    @property
+    def poses(self) -> int:
+        """P."""
+        return len(self.starts) - 1
+
+    def of_poses(self, poses: slice) -> tuple[slice, Seats]:
+        """Take the keypoints of some poses.
 
         Parameters
         ----------
@@ -43,15 +49,17 @@ class Seats(NamedTuple):
         -------
         rows : slice
             Which r of the R keypoints.
-        places : Tensor
-            Where they stand in the flattened (K, p) grid; (r,), integer.
+        seats : Seats
+            Where they speak, among the p poses.
         """
-        count = poses.stop - poses.start
-        if count == self.poses:
-            return slice(0, len(self.pose)), self.node * count + self.pose
-        ends = torch.tensor([poses.start, poses.stop], device=self.pose.device)
-        rows = slice(*torch.searchsorted(self.pose, ends).tolist())
-        return rows, self.node[rows] * count + self.pose[rows] - poses.start
+        first, last = self.starts[poses.start], self.starts[poses.stop]
+        rows = slice(first, last)
+        starts = [start - first for start in self.starts[poses.start : poses.stop + 1]]
+        return rows, Seats(self.pose[rows] - poses.start, self.node[rows], starts)
+
+    def places(self) -> Tensor:
+        """Give the places of the keypoints in the flattened (K, P) grid; (R,), integer."""
+        return self.node * self.poses + self.pose
 
 
 class Voices(NamedTuple):
@@ -111,23 +119,24 @@ def hear(voices: Voices, seats: Seats | None, poses: slice, space: Workspace, *,
     Returns
     -------
     Heard
-        In memory that the next call overwrites.
+        In memory that the next call overwrites. Where all P poses share the keypoints of one, p is 1.
     """
     heard = Heard(_of_poses(voices.root, 2, poses), _of_poses(voices.root_offset, 3, poses))
     if seats is None:
         return heard
-    rows, places = seats.of_poses(poses)
+    rows, seats, use = _spoken_to(seats, poses)
     blocks, _, features = voices.pool.shape
-    said = _said(voices, len(places), poses if keep else None, space)
+    shape = (3, blocks, len(seats.pose), features)
+    said = space.stack(use if keep else "said", shape, voices.pool)
     to_nodes, on, second = said.unbind()
     keypoints = voices.keypoints[rows].expand(2 * blocks, -1, -1)
     torch.bmm(keypoints, voices.first.flatten(0, 1), out=said[:2].flatten(0, 1)).relu_()
     torch.bmm(on, voices.second, out=second).relu_()
-    grid = (heard.evidence.shape[1], poses.stop - poses.start, 1)
+    grid = (heard.evidence.shape[1], seats.poses, 1)
     evidence = space.stack("evidence", (blocks, *grid, features), second).copy_(heard.evidence)
-    evidence.view(blocks, -1, features).index_add_(1, places, to_nodes)
+    evidence.view(blocks, -1, features).index_add_(1, seats.places(), to_nodes)
     offset = space.stack("offset", (blocks, 2, *grid), second).copy_(heard.offset)
-    offset.view(blocks, 2, -1).index_add_(2, places, torch.bmm(voices.pool, second.mT))
+    offset.view(blocks, 2, -1).index_add_(2, seats.places(), torch.bmm(voices.pool, second.mT))
     return Heard(evidence, offset)
 
 
@@ -149,14 +158,15 @@ class HeardBackward:
     def __init__(self, voices: Voices, into: Voices, seats: Seats | None, poses: slice, space: Workspace) -> None:
         self._voices, self._into = voices, into
         self._root = list(zip(_of_poses(into.root, 2, poses), _of_poses(into.root_offset, 3, poses), strict=True))
-        self._speaks = seats is not None
+        self._seats = None
         if seats is None:
             return
-        self._rows, self._places = seats.of_poses(poses)
-        count = len(self._places)
-        self._said = _said(voices, count, poses, space)
+        self._rows, self._seats, use = _spoken_to(seats, poses)
+        self._places = self._seats.places()
+        blocks, _, features = voices.pool.shape
+        self._said = space.stack(use, (3, blocks, len(self._places), features), voices.pool)
         self._d_said = space.stack("gradients of said", self._said.shape, voices.pool)
-        self._d_pooled = space.stack("gradients of pooled", (len(voices.pool), 2, count), voices.pool)
+        self._d_pooled = space.stack("gradients of pooled", (blocks, 2, len(self._places)), voices.pool)
 
     def add(self, block: int, d_message: Tensor, d_told: Tensor) -> None:
         """Take the gradients at one block.
@@ -170,15 +180,18 @@ class HeardBackward:
         """
         for d_root, gradient in zip(self._root[block], (d_message, d_told), strict=True):
             d_root.add_(gradient.sum_to_size(d_root.shape))
-        if self._speaks:
-            if d_told.shape[3] > 1:
-                d_message, d_told = d_message.sum(2), d_told.sum(3)
+        if self._seats is not None:
+            nodes, poses = len(d_message), self._seats.poses
+            d_message, d_told = (
+                d_message.sum_to_size(nodes, poses, 1, d_message.shape[-1]),
+                d_told.sum_to_size(2, nodes, poses, 1),
+            )
             torch.index_select(d_message.flatten(0, -2), 0, self._places, out=self._d_said[0, block])
             torch.index_select(d_told.flatten(1), 1, self._places, out=self._d_pooled[block])
 
     def finish(self) -> None:
         """Pass what was gathered on to the keypoints and their maps."""
-        if not self._speaks:
+        if self._seats is None:
             return
         voices, into = self._voices, self._into
         silence = torch.ops.aten.threshold_backward.grad_input
@@ -196,11 +209,10 @@ class HeardBackward:
         into.keypoints[self._rows] += torch.bmm(d_first, voices.first.flatten(0, 1).mT).sum(0)
 
 
-def _said(voices: Voices, count: int, poses: slice | None, space: Workspace) -> Tensor:
-    """Give memory for what keypoints say to the nodes and to the next layer, and there to the nodes: (3, L, r, H)."""
-    blocks, _, features = voices.pool.shape
-    use = "said" if poses is None else f"said to poses from {poses.start}"
-    return space.stack(use, (3, blocks, count, features), voices.pool)
+def _spoken_to(seats: Seats, poses: slice) -> tuple[slice, Seats, str]:
+    """Find the keypoints that speak to some poses: which, where, and the use of memory for what they say."""
+    own = slice(0, 1) if seats.poses == 1 else poses  # all poses may share the keypoints of one
+    return *seats.of_poses(own), f"{KEPT} of what is said to poses from {own.start}"
 
 
 def _of_poses(said: Tensor, dim: int, poses: slice) -> Tensor:

@@ -162,11 +162,21 @@ class MessagePassing(nn.Module):
         next_to_root[: len(graph.next_to_root)] = 1
         self.register_buffer("next_to_root", next_to_root, persistent=False)
 
-    @property
     def onward(self) -> tuple[Linears, Linears]:
-        """The maps that carry keypoints and root on to the next layer."""
+        """Give the maps that carry keypoints and root on to the next layer.
+
+        Returns
+        -------
+        context, root : Linears
+            The two.
+
+        Raises
+        ------
+        RuntimeError
+            Where no layer follows.
+        """
         if self.next_context is None or self.next_root is None:
-            raise AttributeError("the last layer carries nothing on")
+            raise RuntimeError("the last layer carries nothing on")
         return self.next_context, self.next_root
 
     def weights_and_biases(self) -> tuple[Tensor, Tensor]:

@@ -93,7 +93,7 @@ class CGNF(nn.Module):
         The joints; Human3.6M's 16 below the hip where not given.
     backward_weights, scale
         The paper's own map per direction and its exponential scale, or the released code's; see
-        :class:`posecal_models.cgnf.coupling.Block`.
+        :class:`posecal_models.cgnf.coupling.Couplings`.
     origin : str
         What keypoints are relative to, see :class:`posecal_models.data.standardizer.Standardizer`.
     dimensions : int

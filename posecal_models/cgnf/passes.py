@@ -23,7 +23,7 @@ from torch.autograd.function import once_differentiable
 
 from posecal.errors import PoseDataError
 from posecal_models.cgnf.hearing import HeardBackward, Seats, Voices, hear
-from posecal_models.cgnf.rooms import Bones, Room, Workspace, parts_of
+from posecal_models.cgnf.rooms import KEPT, Bones, Room, Workspace, parts_of
 
 __all__ = ["Blocks", "Scale", "latents_of", "poses_of"]
 
@@ -163,7 +163,7 @@ class _Pass(torch.autograd.Function):
             if part[1].start == 0:  # the first samples of these poses
                 told = list(zip(*hear(voices, seats, part[0], space, keep=keep), strict=True))
             here = found[:, :, *part]
-            use, count = (f"part {number}", len(each)) if keep else ("part", 1)
+            use, count = (_use(number), len(each)) if keep else ("part", 1)
             rooms = space.rooms(use, count, here, bones, features, keep=keep)
             rooms[0].entering.copy_(here)
             for index, room in zip(way, rooms * (len(each) // count), strict=True):
@@ -180,7 +180,7 @@ class _Pass(torch.autograd.Function):
                     torch.addcmul(room.shift, caught_up, room.stretch, out=moved)
                     log_stretch[:, *part] += room.stretch.log()
             here.copy_(rooms[-1].leaving)
-        kept = space.memory if keep else {}
+        kept = space.kept() if keep else {}
         ctx.back, ctx.scale, ctx.workspace, ctx.bones, ctx.seats = back, scale, workspace, bones, seats
         ctx.parts, ctx.uses = parts, tuple(kept)
         ctx.save_for_backward(*tensors, *kept.values())
@@ -189,9 +189,11 @@ class _Pass(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Any, ...]:
-        width = len(Blocks._fields) + len(Voices._fields)
-        tensors, kept = ctx.saved_tensors[:width], ctx.saved_tensors[width:]
-        space = ctx.workspace or Workspace(dict(zip(ctx.uses, kept, strict=True)))
+        width, saved = len(Blocks._fields) + len(Voices._fields), ctx.saved_tensors
+        tensors, kept = saved[:width], dict(zip(ctx.uses, saved[width:], strict=True))
+        space: Workspace | None = ctx.workspace
+        if space is None or any(space.memory[use].data_ptr() != memory.data_ptr() for use, memory in kept.items()):
+            space = Workspace(kept)  # a later pass needed more memory, or somebody else has kept it
         into_tensors = [torch.zeros_like(tensor) for tensor in tensors]
         (blocks, voices), (into, into_voices) = _sorted(tensors), _sorted(into_tensors)
         d_coordinates = gradients[0].clone()
@@ -200,7 +202,7 @@ class _Pass(torch.autograd.Function):
         way = range(len(each)) if ctx.back else range(len(each))[::-1]
         for number, part in enumerate(ctx.parts):
             d_here, d_log_stretch = d_coordinates[:, :, *part], gradients[1][:, *part]
-            rooms = space.rooms(f"part {number}", len(each), d_here, ctx.bones, features, keep=True)
+            rooms = space.rooms(_use(number), len(each), d_here, ctx.bones, features, keep=True)
             (scratch,) = space.rooms("gradients", 1, d_here, ctx.bones, features, keep=True)
             heard = HeardBackward(voices, into_voices, ctx.seats, part[0], space)
             d_flow = scratch.leaving.copy_(d_here)
@@ -229,6 +231,10 @@ class _Pass(torch.autograd.Function):
             heard.finish()
             d_here.copy_(d_flow)
         return None, None, None, None, None, None, d_coordinates, *into_tensors
+
+
+def _use(part: int) -> str:
+    return f"{KEPT} of part {part}"
 
 
 def _sorted(tensors: Sequence[Tensor]) -> tuple[Blocks, Voices]:
@@ -309,10 +315,14 @@ def _walk(
     workspace: Workspace | None,
 ) -> tuple[Tensor, Tensor]:
     """Pass through all blocks, one way or the other."""
-    said_to = voices.root.shape[2] if seats is None else seats.poses
-    if said_to not in (1, poses := coordinates.shape[2]):
+    root, poses = voices.root.shape[2], coordinates.shape[2]
+    said_to = root if seats is None else seats.poses
+    if said_to not in (1, poses):
         raise PoseDataError(f"flow: keypoints of {said_to} poses and {poses} poses; expected as many.")
+    if root not in (1, said_to):
+        raise PoseDataError(f"flow: roots of {root} poses and keypoints of {said_to}; expected as many.")
+    keep = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in (coordinates, *blocks, *voices))
     found: tuple[Tensor, Tensor] = _Pass.apply(  # type: ignore[no-untyped-call]
-        back, scale, torch.is_grad_enabled(), workspace, bones, seats, coordinates, *blocks, *voices
+        back, scale, keep, workspace, bones, seats, coordinates, *blocks, *voices
     )
     return found

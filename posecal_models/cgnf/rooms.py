@@ -14,7 +14,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-__all__ = ["Bones", "Part", "Room", "Workspace", "parts_of"]
+__all__ = ["KEPT", "Bones", "Part", "Room", "Workspace", "parts_of"]
 
 
 class Bones(NamedTuple):
@@ -77,6 +77,8 @@ def parts_of(coordinates: Tensor) -> list[Part]:
         Pose by pose.
     """
     _, nodes, poses, samples = coordinates.shape
+    if not poses * samples:
+        return []
     at_once = max(1, _ROWS_IN_CACHE // nodes) if coordinates.device.type == "cpu" else poses * samples
     samples_each = -(-samples // -(-samples // at_once))
     poses_each = max(1, at_once // samples_each)
@@ -143,10 +145,15 @@ def _lengths(grid: torch.Size, bones: Bones, features: int, *, keep: bool) -> li
     return [length * columns for length in lengths]
 
 
+KEPT = "kept"
+"""How the names of uses begin whose memory the gradients need."""
+
+
 class Workspace:
     """Memory that passes lay their activations in, one pass after another.
 
-    Gradients of a pass must be taken before the next begins in the same workspace: autograd refuses what comes late.
+    Gradients of a pass must be taken before the next one that has gradients begins in the same workspace: autograd
+    refuses what comes late. It is for one thread, and grows to the largest pass.
 
     Parameters
     ----------
@@ -161,7 +168,11 @@ class Workspace:
 
     def __init__(self, memory: Mapping[str, Tensor] = MappingProxyType({})) -> None:
         self.memory = dict(memory)
-        self._rooms: dict[str, tuple[Tensor, object, list[Room]]] = {}
+        self._rooms: dict[tuple[object, ...], tuple[Tensor, list[Room]]] = {}
+
+    def kept(self) -> dict[str, Tensor]:
+        """Give the memory that the gradients need, by use."""
+        return {use: memory for use, memory in self.memory.items() if use.startswith(KEPT)}
 
     def stack(self, use: str, shape: tuple[int, ...], like: Tensor) -> Tensor:
         """Give memory of one shape.
@@ -181,7 +192,7 @@ class Workspace:
             Of this shape, with what was written there before.
         """
         length, known = math.prod(shape), self.memory.get(use)
-        if known is None or len(known) < length or (known.dtype, known.device) != (like.dtype, like.device):
+        if known is None or len(known) < length or _kind(known) != _kind(like) or not _may_be_written(known):
             known = self.memory[use] = like.new_empty(length)
         return known[:length].view(shape)
 
@@ -210,12 +221,21 @@ class Workspace:
         """
         places, each = like.numel() * (count + keep), sum(_lengths(like.shape[1:], bones, features, keep=keep))
         flat = self.stack(use, (places + count * each,), like)
-        layout = (count, like.shape, features, keep)
-        memory, known, rooms = self._rooms.get(use, (None, None, []))
-        if memory is not self.memory[use] or known != layout:
+        layout = (use, count, like.shape, features, keep, bones.spans)
+        memory, rooms = self._rooms.get(layout, (None, []))
+        if memory is not self.memory[use]:
             coordinates = flat[:places].view(-1, *like.shape).unbind()
             leaving = coordinates[1:] if keep else coordinates
             tensors = zip(coordinates, leaving, flat[places:].view(count, -1), strict=False)
             rooms = [Room(*room, bones, features, keep=keep) for room in tensors]
-            self._rooms[use] = self.memory[use], layout, rooms
+            self._rooms[layout] = self.memory[use], rooms
         return rooms
+
+
+def _kind(tensor: Tensor) -> tuple[torch.dtype, torch.device]:
+    return tensor.dtype, tensor.device
+
+
+def _may_be_written(memory: Tensor) -> bool:
+    """Whether autograd allows writing: not to what was made in inference mode, outside of it."""
+    return torch.is_inference_mode_enabled() or not memory.is_inference()

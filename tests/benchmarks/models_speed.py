@@ -36,7 +36,7 @@ GRAPHS, SAMPLES = 200, 200
 VARIANTS = {"paper": (True, "exp"), "released": (False, "sigmoid")}
 
 
-def medians(*calls: Callable[[], object] | None, device: str, most_seconds: float = 40.0) -> list[float | None]:
+def medians(*calls: Callable[[], object] | None, device: str, most_seconds: float = 60.0) -> list[float | None]:
     """Median of at least three calls each, in ms, after one to warm up; in turns: a slow minute is shared."""
 
     def timed(call: Callable[[], object]) -> float:

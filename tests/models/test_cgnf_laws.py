@@ -266,7 +266,7 @@ def test_activations_are_let_go_after_the_way_back():
     flow, (keypoints, observed, poses) = random_flow(), inputs()
     loss = flow.ready(flow.evidence(keypoints, observed)).log_prob_per_node(poses).sum()
     step = next(node for node in nodes_of(loss.grad_fn) if "_Pass" in type(node).__name__)
-    place = len(passes.Blocks._fields) + len(hearing.Voices._fields) + step.uses.index("part 0")
+    place = len(passes.Blocks._fields) + len(hearing.Voices._fields) + step.uses.index("kept of part 0")
     activations = weakref.ref(step.saved_tensors[place].untyped_storage())
     del step
     loss.backward()
@@ -280,7 +280,107 @@ def test_gradients_that_come_after_the_next_pass_in_the_same_memory_are_refused(
     first, second = (ready.log_prob_per_node(poses).sum() for _ in range(2))
     with pytest.raises(RuntimeError, match="modified by an inplace operation"):
         first.backward(retain_graph=True)
+    with torch.no_grad():
+        ready.log_prob_per_node(poses)  # keeps nothing, so writes over nothing
+    second.backward(retain_graph=True)
     second.backward()
+
+
+def test_gradients_survive_a_later_pass_that_needed_more_memory():
+    flow, (keypoints, observed, poses) = random_flow(), inputs()
+    evidence, workspace = flow.evidence(keypoints, observed), rooms.Workspace()
+
+    def loss(count, workspace):
+        return (
+            flow.ready(evidence.of_poses(slice(0, count)), workspace=workspace).log_prob_per_node(poses[:count]).sum()
+        )
+
+    weights = list(flow.parameters())
+    expected = torch.autograd.grad(loss(3, None), weights, retain_graph=True, materialize_grads=True)
+    few, many = loss(3, workspace), loss(7, workspace)
+    found = torch.autograd.grad(few, weights, retain_graph=True, materialize_grads=True)
+    assert all(torch.equal(one, two) for one, two in zip(expected, found, strict=True))
+    many.backward()
+
+
+@pytest.mark.parametrize("rows_in_cache", [48, 100_000])
+@pytest.mark.parametrize("back", [False, True])
+def test_a_root_of_each_pose_and_its_gradients_equal_the_naive_twin_whatever_the_parts(
+    monkeypatch, back, rows_in_cache
+):
+    monkeypatch.setattr(rooms, "_ROWS_IN_CACHE", rows_in_cache)
+    flow, (keypoints, observed, poses) = random_flow(), inputs()
+    observed[2] = False
+    root = torch.randn(POSES, 3, generator=torch.Generator().manual_seed(2), dtype=torch.float64, requires_grad=True)
+    evidence = flow.evidence(keypoints, observed, root)
+    pieces = [slice(0, 3), slice(3, 7)]
+    ours = torch.cat([of_ready(flow.ready(evidence.of_poses(p)), poses[p], back=back) for p in pieces])
+    twin = plain_cgnf.inverse if back else plain_cgnf.log_prob
+    weights = dict(flow.named_parameters())
+    every = poses.flatten(0, 1), *repeated(keypoints, observed), root.repeat_interleave(SAMPLES, 0)
+    naive = twin(weights, *every, human36m_graph().parents, scale="exp").view_as(ours)
+    torch.testing.assert_close(ours, naive, rtol=1e-10, atol=1e-12)
+    wanted = [root, *weights.values()]
+    one, two = (
+        torch.autograd.grad(found.square().sum(), wanted, retain_graph=True, materialize_grads=True)
+        for found in (ours, naive)
+    )
+    torch.testing.assert_close(one, two, rtol=1e-9, atol=1e-11)
+
+
+def of_ready(ready, poses, *, back):
+    """Poses of latents, or log densities of poses."""
+    return ready.inverse(poses) if back else ready.log_prob_per_node(poses).sum(-1)
+
+
+@pytest.mark.parametrize("rows_in_cache", [48, 100_000])
+def test_many_poses_may_share_the_keypoints_of_one(monkeypatch, rows_in_cache):
+    monkeypatch.setattr(rooms, "_ROWS_IN_CACHE", rows_in_cache)
+    flow, (keypoints, observed, poses) = random_flow(), inputs()
+    weights = list(flow.parameters())
+    found = []
+    for of_all in (False, True):
+        seen = (t[:1].expand(POSES, *t.shape[1:]) if of_all else t[:1] for t in (keypoints, observed))
+        density = flow.ready(flow.evidence(*seen)).log_prob_per_node(poses)
+        found.append((density, *torch.autograd.grad(density.square().sum(), weights, materialize_grads=True)))
+    torch.testing.assert_close(*found, rtol=1e-9, atol=1e-11)
+
+
+def test_the_first_blocks_alone_equal_the_naive_twin_s():
+    flow, (keypoints, observed, poses) = random_flow(), inputs()
+    root = torch.randn(POSES, 3, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    latents, log_determinant = flow.ready(flow.evidence(keypoints, observed, root), blocks=2).forward(poses)
+    weights = {name: tensor[:2] if name.startswith("couplings") else tensor for name, tensor in flow.named_parameters()}
+    every = poses.flatten(0, 1), *repeated(keypoints, observed), root.repeat_interleave(SAMPLES, 0)
+    naive = plain_cgnf.forward(weights, *every, human36m_graph().parents, scale="exp")
+    torch.testing.assert_close(latents.flatten(0, 1), naive[0])
+    torch.testing.assert_close(log_determinant.flatten(0, 1), naive[1])
+
+
+def test_roots_of_another_number_of_poses_are_refused():
+    flow, (keypoints, observed, poses) = random_flow(), inputs()
+    evidence = flow.evidence(keypoints, observed, torch.zeros(9, 3, dtype=torch.float64))
+    with pytest.raises(PoseDataError, match=r"flow: roots of 9 poses and keypoints of 7; expected as many\."):
+        flow.ready(evidence).forward(poses)
+
+
+def test_memory_of_another_graph_kind_or_mode_is_not_used_again():
+    workspace, (keypoints, observed, poses) = rooms.Workspace(), inputs()
+    for graph in (human36m_graph(), PoseGraph(tuple("abcdefghijklmnop"), (-1, *range(15)))):
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(0)
+            flow = GraphFlow(graph, SIZE).double()
+        with torch.inference_mode():
+            flow.ready(flow.evidence(keypoints, observed), workspace=workspace).log_prob_per_node(poses)
+        for kind in (torch.float64, torch.float32):
+            ready = flow.to(kind).ready(flow.evidence(keypoints.to(kind), observed), workspace=workspace)
+            fresh = ready._replace(workspace=None)
+            assert torch.equal(*(r.log_prob_per_node(poses.to(kind)) for r in (ready, fresh)))
+
+
+def test_no_samples_are_no_samples():
+    flow, (keypoints, observed, poses) = random_flow(), inputs()
+    assert flow.ready(flow.evidence(keypoints, observed)).inverse(poses[:, :0]).shape == (POSES, 0, NODES, 3)
 
 
 @pytest.mark.parametrize("back", [False, True])
@@ -327,13 +427,13 @@ def test_missing_keypoints_may_be_left_out_or_silenced(monkeypatch):
 
 
 def test_keypoints_of_some_poses_are_found_and_placed():
-    seats = hearing.Seats(pose=torch.tensor([0, 0, 2, 3, 3]), node=torch.tensor([1, 4, 0, 2, 5]), poses=4)
-    rows, places = seats.of_poses(slice(2, 4))
-    assert rows == slice(2, 5)
-    assert places.tolist() == [0 * 2 + 0, 2 * 2 + 1, 5 * 2 + 1]
-    assert seats.of_poses(slice(1, 2))[1].tolist() == []
-    rows, places = seats.of_poses(slice(0, 4))
-    assert (rows, places.tolist()) == (slice(0, 5), [4, 16, 2, 11, 23])
+    pose, node = torch.tensor([0, 0, 2, 3, 3]), torch.tensor([1, 4, 0, 2, 5])
+    seats = hearing.Seats(pose, node, starts=[0, 2, 2, 3, 5])
+    assert seats.places().tolist() == [4, 16, 2, 11, 23]
+    rows, last = seats.of_poses(slice(2, 4))
+    assert (rows, last.poses, last.starts) == (slice(2, 5), 2, [0, 1, 3])
+    assert last.places().tolist() == [0 * 2 + 0, 2 * 2 + 1, 5 * 2 + 1]
+    assert seats.of_poses(slice(1, 2))[1].places().tolist() == []
 
 
 def nodes_of(node):
