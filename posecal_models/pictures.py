@@ -182,10 +182,14 @@ def losses(curves: Mapping[str, npt.NDArray[np.void]]) -> Figure:
     Figure
         Training and validation loss of each epoch; the first, high ones are cut off.
     """
+    columns = min(len(curves), 4)
+    rows = -(-len(curves) // columns)
     with _style():
-        figure = Figure(figsize=(2.6 * len(curves) + 0.4, 2.3), layout="constrained")
-        axes = figure.subplots(1, len(curves), squeeze=False)[0]
-        for ax, (name, curve) in zip(axes, curves.items(), strict=True):
+        figure = Figure(figsize=(2.6 * columns + 0.4, 2.3 * rows), layout="constrained")
+        axes = figure.subplots(rows, columns, squeeze=False).flat
+        for ax in axes[len(curves) :]:
+            ax.set_axis_off()
+        for ax, (name, curve) in zip(axes, curves.items(), strict=False):
             ax.plot(curve["step"], curve["training_loss"], color=FAINT, linewidth=1.5, label="training")
             ax.plot(curve["step"], curve["validation_loss"], color=INK, linewidth=1.2, label="validation")
             ax.set_title(name, loc="left")
