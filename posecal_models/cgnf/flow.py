@@ -7,6 +7,7 @@ the other. Millimetres and pixels come in at :mod:`posecal_models.cgnf.model`.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -260,7 +261,8 @@ class GraphFlow(nn.Module):
         features = features[:, self.order[0]].flatten(0, 1)
         seen = observed[:, self.order[0]].flatten()
         nodes = observed.shape[1]
-        rows, starts = torch.arange(len(seen), device=seen.device), list(range(0, len(seen) + 1, nodes))
+        rows = torch.arange(len(seen), device=seen.device)
+        starts: Sequence[int] = range(0, len(seen) + 1, nodes)
         if _chooses_rows(seen.device):
             rows, starts = rows[seen], [0, *observed.sum(1).cumsum(0).tolist()]
             features = features[rows]

@@ -52,6 +52,8 @@ class Seats(NamedTuple):
         seats : Seats
             Where they speak, among the p poses.
         """
+        if poses == slice(0, self.poses):
+            return slice(0, len(self.pose)), self
         first, last = self.starts[poses.start], self.starts[poses.stop]
         rows = slice(first, last)
         starts = [start - first for start in self.starts[poses.start : poses.stop + 1]]
