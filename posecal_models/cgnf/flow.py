@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from posecal_models.cgnf.coupling import Couplings, FoldedCouplings
 from posecal_models.cgnf.embedding import ContextEmbedding
 from posecal_models.cgnf.hearing import Seats, Voices
-from posecal_models.cgnf.passes import Blocks, Scale, latents_of, poses_of
+from posecal_models.cgnf.passes import Blocks, Path, Scale, latents_of, poses_of
 from posecal_models.cgnf.rooms import Bones, Workspace
 from posecal_models.graph import PoseGraph
 
@@ -124,7 +124,7 @@ class ReadyFlow(NamedTuple):
         log_determinant : Tensor
             (P, n, K): log of the volume change at each node, nats.
         """
-        coordinates, log_stretch = latents_of(self._coordinates(poses), *self._path())
+        coordinates, log_stretch = latents_of(self._coordinates(poses), self._path())
         latents = self._poses(coordinates) * self.folded.behind_scale[-1] + self.folded.behind_shift[-1]
         log_determinant = log_stretch[self.order[1]] + self.folded.log_determinant
         return latents, log_determinant.permute(1, 2, 0)
@@ -143,7 +143,7 @@ class ReadyFlow(NamedTuple):
             (P, n, K, D), standardised poses, unitless.
         """
         latents = (latents - self.folded.behind_shift[-1]) / self.folded.behind_scale[-1]
-        return self._poses(poses_of(self._coordinates(latents), *self._path()))
+        return self._poses(poses_of(self._coordinates(latents), self._path()))
 
     def log_prob_per_node(self, poses: Tensor) -> Tensor:
         """Give each node's share of the log density; they sum to the log density of the pose.
@@ -162,13 +162,13 @@ class ReadyFlow(NamedTuple):
         dimensions = latents.shape[-1]
         return log_determinant - 0.5 * (latents.square().sum(-1) + dimensions * math.log(2 * math.pi))
 
-    def _path(self) -> tuple[Blocks, Voices, Seats | None, Bones, Scale, Workspace | None]:
+    def _path(self) -> Path:
         folded = self.folded
         moved = torch.arange(len(folded.pool), device=folded.pool.device) % folded.behind_scale.shape[1]
         both = (folded.behind_scale, folded.behind_shift)
         behind = (behind[:-1].gather(1, moved[:, None]).squeeze(1) for behind in both)
         blocks = Blocks(folded.first, folded.second, folded.pool, *behind)
-        return blocks, self.voices, self.seats, self.bones, self.scale, self.workspace
+        return Path(blocks, self.voices, self.seats, self.bones, self.scale, self.workspace)
 
     def _coordinates(self, poses: Tensor) -> Tensor:
         """Turn (P, n, K, D) into (D + 1, K, P, n), the last row ones."""

@@ -25,7 +25,7 @@ from posecal.errors import PoseDataError
 from posecal_models.cgnf.hearing import HeardBackward, Seats, Voices, hear
 from posecal_models.cgnf.rooms import KEPT, Bones, Room, Workspace, parts_of
 
-__all__ = ["Blocks", "Scale", "latents_of", "poses_of"]
+__all__ = ["Blocks", "Path", "Scale", "latents_of", "poses_of"]
 
 Scale = Literal["sigmoid", "exp"]
 
@@ -55,6 +55,33 @@ class Blocks(NamedTuple):
     pool: Tensor
     behind_scale: Tensor
     behind_shift: Tensor
+
+
+class Path(NamedTuple):
+    """What leads from the poses to their latents, and back.
+
+    Attributes
+    ----------
+    blocks : Blocks
+        The L blocks; block l moves coordinate l modulo D.
+    voices : Voices
+        What speaks to the P poses.
+    seats : Seats or None
+        Where keypoints speak; None where none was observed.
+    bones : Bones
+        Who speaks to whom.
+    scale : str
+        How the unconstrained scale becomes a positive one.
+    workspace : Workspace or None
+        Memory for the activations; fresh memory where it is None.
+    """
+
+    blocks: Blocks
+    voices: Voices
+    seats: Seats | None
+    bones: Bones
+    scale: Scale
+    workspace: Workspace | None
 
 
 class _Block:
@@ -242,33 +269,15 @@ def _sorted(tensors: Sequence[Tensor]) -> tuple[Blocks, Voices]:
     return Blocks(*tensors[: len(Blocks._fields)]), Voices(*tensors[len(Blocks._fields) :])
 
 
-def latents_of(
-    coordinates: Tensor,
-    blocks: Blocks,
-    voices: Voices,
-    seats: Seats | None,
-    bones: Bones,
-    scale: Scale,
-    workspace: Workspace | None = None,
-) -> tuple[Tensor, Tensor]:
+def latents_of(coordinates: Tensor, path: Path) -> tuple[Tensor, Tensor]:
     """Pass poses through all blocks.
 
     Parameters
     ----------
     coordinates : Tensor
         (D + 1, K, P, n), unitless, the last row ones.
-    blocks : Blocks
-        The L blocks; block l moves coordinate l modulo D.
-    voices : Voices
-        What speaks to the P poses.
-    seats : Seats or None
-        Where keypoints speak; None where none was observed.
-    bones : Bones
-        Who speaks to whom.
-    scale : str
-        How the unconstrained scale becomes a positive one.
-    workspace : Workspace, optional
-        Memory for the activations; fresh memory where not given.
+    path : Path
+        The blocks, and what they are told.
 
     Returns
     -------
@@ -276,45 +285,41 @@ def latents_of(
         The same shape.
     log_stretch : Tensor
         (K, P, n), nats: the sum of log s over the blocks.
+
+    Raises
+    ------
+    PoseDataError
+        Where the keypoints, or the roots, are those of another number of poses.
     """
-    return _walk(False, coordinates, blocks, voices, seats, bones, scale, workspace)
+    return _walk(coordinates, path, back=False)
 
 
-def poses_of(
-    coordinates: Tensor,
-    blocks: Blocks,
-    voices: Voices,
-    seats: Seats | None,
-    bones: Bones,
-    scale: Scale,
-    workspace: Workspace | None = None,
-) -> Tensor:
+def poses_of(coordinates: Tensor, path: Path) -> Tensor:
     """Pass latents back through all blocks.
 
     Parameters
     ----------
-    coordinates, blocks, voices, seats, bones, scale, workspace
-        As of :func:`latents_of`; the blocks first to last.
+    coordinates : Tensor
+        (D + 1, K, P, n), unitless, the last row ones.
+    path : Path
+        The blocks, first to last, and what they are told.
 
     Returns
     -------
     Tensor
-        (D + 1, K, P, n), unitless.
+        The same shape.
+
+    Raises
+    ------
+    PoseDataError
+        As :func:`latents_of`.
     """
-    return _walk(True, coordinates, blocks, voices, seats, bones, scale, workspace)[0]
+    return _walk(coordinates, path, back=True)[0]
 
 
-def _walk(
-    back: bool,
-    coordinates: Tensor,
-    blocks: Blocks,
-    voices: Voices,
-    seats: Seats | None,
-    bones: Bones,
-    scale: Scale,
-    workspace: Workspace | None,
-) -> tuple[Tensor, Tensor]:
+def _walk(coordinates: Tensor, path: Path, *, back: bool) -> tuple[Tensor, Tensor]:
     """Pass through all blocks, one way or the other."""
+    blocks, voices, seats, bones, scale, workspace = path
     root, poses = voices.root.shape[2], coordinates.shape[2]
     said_to = root if seats is None else seats.poses
     if said_to not in (1, poses):
