@@ -168,7 +168,7 @@ class Workspace:
 
     def __init__(self, memory: Mapping[str, Tensor] = MappingProxyType({})) -> None:
         self.memory = dict(memory)
-        self._rooms: dict[tuple[object, ...], tuple[Tensor, list[Room]]] = {}
+        self._rooms: dict[tuple[object, ...], list[Room]] = {}
 
     def kept(self) -> dict[str, Tensor]:
         """Give the memory that the gradients need, by use."""
@@ -194,6 +194,7 @@ class Workspace:
         length, known = math.prod(shape), self.memory.get(use)
         if known is None or len(known) < length or _kind(known) != _kind(like) or not _may_be_written(known):
             known = self.memory[use] = like.new_empty(length)
+            self._rooms = {layout: rooms for layout, rooms in self._rooms.items() if layout[0] != use}
         return known[:length].view(shape)
 
     def rooms(self, use: str, count: int, like: Tensor, bones: Bones, features: int, *, keep: bool) -> list[Room]:
@@ -222,14 +223,12 @@ class Workspace:
         places, each = like.numel() * (count + keep), sum(_lengths(like.shape[1:], bones, features, keep=keep))
         flat = self.stack(use, (places + count * each,), like)
         layout = (use, count, like.shape, features, keep, bones.spans)
-        memory, rooms = self._rooms.get(layout, (None, []))
-        if memory is not self.memory[use]:
+        if layout not in self._rooms:
             coordinates = flat[:places].view(-1, *like.shape).unbind()
             leaving = coordinates[1:] if keep else coordinates
             tensors = zip(coordinates, leaving, flat[places:].view(count, -1), strict=False)
-            rooms = [Room(*room, bones, features, keep=keep) for room in tensors]
-            self._rooms[layout] = self.memory[use], rooms
-        return rooms
+            self._rooms[layout] = [Room(*room, bones, features, keep=keep) for room in tensors]
+        return self._rooms[layout]
 
 
 def _kind(tensor: Tensor) -> tuple[torch.dtype, torch.device]:

@@ -191,6 +191,17 @@ def test_keypoints_of_some_poses_are_found_and_placed():
     assert seats.of_poses(slice(1, 2))[1].places().tolist() == []
 
 
+def test_memory_that_became_too_small_is_let_go():
+    flow, (keypoints, observed, poses) = random_flow(), inputs()
+    evidence, workspace = flow.evidence(keypoints, observed), rooms.Workspace()
+    with torch.no_grad():
+        flow.ready(evidence.of_poses(slice(0, 3)), workspace=workspace).log_prob_per_node(poses[:3])
+        small = weakref.ref(workspace.memory["part"].untyped_storage())
+        flow.ready(evidence, workspace=workspace).log_prob_per_node(poses)
+    gc.collect()
+    assert small() is None
+
+
 def nodes_of(node):
     """All nodes of a graph of gradients."""
     found, left = set(), [node]
