@@ -28,7 +28,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from posecal.block import FloatArray, squared_norms
+from posecal.arrays import FloatArray, squared_norms
 from posecal.errors import PoseDataError, did_you_mean
 
 __all__ = ["ALIGNMENTS", "Alignment", "aligned", "aligned_errors", "best_rotations"]

@@ -4,43 +4,28 @@ A *block* holds B poses as one contiguous array of *offsets* from the truth, ``x
 along the last axis the N hypotheses of one coordinate of one joint. Rows that one sorts or sums are then
 contiguous, and a block fits into the processor's cache. What several metrics need (errors, sorted coordinates) is
 computed once per block, when it is first asked for.
-
-Everything posecal measures walks these blocks: an array in memory, a file of many gigabytes, and a public
-function on three poses take the same path.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from functools import cache, cached_property, partial
+from collections.abc import Callable
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
+from posecal.arrays import BoolArray, FloatArray, squared_norms, working_dtype
 from posecal.box import Box, box_of
 from posecal.errors import PoseDataError
 
 if TYPE_CHECKING:
     from collections.abc import Hashable
 
-__all__ = [
-    "Block",
-    "FloatArray",
-    "blocks_of",
-    "checked",
-    "per_pose",
-    "squared_norms",
-    "working_dtype",
-]
+__all__ = ["Before", "Block"]
 
-FloatArray = npt.NDArray[np.floating]
-BoolArray = npt.NDArray[np.bool_]
 Result = TypeVar("Result")
 Before = tuple[FloatArray, FloatArray, BoolArray | None]
-
-BLOCK_BYTES = 1024 * 1024
-"""About what the offsets of one block take: few enough to stay in cache, enough to be worth a call."""
 
 
 class Block:
@@ -258,178 +243,3 @@ def _relative(truth: FloatArray, root: int | None, dtype: np.dtype[np.floating])
     with np.errstate(invalid="ignore", over="ignore"):
         wide = truth.astype(working_dtype(truth.dtype), copy=False)
         return (wide if root is None else wide - wide[:, root, None]).astype(dtype)
-
-
-def working_dtype(dtype: npt.DTypeLike) -> np.dtype[np.floating]:
-    """Give the precision that hypotheses of a dtype are measured in: single stays single, all else is double."""
-    dtype = np.dtype(dtype)
-    return np.dtype(np.float32 if dtype.kind == "f" and dtype.itemsize <= 4 else np.float64)
-
-
-def squared_norms(vectors: FloatArray) -> FloatArray:
-    """Squared lengths of vectors that lie along the last axis but one, (..., D, n) to (..., n)."""
-    found: FloatArray = np.einsum("...dn,...dn->...n", vectors, vectors)
-    return found
-
-
-def checked(
-    hypotheses: npt.ArrayLike, truth: npt.ArrayLike, where: npt.ArrayLike | None = None
-) -> tuple[FloatArray, FloatArray, BoolArray | None]:
-    """Check two arrays in the paper's layout, and the mask.
-
-    Parameters
-    ----------
-    hypotheses : array (N, M, K, D)
-        Hypotheses.
-    truth : array (M, K, D)
-        True poses.
-    where : bool array (M, K), optional
-        The joints that count.
-
-    Returns
-    -------
-    tuple
-        The three as arrays.
-
-    Raises
-    ------
-    PoseDataError
-        Where a dtype or a shape is wrong; shapes are named with the letters that they break.
-    """
-    arrays = [_real(hypotheses, "hypotheses"), _real(truth, "truth")]
-    x, y = arrays
-    shapes = f"hypotheses {x.shape} and truth {y.shape}"
-    expected = "expected (N, M, K, D) and (M, K, D)"
-    if x.ndim == 3 and y.ndim == 4:
-        raise PoseDataError(f"{shapes}: {expected}. The two look swapped.")
-    if x.ndim != 4 or y.ndim != 3:
-        raise PoseDataError(f"{shapes}: {expected}.")
-    wrong = [
-        f"{letter} is {ours} and {theirs}"
-        for letter, ours, theirs in zip("MKD", x.shape[1:], y.shape, strict=True)
-        if ours != theirs
-    ]
-    if wrong:
-        raise PoseDataError(f"{shapes}: {expected}, but {', '.join(wrong)}.")
-    if 0 in x.shape:
-        empty = [letter for letter, size in zip("NMKD", x.shape, strict=True) if size == 0]
-        raise PoseDataError(f"{shapes}: {', '.join(empty)} is 0; expected at least one of each.")
-    if where is None:
-        return x, y, None
-    mask = np.asarray(where)
-    if mask.dtype != bool or mask.shape != y.shape[:2]:
-        raise PoseDataError(
-            f"where: {mask.dtype} {mask.shape}; expected bool (M, K) = {y.shape[:2]}, True where a joint counts."
-        )
-    return x, y, mask
-
-
-def _real(array: npt.ArrayLike, name: str) -> FloatArray:
-    found = np.asanyarray(array)
-    if found.dtype.kind not in "fiu":
-        raise PoseDataError(f"{name}: dtype {found.dtype}; expected real numbers such as float32.")
-    return found if found.dtype.kind == "f" else found.astype(np.float64)
-
-
-def block_length(shape: tuple[int, ...], dtype: npt.DTypeLike) -> int:
-    """Give the number of poses in a block of hypotheses of shape (N, M, K, D)."""
-    n, _, k, d = shape
-    return max(1, min(512, BLOCK_BYTES // (n * k * d * working_dtype(dtype).itemsize)))
-
-
-def blocks_of(
-    hypotheses: FloatArray,
-    truth: FloatArray,
-    where: BoolArray | None = None,
-    *,
-    root: int | None = None,
-    scores: FloatArray | None = None,
-    follows: BoolArray | None = None,
-    previous: Before | None = None,
-    occluded: BoolArray | None = None,
-    usable: BoolArray | None = None,
-    reference: FloatArray | None = None,
-    box: Callable[[], Box] | None = None,
-    sequence: npt.NDArray[np.intp] | None = None,
-) -> Iterator[Callable[[], Block]]:
-    """Cut checked arrays in the paper's layout into blocks, in the order of their poses.
-
-    Parameters
-    ----------
-    hypotheses, truth, where, root, scores, follows, previous, occluded, usable, reference, box, sequence
-        As for :class:`Block`, of M poses instead of B.
-
-    Yields
-    ------
-    callable
-        Lays out the next few poses as a :class:`Block`: a copy, so better done by the thread that needs it.
-    """
-    most = len(hypotheses) if reference is None else max(len(hypotheses), len(reference))
-    step = block_length((most, *hypotheses.shape[1:]), hypotheses.dtype)
-    box = cache(partial(box_of, truth, where, root=root, sequence=sequence)) if box is None else box
-    sequence = np.arange(len(truth)) if sequence is None else sequence
-    for start in range(0, truth.shape[0], step):
-        poses = slice(start, start + step)
-        if start:
-            last = slice(start - 1, start)
-            previous = hypotheses[:, last], truth[last], None if where is None else where[last]
-        yield partial(
-            Block,
-            hypotheses[:, poses],
-            truth[poses],
-            None if where is None else where[poses],
-            root=root,
-            scores=None if scores is None else scores[:, poses],
-            follows=None if follows is None else follows[poses],
-            previous=previous,
-            occluded=None if occluded is None else occluded[poses],
-            usable=None if usable is None else usable[poses],
-            reference=None if reference is None else reference[:, poses],
-            box=box,
-            sequence=sequence[poses],
-        )
-
-
-def per_pose(
-    statistic: Callable[[Block], FloatArray],
-    hypotheses: npt.ArrayLike,
-    truth: npt.ArrayLike,
-    where: npt.ArrayLike | None = None,
-    *,
-    root: int | None = None,
-    follows: BoolArray | None = None,
-) -> FloatArray:
-    """Compute a statistic of every pose, walking the blocks.
-
-    Parameters
-    ----------
-    statistic : callable
-        From a block to an array (B, ...).
-    hypotheses, truth, where
-        As for :func:`checked`.
-    root : int, optional
-        The joint to subtract from every pose.
-    follows : bool array (M,), optional
-        Whether each pose comes right after the one before it.
-
-    Returns
-    -------
-    array (M, ...)
-        The statistic of each pose, in double.
-    """
-    x, y, mask = checked(hypotheses, truth, where)
-    if root is not None and not -y.shape[1] <= root < y.shape[1]:
-        raise PoseDataError(f"root: {root}; expected the index of one of {y.shape[1]} joints.")
-    root = None if root is None else root % y.shape[1]
-    found: list[FloatArray] = []
-    for number, lay_out in enumerate(blocks_of(x, y, mask, root=root, follows=follows)):
-        block = lay_out()
-        if block.non_finite.any():
-            pose, joint = np.argwhere(block.non_finite)[0]
-            pose += number * block_length(x.shape, x.dtype)
-            raise PoseDataError(
-                f"hypotheses or truth: non-finite coordinates (first: pose {pose}, joint {joint}). "
-                "Mask those joints with where, or leave those poses out."
-            )
-        found.append(np.asarray(statistic(block), dtype=np.float64))
-    return np.concatenate(found)

@@ -8,9 +8,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from posecal.arrays import FloatArray
+
 __all__ = ["Box", "box_of"]
 
-Floats = npt.NDArray[np.floating]
 Ints = npt.NDArray[np.intp]
 
 
@@ -25,11 +26,11 @@ class Box(NamedTuple):
         The sequence that reaches the least and the largest value.
     """
 
-    least: Floats
-    largest: Floats
+    least: FloatArray
+    largest: FloatArray
     reached_by: Ints
 
-    def without(self, sequence: Ints) -> tuple[Floats, Floats]:
+    def without(self, sequence: Ints) -> tuple[FloatArray, FloatArray]:
         """Give the least and the largest values over all sequences but one, (B, K, D) each, for each of B poses."""
         own = sequence[:, None, None] == self.reached_by[:, None]
         low, high = np.where(own[0], self.least[1], self.least[0]), np.where(own[1], self.largest[1], self.largest[0])
@@ -37,7 +38,7 @@ class Box(NamedTuple):
 
 
 def box_of(
-    truth: Floats,
+    truth: FloatArray,
     where: npt.NDArray[np.bool_] | None = None,
     *,
     root: int | None = None,
@@ -75,7 +76,7 @@ def box_of(
     return Box(*ends, names[reached_by])
 
 
-def _with_next(values: Floats, reached_by: Ints, end: Callable[..., Floats]) -> Floats:
+def _with_next(values: FloatArray, reached_by: Ints, end: Callable[..., FloatArray]) -> FloatArray:
     """Give the end of (S, K, D) values that sequences reach, and that of the other sequences, (2, K, D)."""
     first = end(values, axis=0)
     np.put_along_axis(values, reached_by[None], -np.inf if end is np.max else np.inf, axis=0)

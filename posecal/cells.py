@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from posecal.block import FloatArray
+from posecal.arrays import FloatArray
 from posecal.errors import PoseDataError, did_you_mean
 from posecal.pairs import PosePairs
 

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.archive import write_members
-from posecal.block import FloatArray
+from posecal.arrays import FloatArray
 from posecal.conclusion import verdict
 from posecal.errors import PoseFileError
 from posecal.io import written_whole

@@ -12,7 +12,7 @@ from typing import cast
 
 import numpy as np
 
-from posecal.block import FloatArray
+from posecal.arrays import FloatArray
 from posecal.calibration import LEVELS, CalibrationCurve, Definition, OverJoints, signed_area
 from posecal.calibration.ranks import known_definition
 from posecal.calibration.table import curve_of, summary

@@ -22,7 +22,7 @@ from typing import IO, BinaryIO, Literal, cast
 import numpy as np
 import numpy.typing as npt
 
-from posecal.block import BoolArray, FloatArray
+from posecal.arrays import BoolArray, FloatArray
 from posecal.errors import PosecalError, PoseDataError, PoseFileError, did_you_mean
 from posecal.file_array import FileArray
 from posecal.pairs import COMMON_LABELS, Poses

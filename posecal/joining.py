@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from posecal.block import BoolArray, FloatArray
+from posecal.arrays import BoolArray, FloatArray
 from posecal.declared import declared, layouts, unit_factor
 from posecal.errors import PoseDataError, did_you_mean, first_few, raise_all
 from posecal.layout import HYPOTHESES, TRUTH, Layout, plausible_layouts

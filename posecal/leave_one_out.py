@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from posecal.block import FloatArray
+from posecal.arrays import FloatArray
 from posecal.metric import Metric, Statistic
 from posecal.totals import CURVES, Totals, mean_of, mean_of_known
 

@@ -14,7 +14,8 @@ from typing import Literal
 
 import numpy as np
 
-from posecal.block import Block, BoolArray, FloatArray
+from posecal.arrays import BoolArray, FloatArray
+from posecal.block import Block
 from posecal.errors import PoseDataError
 from posecal.inference import Deviation
 from posecal.protocol import Protocol, named_joints

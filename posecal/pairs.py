@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from posecal.block import BoolArray, FloatArray
+from posecal.arrays import BoolArray, FloatArray
 from posecal.errors import PoseDataError
 from posecal.layout import Layout, LazyArray
 

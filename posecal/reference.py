@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from posecal.block import FloatArray
+from posecal.arrays import FloatArray
 from posecal.errors import PoseDataError
 from posecal.pairs import PosePairs, Rows
 

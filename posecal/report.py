@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from posecal.block import FloatArray
+from posecal.arrays import FloatArray
 from posecal.calibration import DEFINITIONS, LEVELS
 from posecal.errors import PoseDataError, did_you_mean
 from posecal.findings import Findings

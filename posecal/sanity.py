@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from posecal.block import FloatArray
+from posecal.arrays import FloatArray
 from posecal.errors import PoseDataError
 from posecal.pairs import PosePairs
 from posecal.skeleton import Skeleton

@@ -10,7 +10,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from posecal.block import Block, BoolArray, FloatArray
+from posecal.arrays import BoolArray, FloatArray
+from posecal.block import Block
 from posecal.calibration.error import joint_ece, signed_area
 from posecal.calibration.ranks import LEVELS, inside
 from posecal.inference import Deviation

@@ -14,7 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 import posecal
-from posecal.block import Before, Block, FloatArray, block_length, blocks_of
+from posecal.arrays import FloatArray
+from posecal.block import Before, Block
+from posecal.blocks import block_length, blocks_of
 from posecal.box import box_of
 from posecal.calibration.battery import PreRank
 from posecal.cells import cells_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from posecal.block import FloatArray
+from posecal.arrays import FloatArray
 from posecal.calibration.ranks import LEVELS
 from posecal.inference import Deviation, Interval, Null, effective_poses, jackknife, sign_flips, squared_error
 from posecal.leave_one_out import joints_without, without

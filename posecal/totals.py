@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from posecal.block import FloatArray
+from posecal.arrays import FloatArray
 from posecal.errors import PoseDataError, did_you_mean
 from posecal.metric import Metric, Statistic, Subject
 from posecal.protocol import Protocol

@@ -14,16 +14,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posecal import block as block_module
-from posecal.block import (
-    Block,
-    block_length,
-    blocks_of,
-    checked,
-    per_pose,
-    squared_norms,
-    working_dtype,
-)
+from posecal.arrays import checked, squared_norms, working_dtype
+from posecal.block import Block
+from posecal.blocks import block_length, blocks_of, per_pose
 from posecal.errors import PoseDataError
 from posecal.metric import Subject
 from posecal.metrics import min_mpjpe
@@ -153,7 +146,7 @@ def test_the_box_reaches_over_the_true_poses_of_other_sequences_of_which_a_joint
 def test_blocks_of_poses_and_what_is_made_of_them_have_the_box_of_all_of_them(
     arrays: tuple[Array, Array], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(block_module, "BLOCK_BYTES", 1)
+    monkeypatch.setattr("posecal.blocks.BLOCK_BYTES", 1)
     blocks = [lay_out() for lay_out in blocks_of(*arrays, root=0)]
     assert len(blocks) == M
     for block in blocks:
@@ -222,7 +215,7 @@ def test_a_coordinate_that_is_not_finite_is_refused_with_its_place(value: float,
 def test_the_place_does_not_depend_on_the_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     x, y = skewed(2, N, 40, K)
     y[33, 2, 1] = np.nan
-    monkeypatch.setattr(block_module, "BLOCK_BYTES", 1)
+    monkeypatch.setattr("posecal.blocks.BLOCK_BYTES", 1)
     with pytest.raises(PoseDataError, match="pose 33, joint 2"):
         min_mpjpe(x, y)
 
@@ -369,7 +362,7 @@ def test_pieces_of_every_length_make_the_whole(m: int, n: int, k: int, d: int, l
     where, follows, scores = random.random((m, k)) < 0.7, random.random(m) < 0.7, random.random((n, m))
     whole = Block(x, y, where, follows=follows, scores=scores)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(block_module, "BLOCK_BYTES", length * n * k * d * 8)
+        patch.setattr("posecal.blocks.BLOCK_BYTES", length * n * k * d * 8)
         pieces = [lay_out() for lay_out in blocks_of(x, y, where, follows=follows, scores=scores)]
     assert [len(piece.where) for piece in pieces][:-1] == [max(length, 1)] * (len(pieces) - 1)
     for name in ("offsets", "truth", "where", "scores", "velocity_offsets", "where_before"):
@@ -389,7 +382,7 @@ def test_the_pose_before_may_come_from_an_earlier_read(arrays: tuple[Array, Arra
 def test_a_statistic_of_every_pose_comes_in_the_order_of_the_poses(
     arrays: tuple[Array, Array], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(block_module, "BLOCK_BYTES", 2 * N * K * D * 8)
+    monkeypatch.setattr("posecal.blocks.BLOCK_BYTES", 2 * N * K * D * 8)
     found = per_pose(lambda block: block.truth[:, 0, 0], *arrays)
     np.testing.assert_allclose(found, arrays[1][:, 0, 0])
 

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from posecal import block as block_module
 from posecal import summation
+from posecal.block import Block
 from posecal.errors import PoseDataError
 from posecal.evaluation import evaluate
 from posecal.metrics import diversity, min_mpjpe, mpjpe, mpjve, radius
@@ -171,11 +171,11 @@ def test_every_pose_is_in_one_block_in_the_order_of_the_poses(
     some: World, window: int, block: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(summation, "WINDOW_BYTES", window)
-    monkeypatch.setattr(block_module, "BLOCK_BYTES", block)
+    monkeypatch.setattr("posecal.blocks.BLOCK_BYTES", block)
     blocks = [(poses, lay_out()) for poses, lay_out in walk(some.pairs)]
     assert np.concatenate([np.arange(M)[poses] for poses, _ in blocks]).tolist() == list(range(M))
     sequence = np.unique(some.sequence, return_inverse=True)[1]
-    whole = block_module.Block(some.x, some.y, root=some.root, sequence=sequence)
+    whole = Block(some.x, some.y, root=some.root, sequence=sequence)
     for name in ("offsets", "truth"):
         joined = np.concatenate([getattr(one, name) for _, one in blocks])
         np.testing.assert_array_equal(joined, getattr(whole, name))
@@ -217,7 +217,7 @@ def test_a_sequence_that_comes_again_is_one_cell() -> None:
 
 @pytest.mark.parametrize("threads", [1, 3])
 def test_progress_counts_the_poses_that_are_done(some: World, threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(block_module, "BLOCK_BYTES", 1)
+    monkeypatch.setattr("posecal.blocks.BLOCK_BYTES", 1)
     seen: list[int] = []
     add_up(some.pairs, threads=threads, progress=seen.append)
     assert seen == list(range(1, M + 1))

@@ -19,7 +19,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from posecal import block as block_module
 from posecal import summation
 from posecal.protocol import Protocol
 from posecal.registry import known_metrics
@@ -299,7 +298,7 @@ def test_a_perfect_hypothesis_among_others_is_the_best(protocol: str) -> None:
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_numbers_do_not_depend_on_the_threads_to_the_last_bit(protocol: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(block_module, "BLOCK_BYTES", 8000)
+    monkeypatch.setattr("posecal.blocks.BLOCK_BYTES", 8000)
     alone = WORLD.totals(PROTOCOLS[protocol])
     together = WORLD.totals(PROTOCOLS[protocol], threads=3)
     assert list(together.sums) == list(alone.sums)
@@ -314,7 +313,7 @@ def test_numbers_do_not_depend_on_how_poses_are_cut_into_blocks(
 ) -> None:
     expected = usual(protocol)
     if block is not None:
-        monkeypatch.setattr(block_module, "BLOCK_BYTES", block)
+        monkeypatch.setattr("posecal.blocks.BLOCK_BYTES", block)
     if window is not None:
         monkeypatch.setattr(summation, "WINDOW_BYTES", window)
     hold("blocks", protocol, WORLD.values(PROTOCOLS[protocol]), expected, rtol=1e-12, atol=1e-12)
@@ -399,7 +398,7 @@ def test_any_world_masked_cut_and_split_anyhow_gives_the_same(
         some = replace(some, occluded=~some.occluded)
     expected = some.values(PROTOCOLS[protocol])
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(block_module, "BLOCK_BYTES", length * N * 8 * 3 * 8)
+        patch.setattr("posecal.blocks.BLOCK_BYTES", length * N * 8 * 3 * 8)
         parts = [part.totals(PROTOCOLS[protocol], threads=threads) for part in shards(some, [cut])]
     hold("shards", protocol, numbers(merge_totals(parts)), expected, rtol=1e-12, atol=1e-12)
 

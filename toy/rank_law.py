@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy.special import erf
 
-from posecal.block import FloatArray
+from posecal.arrays import FloatArray
 from posecal.calibration import LEVELS
 from toy.progress import bar
 

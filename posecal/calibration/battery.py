@@ -26,7 +26,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from posecal.block import Block, BoolArray, FloatArray, squared_norms
+from posecal.arrays import BoolArray, FloatArray, squared_norms
+from posecal.block import Block
 from posecal.calibration.ranks import rank_weights, shared_ranks
 from posecal.errors import PoseDataError
 

@@ -12,7 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from posecal.block import Block, BoolArray, FloatArray, per_pose
+from posecal.arrays import BoolArray, FloatArray
+from posecal.block import Block
+from posecal.blocks import per_pose
 from posecal.calibration.ranks import LEVELS, Definition, inside, known_definition
 
 __all__ = ["CalibrationCurve", "calibration_curve", "inside_table", "joint_median"]

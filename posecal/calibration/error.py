@@ -13,7 +13,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from posecal.block import FloatArray
+from posecal.arrays import FloatArray
 from posecal.calibration.curve import CalibrationCurve
 from posecal.calibration.ranks import LEVELS
 from posecal.errors import PoseDataError, did_you_mean

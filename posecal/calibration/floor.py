@@ -17,7 +17,7 @@ from importlib.resources import files
 
 import numpy as np
 
-from posecal.block import FloatArray
+from posecal.arrays import FloatArray
 from posecal.calibration.curve import CalibrationCurve
 from posecal.calibration.error import OverJoints, ece
 from posecal.calibration.ranks import LEVELS, Definition, known_definition, rank_weights

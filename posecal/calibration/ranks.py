@@ -34,7 +34,8 @@ from typing import Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from posecal.block import Block, BoolArray, FloatArray, squared_norms
+from posecal.arrays import BoolArray, FloatArray, squared_norms
+from posecal.block import Block
 from posecal.errors import PoseDataError, did_you_mean
 
 __all__ = [

@@ -7,7 +7,8 @@ from typing import cast
 
 import numpy as np
 
-from posecal.block import Block, FloatArray
+from posecal.arrays import FloatArray
+from posecal.block import Block
 from posecal.calibration.battery import BATTERY, PreRank, Test, user_weights
 from posecal.calibration.curve import CalibrationCurve, inside_table
 from posecal.calibration.error import OverJoints, ece, joint_ece, signed_area

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from posecal.block import FloatArray
+from posecal.arrays import FloatArray
 from posecal.calibration.ranks import shared_ranks
 from posecal.errors import PoseDataError
 

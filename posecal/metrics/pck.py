@@ -18,7 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.align import Alignment
-from posecal.block import Block, BoolArray, FloatArray, per_pose
+from posecal.arrays import BoolArray, FloatArray
+from posecal.block import Block
+from posecal.blocks import per_pose
 from posecal.errors import PoseDataError, did_you_mean
 from posecal.metrics.position import joint_errors, linked
 

@@ -22,7 +22,9 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.align import Alignment, aligned_errors
-from posecal.block import Block, BoolArray, FloatArray, checked, per_pose, squared_norms
+from posecal.arrays import BoolArray, FloatArray, checked, squared_norms
+from posecal.block import Block
+from posecal.blocks import per_pose
 from posecal.errors import PoseDataError, did_you_mean
 from posecal.metrics.best_of import OF_ERRORS, OfErrors, best_of, subset_weights
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from posecal.block import Block, FloatArray
+from posecal.arrays import FloatArray
+from posecal.block import Block
 from posecal.metric import Metric, Scope, Statistic, item
 from posecal.metrics.guide import rank_correlation, sparsification_area
 from posecal.metrics.position import pose_errors

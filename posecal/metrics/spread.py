@@ -9,7 +9,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from posecal.block import Block, BoolArray, FloatArray, per_pose, squared_norms
+from posecal.arrays import BoolArray, FloatArray, squared_norms
+from posecal.block import Block
+from posecal.blocks import per_pose
 from posecal.errors import PoseDataError
 
 __all__ = ["diversity", "joint_deviations", "joint_radii", "mean_over_joints", "predicted_spread", "radius"]

@@ -9,7 +9,8 @@ from typing import cast
 import numpy as np
 
 from posecal.align import Alignment
-from posecal.block import Block, BoolArray, FloatArray
+from posecal.arrays import BoolArray, FloatArray
+from posecal.block import Block
 from posecal.errors import PoseDataError
 from posecal.metric import Curve, Metric, Scope, Statistic, item
 from posecal.metrics.best_of import ROUND_SIZES, curve_sizes

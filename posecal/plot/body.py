@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from posecal.block import FloatArray
+from posecal.arrays import FloatArray
 from posecal.errors import PoseDataError, did_you_mean, first_few
 from posecal.pairs import PosePairs
 from posecal.plot.style import FAINT, INK, OVER, STYLE, UNDER, given

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from posecal.block import BoolArray, FloatArray
+from posecal.arrays import BoolArray, FloatArray
 from posecal.errors import PoseDataError
 from posecal.pairs import PosePairs, Rows
 

@@ -17,7 +17,9 @@ import numpy.typing as npt
 
 import posecal
 from posecal.archive import Archive
-from posecal.block import Block, FloatArray, block_length
+from posecal.arrays import FloatArray
+from posecal.block import Block
+from posecal.blocks import block_length
 from posecal.errors import PoseFileError
 from posecal.io import written_whole
 from posecal.metrics.spread import joint_deviations

@@ -9,7 +9,8 @@ from functools import partial
 
 import numpy as np
 
-from posecal.block import Block, FloatArray
+from posecal.arrays import FloatArray
+from posecal.block import Block
 from posecal.errors import PoseDataError
 from posecal.metrics.spread import joint_deviations
 from posecal.pairs import PosePairs

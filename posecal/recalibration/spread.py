@@ -15,7 +15,9 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from posecal.block import Block, BoolArray, FloatArray, block_length
+from posecal.arrays import BoolArray, FloatArray
+from posecal.block import Block
+from posecal.blocks import block_length
 from posecal.calibration.curve import inside_table
 from posecal.calibration.ranks import LEVELS
 from posecal.errors import PoseDataError

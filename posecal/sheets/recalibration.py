@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from posecal.block import FloatArray
+from posecal.arrays import FloatArray
 from posecal.findings import Findings
 from posecal.numbers import counted, number
 from posecal.recalibration.radius import RadiusMap

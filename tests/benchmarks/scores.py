@@ -17,7 +17,9 @@ from functools import partial
 import numpy as np
 from scipy.spatial.distance import cdist, pdist
 
-from posecal.block import Block, FloatArray, blocks_of
+from posecal.arrays import FloatArray
+from posecal.block import Block
+from posecal.blocks import blocks_of
 from posecal.calibration import LEVELS
 from posecal.inference import Deviation, sign_flips
 from posecal.metrics.proper import fair_brier, joint_crps, joint_energies, variograms

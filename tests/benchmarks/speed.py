@@ -16,7 +16,9 @@ from collections.abc import Callable
 import numpy as np
 
 from posecal.align import aligned_errors
-from posecal.block import Block, FloatArray, blocks_of
+from posecal.arrays import FloatArray
+from posecal.block import Block
+from posecal.blocks import blocks_of
 from posecal.calibration import DEFINITIONS, LEVELS
 from posecal.calibration.ranks import inside
 from posecal.joining import join

@@ -16,7 +16,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from posecal.block import Block, blocks_of
+from posecal.block import Block
+from posecal.blocks import blocks_of
 from posecal.calibration import LEVELS
 from posecal.calibration.battery import BATTERY, load_prerank, user_weights, weights_of_ranks
 from posecal.errors import PoseDataError

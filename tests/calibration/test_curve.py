@@ -6,7 +6,6 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from posecal import block as block_module
 from posecal.block import Block
 from posecal.calibration import DEFINITIONS, LEVELS, CalibrationCurve, Definition, calibration_curve
 from posecal.calibration.curve import inside_table
@@ -70,7 +69,7 @@ def test_curves_do_not_depend_on_the_blocks(
     arrays: tuple[Array, Array], where: Mask, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = calibration_curve(*arrays, where=where)
-    monkeypatch.setattr(block_module, "BLOCK_BYTES", 1)
+    monkeypatch.setattr("posecal.blocks.BLOCK_BYTES", 1)
     np.testing.assert_array_equal(calibration_curve(*arrays, where=where).coverage, whole.coverage)
 
 

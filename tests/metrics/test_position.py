@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posecal import block as block_module
 from posecal.align import ALIGNMENTS, Alignment
 from posecal.block import Block
 from posecal.errors import PoseDataError
@@ -270,7 +269,7 @@ def test_velocities_do_not_depend_on_the_blocks(
     x, y = arrays
     x[:, ~where], y[~where] = np.nan, np.nan
     whole = mpjve(x, y, sequence=SEQUENCE, where=where)
-    monkeypatch.setattr(block_module, "BLOCK_BYTES", length * N * K * 3 * 8)
+    monkeypatch.setattr("posecal.blocks.BLOCK_BYTES", length * N * K * 3 * 8)
     np.testing.assert_allclose(mpjve(x, y, sequence=SEQUENCE, where=where), whole)
 
 

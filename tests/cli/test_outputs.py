@@ -1,0 +1,84 @@
+"""What is written, and what is made of a saved result: reports, merged shards and pictures."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import posecal
+from posecal.protocol import Protocol
+from posecal.report import Report
+from posecal.results import load_totals
+from tests.cli.shell import EVALUATE, N, done, frame_ids, gt_members, hyps_members, rows, run
+
+
+def test_save_plot_and_html_write_these_files_and_no_others() -> None:
+    before = {path.name for path in Path().iterdir()}
+    plain = done("evaluate", "hyps.npz", "gt.npz")
+    assert {path.name for path in Path().iterdir()} == before
+    assert done("evaluate", "hyps.npz", "gt.npz", "--save=s.npz", "--plot=p.svg", "--html=h.html") == plain
+    assert {path.name for path in Path().iterdir()} == before | {"s.npz", "p.svg", "h.html"}
+    assert Path("p.svg").read_text(encoding="utf-8").startswith("<?xml")
+    assert Path("h.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+    assert load_totals("s.npz").signature == load_totals("result.npz").signature
+
+
+@pytest.mark.parametrize("form", ["text", "json"])
+def test_a_saved_result_is_reported_as_it_was(form: str) -> None:
+    words = ("--format", form, "--per-joint", "--definitions", "--by", "action")
+    one = run("evaluate", "hyps.npz", "gt.npz", "--save", "kept.npz", *words)
+    later = run("report", "kept.npz", *words)
+    assert (later.stdout, later.stderr, later.exit_code) == (one.stdout, one.stderr, 0)
+
+
+def test_results_of_shards_merge_into_that_of_the_whole() -> None:
+    """Cut within a sequence: 36 poses of three frames a sequence into 0 … 9 and 10 … 35."""
+    for name, part in (("a", slice(0, 10)), ("b", slice(10, 36))):
+        ours, theirs = hyps_members(), gt_members()
+        ours |= {"hypotheses": ours["hypotheses"][:, part], "frame_id": ours["frame_id"][part]}
+        theirs |= {key: values[part] for key, values in theirs.items() if len(values) == 36}
+        np.savez(f"h{name}.npz", **ours)
+        np.savez(f"g{name}.npz", **theirs)
+        done("evaluate", f"h{name}.npz", f"g{name}.npz", "--save", f"{name}.npz")
+    found = run("merge", "b.npz", "a.npz", "-o", "all.npz")
+    assert (found.exit_code, found.stdout) == (0, "")
+    assert found.stderr == "all.npz: 36 poses of 2 results.\n"
+    merged, whole = (rows(done("report", name, "--format=json", "--by=action")) for name in ("all.npz", "result.npz"))
+    assert merged.keys() == whole.keys()
+    for key, value in whole.items():
+        expected = np.nan if value is None else value
+        got = merged[key]
+        np.testing.assert_allclose(np.nan if got is None else got, expected, rtol=1e-6, atol=1e-9, err_msg=str(key))
+
+
+@pytest.mark.parametrize("kind", ["reliability", "joints", "errors", "correct"])
+def test_a_saved_result_is_drawn(kind: str) -> None:
+    assert done("plot", kind, "result.npz", "-o", "picture.svg") == ""
+    from posecal.plot import draw, figure_bytes
+
+    report = Report(load_totals("result.npz"))
+    assert Path("picture.svg").read_bytes() == figure_bytes(draw(report, kind), ".svg")
+
+
+def test_poses_are_drawn_by_frame_and_joint() -> None:
+    ids = frame_ids()
+    words = ("plot", "poses", "hyps.npz", "gt.npz", "-o", "poses.svg")
+    done(*words, "--frames", f"{ids[4]}, 7", "--joint", "LFoot", "--most", "3")
+    text = Path("poses.svg").read_text(encoding="utf-8")
+    for said in (ids[4], ids[7], f"grey: 3 of {N} hypotheses", "pink: LFoot"):
+        assert said in text
+
+
+def test_presets_lists_every_preset_and_option() -> None:
+    text = done("presets")
+    for name in posecal.PRESETS:
+        assert re.search(rf"^{name} ", text, re.MULTILINE)
+    for option in Protocol().options:
+        assert re.search(rf"^{option} ", text, re.MULTILINE)
+
+
+def test_an_existing_output_is_replaced_whole() -> None:
+    Path("s.npz").write_text("old" * 10**6)
+    done(*EVALUATE, "--metrics=min_mpjpe", "--save", "s.npz")
+    assert b"old" not in Path("s.npz").read_bytes()

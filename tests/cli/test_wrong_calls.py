@@ -1,0 +1,106 @@
+"""Calls that can't be meant are refused before any work; help, and what it says."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+import posecal
+from tests.cli.shell import EVALUATE, done, refused, run
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["evalute"], "No such command 'evalute'. Did you mean 'evaluate'?"),
+        (["evaluate", "hyps.npz"], "Missing argument 'truth'."),
+        ([*EVALUATE, "more.npz"], "Got unexpected extra argument"),
+        ([*EVALUATE, "--bye", "action"], "No such option: --bye"),
+        ([*EVALUATE, "--where", "hidden"], "'hidden' is not one of 'all', 'occluded', 'visible'"),
+        ([*EVALUATE, "--format", "xml"], "'xml' is not one of 'text', 'markdown', 'csv', 'json'"),
+        ([*EVALUATE, "--preset", "cgn"], "preset: 'cgn' is not known. Did you mean cgnf?"),
+        ([*EVALUATE, "--set", "besst=frame"], "option: 'besst' is not known. Did you mean best?"),
+        ([*EVALUATE, "--set", "best=fram"], "best: 'fram'; expected frame, sequence, batch:k (k clips) or joint."),
+        ([*EVALUATE, "--set", "best"], "'best': expected OPTION=VALUE, such as best=sequence."),
+        ([*EVALUATE, "--set", "pck_threshold=wide"], "pck_threshold: 'wide'; expected a length in mm."),
+        ([*EVALUATE, "--metrics", "mpjp"], "metrics: mpjp not known. Did you mean mpjpe?"),
+        ([*EVALUATE, "--metrics", ""], "metrics: ''; expected default, all, or names with commas."),
+        ([*EVALUATE, "--axes", "NMKK"], "axes: 'NMKK' lacks D; expected each letter of NMKD once"),
+        ([*EVALUATE, "--unit", "inch"], "unit: 'inch'; expected mm, cm, m, or the millimetres in one unit"),
+        ([*EVALUATE, "--hypotheses", "0"], "'--hypotheses'"),
+        ([*EVALUATE, "--threads", "0"], "'--threads'"),
+        ([*EVALUATE, "--plot", "p.jpg"], "p.jpg: .jpg; expected a name that ends with .svg, .png or .pdf."),
+        ([*EVALUATE, "--plot", "p"], "p: no ending; expected a name that ends with .svg, .png or .pdf."),
+        ([*EVALUATE, "--html", "gt.npz"], "gt.npz is read already; expected another name."),
+        ([*EVALUATE, "--skill", "r.npz", "--save", "r.npz"], "r.npz is read already; expected another name."),
+        ([*EVALUATE, "--prerank", "p.py:height", "--save", "p.py"], "p.py is read already; expected another name."),
+        ([*EVALUATE, "--save", "x", "--html", "./x"], "x is written already; expected another name."),
+        (["merge", "result.npz", "-o", "./result.npz"], "result.npz is read already; expected another name."),
+        (["merge", "result.npz"], "Missing option '--output'"),
+        (["plot", "joint", "result.npz", "-o", "x.svg"], "No such command 'joint'. Did you mean 'joints'?"),
+    ],
+    ids=lambda value: "-".join(value)[-40:] if isinstance(value, list) else "",
+)
+def test_a_wrong_call_is_said_before_any_work(words: list[str], said: str) -> None:
+    assert said in refused(*words, code=2)
+
+
+@pytest.mark.parametrize(
+    ("place", "words"),
+    [
+        ("nowhere/x", r"nowhere/x: the folder nowhere does not exist\. Make it first\."),
+        ("folder", r"folder: is a folder; expected the name of a file\."),
+        ("/proc/x", r"/proc/x: can't be written \(.+\)\."),
+        ("/dev/full", r"/dev/full: is a device or a pipe; expected the name of a file\."),
+    ],
+)
+@pytest.mark.parametrize("door", ["--save", "--html"])
+def test_an_output_that_can_not_be_written_is_said_before_any_work(door: str, place: str, words: str) -> None:
+    Path("folder").mkdir()
+    said = refused("evaluate", "nothing.npz", "nothing.npz", door, place)
+    assert re.fullmatch(f"posecal: {words}", said), said
+
+
+@pytest.mark.parametrize("command", ["merge result.npz", "plot errors result.npz", "plot poses hyps.npz gt.npz"])
+def test_so_it_is_by_other_commands(command: str) -> None:
+    said = refused(*command.split(), "-o", "nowhere/x.svg")
+    assert said == "posecal: nowhere/x.svg: the folder nowhere does not exist. Make it first."
+
+
+def test_no_file_is_written_where_one_of_them_can_not_be_made() -> None:
+    """The diagram needs two hypotheses; the result would not."""
+    Path("s.npz").write_text("what was here before")
+    said = refused(*EVALUATE, "--hypotheses=1", "--save=s.npz", "--html=h.html", "--plot=p.svg")
+    assert said == "posecal: reliability: calibration needs at least 2 hypotheses; there is 1."
+
+
+# --- help -----------------------------------------------------------------------------------------------------
+
+COMMANDS = ["", "evaluate", "report", "compare", "merge", "presets", "demo", "plot", "plot poses", "plot reliability"]
+
+
+@pytest.mark.parametrize("command", [*COMMANDS, "recalibrate", "recalibrate fit", "recalibrate apply"])
+def test_help_says_what_each_command_option_and_argument_is(command: str) -> None:
+    text = done(*command.split(), "--help")
+    assert text.count("Usage: posecal") == 1
+    lines = [line.strip("│ ") for line in text.splitlines()]
+    options = [line for line in lines if re.match(r"\*? *--", line)]
+    assert options
+    for line in options:
+        assert re.search(r"[A-Za-z,)…]\.( |$)", line), line
+
+
+@pytest.mark.parametrize("width", ["60", "80", "120"])
+def test_help_fits_the_terminal(width: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", width)
+    assert max(map(len, done("evaluate", "--help").splitlines())) <= int(width)
+
+
+def test_the_version_is_said() -> None:
+    assert done("--version") == f"posecal {posecal.__version__}\n"
+
+
+def test_without_a_command_help_is_shown() -> None:
+    found = run()
+    assert found.exit_code == 2
+    assert "evaluate" in found.output
