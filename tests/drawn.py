@@ -21,6 +21,7 @@ JOINTS = ("Spine", "RKnee", "Hip", "LFoot", "Head", "LWrist", "Neck/Nose", "RElb
 """Of which Spine is no joint of CPS; Spine, Hip and Neck/Nose are none of PCK."""
 
 Array = npt.NDArray[np.floating]
+Mask = npt.NDArray[np.bool_]
 
 
 def skewed(seed: int, N: int, M: int, K: int, D: int = 3) -> tuple[Array, Array]:
@@ -31,6 +32,13 @@ def skewed(seed: int, N: int, M: int, K: int, D: int = 3) -> tuple[Array, Array]
     x = y + widths * (random.gamma(2.0, 1.0, (N, M, K, D)) - 1.7)
     x += random.normal(0, 30, (M, K, D))
     return x, y
+
+
+def mostly(M: int, K: int) -> Mask:
+    """Joints that count, (M, K): seven of ten; in pose 4, none."""
+    mask = np.random.default_rng(1).random((M, K)) < 0.7
+    mask[4] = False
+    return mask
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,12 @@ def hypotheses() -> Array:
     return found.astype(np.float32)
 
 
+def npy(folder: Path, name: str, array: Any) -> Path:
+    """A bare array in a file."""
+    np.save(folder / name, array)
+    return folder / name
+
+
 def save(path: Path, **members: Any) -> Path:
     """Write an .npz file."""
     np.savez(path, allow_pickle=False, **members)

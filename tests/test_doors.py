@@ -93,7 +93,7 @@ FLOORS = (
     "io sanity cells declared",
     "joining metrics.best_of",
     "metrics.position metrics.spread metrics.guide calibration.ranks",
-    "metrics.pck metrics.proper calibration.curve calibration.battery",
+    "metrics.pck metrics.proper metrics.velocity calibration.curve calibration.battery",
     "metrics calibration.error inference",
     "calibration.floor protocol",
     "calibration metric",

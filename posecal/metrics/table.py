@@ -24,8 +24,9 @@ from posecal.metrics.pck import (
     joint_score,
     pose_score,
 )
-from posecal.metrics.position import OfPoses, joint_errors, linked, pose_errors, subset_errors, velocity_errors
+from posecal.metrics.position import OfPoses, joint_errors, linked, pose_errors, subset_errors
 from posecal.metrics.spread import joint_deviations, joint_radii
+from posecal.metrics.velocity import velocity_errors
 
 __all__ = ["accuracy_curves", "accuracy_metrics", "spread_metrics"]
 

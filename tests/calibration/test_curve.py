@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from posecal.block import Block
@@ -11,10 +10,7 @@ from posecal.calibration import DEFINITIONS, LEVELS, CalibrationCurve, Definitio
 from posecal.calibration.curve import inside_table
 from posecal.errors import PoseDataError
 from tests import oracles
-from tests.drawn import skewed
-
-Array = npt.NDArray[np.floating]
-Mask = npt.NDArray[np.bool_]
+from tests.drawn import Array, Mask, mostly, skewed
 
 N, M, K = 6, 17, 4
 
@@ -27,8 +23,7 @@ def arrays() -> tuple[Array, Array]:
 @pytest.fixture
 def where() -> Mask:
     """Some joints that count; of pose 4 none, and joint 3 never."""
-    mask = np.random.default_rng(1).random((M, K)) < 0.7
-    mask[4] = False
+    mask = mostly(M, K)
     mask[:, 3] = False
     return mask
 

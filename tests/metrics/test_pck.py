@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -25,10 +24,7 @@ from posecal.metrics.pck import (
     pose_score,
 )
 from tests import oracles
-from tests.drawn import skewed
-
-Array = npt.NDArray[np.floating]
-Mask = npt.NDArray[np.bool_]
+from tests.drawn import Array, Mask, mostly, skewed
 
 N, M, K = 4, 9, 5
 
@@ -41,9 +37,7 @@ def arrays() -> tuple[Array, Array]:
 @pytest.fixture
 def where() -> Mask:
     """Some joints that count; in pose 4, none."""
-    mask = np.random.default_rng(1).random((M, K)) < 0.7
-    mask[4] = False
-    return mask
+    return mostly(M, K)
 
 
 def lattice(seed: int) -> tuple[Array, Array]:

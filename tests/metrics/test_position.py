@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -13,13 +10,10 @@ from hypothesis import strategies as st
 from posecal.align import ALIGNMENTS, Alignment
 from posecal.block import Block
 from posecal.errors import PoseDataError
-from posecal.metrics import min_mpjpe, min_mpjpe_curve, mpjpe, mpjve
+from posecal.metrics import min_mpjpe, min_mpjpe_curve, mpjpe
 from posecal.metrics.position import OfPoses, joint_errors, linked, pose_errors, pose_of
 from tests import oracles
-from tests.drawn import skewed
-
-Array = npt.NDArray[np.floating]
-Mask = npt.NDArray[np.bool_]
+from tests.drawn import Array, Mask, mostly, skewed
 
 N, M, K = 6, 11, 5
 OF_ERRORS = ("min", "mean", "median", "worst")
@@ -34,9 +28,7 @@ def arrays() -> tuple[Array, Array]:
 @pytest.fixture
 def where() -> Mask:
     """Some joints that count; in pose 4, none."""
-    mask = np.random.default_rng(1).random((M, K)) < 0.7
-    mask[4] = False
-    return mask
+    return mostly(M, K)
 
 
 def expected(x: Array, y: Array, w: Mask, of: str, align: str, root: int | None, mode: int = 0) -> Array:
@@ -235,74 +227,6 @@ def test_the_curve_falls() -> None:
 def test_sizes_that_are_no_numbers_of_hypotheses_are_refused(arrays: tuple[Array, Array], sizes: object) -> None:
     with pytest.raises(PoseDataError, match=r"sizes: .*; expected whole numbers from 1 to N = 6\."):
         min_mpjpe_curve(*arrays, sizes)  # type: ignore[arg-type]
-
-
-# --- velocities ------------------------------------------------------------------------------------------------------
-
-
-SEQUENCE = ["a"] * 4 + ["b"] + ["c"] * 4 + ["a"] * 2
-
-
-@pytest.mark.parametrize("root", [None, 1])
-@pytest.mark.parametrize("masked", [False, True])
-def test_velocity_errors_are_the_naive_formula(
-    arrays: tuple[Array, Array], where: Mask, root: int | None, masked: bool
-) -> None:
-    x, y = (oracles.relative(array, root) for array in arrays)
-    w = where if masked else np.ones((M, K), dtype=bool)
-    found = mpjve(*arrays, sequence=SEQUENCE, root=root, where=where if masked else None)
-    np.testing.assert_allclose(found, oracles.velocity_errors(x, y, w, SEQUENCE), rtol=1e-9)
-
-
-def test_a_joint_that_did_not_count_in_the_pose_before_has_no_step() -> None:
-    """Joint 0 is off by 100 mm throughout: its error of velocity is 0, also where it appears for the first time."""
-    y = np.zeros((3, 2, 3))
-    x = y[None] + [[100.0, 0, 0], [0, 0, 0]]
-    where = np.array([[False, True], [True, True], [True, True]])
-    np.testing.assert_allclose(mpjve(x, y, where=where), [math.nan, 0, 0])
-
-
-@pytest.mark.parametrize("length", [1, 2, 3])
-def test_velocities_do_not_depend_on_the_blocks(
-    arrays: tuple[Array, Array], where: Mask, length: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    x, y = arrays
-    x[:, ~where], y[~where] = np.nan, np.nan
-    whole = mpjve(x, y, sequence=SEQUENCE, where=where)
-    monkeypatch.setattr("posecal.blocks.BLOCK_BYTES", length * N * K * 3 * 8)
-    np.testing.assert_allclose(mpjve(x, y, sequence=SEQUENCE, where=where), whole)
-
-
-def test_without_labels_all_poses_are_one_sequence(arrays: tuple[Array, Array]) -> None:
-    found = mpjve(*arrays)
-    np.testing.assert_allclose(found, mpjve(*arrays, sequence=["one"] * M))
-    assert np.flatnonzero(np.isnan(found)).tolist() == [0]
-
-
-def test_velocities_per_second_are_those_per_frame_times_the_frames_per_second(arrays: tuple[Array, Array]) -> None:
-    np.testing.assert_allclose(mpjve(*arrays, fps=50), 50 * mpjve(*arrays))
-
-
-def test_a_velocity_needs_a_sequence_label_for_every_pose(arrays: tuple[Array, Array]) -> None:
-    with pytest.raises(PoseDataError, match=r"sequence \(3,\): expected \(M,\) = \(11,\)\."):
-        mpjve(*arrays, sequence=["a", "b", "c"])
-
-
-@pytest.mark.parametrize("fps", [0, -25, math.nan, math.inf])
-def test_frames_per_second_are_above_zero(arrays: tuple[Array, Array], fps: float) -> None:
-    with pytest.raises(PoseDataError, match=r"fps: .*; expected frames per second above 0\."):
-        mpjve(*arrays, fps=fps)
-
-
-def test_a_velocity_refuses_what_is_not_finite(arrays: tuple[Array, Array]) -> None:
-    arrays[0][2, 7, 3, 1] = math.nan
-    with pytest.raises(PoseDataError, match=r"non-finite coordinates \(first: pose 7, joint 3\)"):
-        mpjve(*arrays)
-
-
-def test_a_velocity_refuses_a_root_beyond_the_joints(arrays: tuple[Array, Array]) -> None:
-    with pytest.raises(PoseDataError, match=r"root: 5; expected the index of one of 5 joints"):
-        mpjve(*arrays, root=5)
 
 
 # --- words -----------------------------------------------------------------------------------------------------------

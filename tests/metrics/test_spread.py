@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from posecal.block import Block
@@ -11,10 +10,7 @@ from posecal.errors import PoseDataError
 from posecal.metrics import diversity, radius
 from posecal.metrics.spread import mean_over_joints, predicted_spread
 from tests import oracles
-from tests.drawn import skewed
-
-Array = npt.NDArray[np.floating]
-Mask = npt.NDArray[np.bool_]
+from tests.drawn import Array, Mask, mostly, skewed
 
 N, M, K = 6, 9, 5
 
@@ -27,9 +23,7 @@ def arrays() -> tuple[Array, Array]:
 @pytest.fixture
 def where() -> Mask:
     """Some joints that count; in pose 4, none."""
-    mask = np.random.default_rng(1).random((M, K)) < 0.7
-    mask[4] = False
-    return mask
+    return mostly(M, K)
 
 
 def over_joints(values: Array, where: Mask) -> Array:
