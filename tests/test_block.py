@@ -21,9 +21,6 @@ def arrays() -> tuple[Array, Array]:
     return skewed(0, N, M, K, D)
 
 
-# --- one block ----------------------------------------------------------------------------------------------------
-
-
 def test_offsets_are_hypotheses_minus_truth_with_hypotheses_last(arrays: tuple[Array, Array]) -> None:
     x, y = arrays
     block = Block(x, y)

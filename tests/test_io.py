@@ -39,9 +39,6 @@ def assert_plain(ours: Path, theirs: Path, how: Join | None = None) -> None:
     assert pairs.shape == (N, M, K, 3)
 
 
-# --- forms that mean the same ---------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", ["hypotheses", "hyps", "arr_0", "samples"])
 def test_hypotheses_are_found_by_name_or_as_the_only_array(tmp_path: Path, name: str) -> None:
     assert_plain(save(tmp_path / "h.npz", **{name: hypotheses()}), truth_file(tmp_path))

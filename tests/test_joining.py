@@ -20,7 +20,6 @@ from tests.small_files import (
     hypotheses,
     hypotheses_file,
     opened,
-    save,
     truth,
     truth_file,
 )
@@ -444,10 +443,9 @@ def test_the_first_hypotheses_are_taken_where_fewer_are_asked_for() -> None:
         join(ours(), theirs()).with_hypotheses(6)
 
 
-def test_hypotheses_alone_need_no_truth(tmp_path: Path) -> None:
+def test_hypotheses_alone_need_no_truth() -> None:
     stored, joints, root = alone(ours(hypotheses() / 1000, unit="m", joints=JOINTS))
     np.testing.assert_allclose(stored.read(0, M), hypotheses(), atol=1e-3)
     assert (joints, root) == (JOINTS, 0)
     with pytest.raises(PoseDataError, match=r"^hyps\.npz: nothing in it; its shape is \(5, 0, 17, 3\)\.$"):
         alone(ours(np.ones((5, 0, 17, 3))))
-    assert save(tmp_path / "x.npz", a=1).exists()
