@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import sys
 from enum import StrEnum
-from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -287,11 +286,11 @@ def zero_shot(
     if experiment is Experiment.PENDULUM:
         with counted("training", steps * len(experiments.PENDULUM_MODELS)) as progress:
             found = experiments.pendulum(steps=steps, seed=seed, progress=progress)
-        for name, (mean, error) in found.log_density.items():
-            words = f"{mean:.2f} ± {error:.2f} nats" if isfinite(mean) else "not finite"
-            typer.echo(f"{name}: log p(x | c1, c2, c3) = {words}")
+        for name, log_density in found.log_density.items():
+            typer.echo(f"{name}: log p(x | c1, c2, c3) = {log_density}")
         if output is not None:
-            save(pictures.pendulum(found.samples, found.truth, found.log_density), output)
+            titles = {name: f"{name}: {log_density}" for name, log_density in found.log_density.items()}
+            save(pictures.pendulum(found.samples, found.truth, titles), output)
         return
     with counted("training", steps) as progress:
         rows = experiments.pose_world(steps=steps, seed=seed, progress=progress)

@@ -202,7 +202,7 @@ def losses(curves: Mapping[str, npt.NDArray[np.void]]) -> Figure:
     return figure
 
 
-def pendulum(samples: Mapping[str, Floats], truth: Floats, log_density: Mapping[str, tuple[float, float]]) -> Figure:
+def pendulum(samples: Mapping[str, Floats], truth: Floats, titles: Mapping[str, str]) -> Figure:
     """Draw the zero-shot experiment: samples of three models around true pendulums.
 
     Parameters
@@ -211,8 +211,8 @@ def pendulum(samples: Mapping[str, Floats], truth: Floats, log_density: Mapping[
         For each model (n, M, 3, 2), m.
     truth : ndarray
         (M, 3, 2), m; the fixed node is the origin.
-    log_density : mapping of str to tuple of float
-        For each model mean and standard error, nats.
+    titles : mapping of str to str
+        What stands above each model's row.
 
     Returns
     -------
@@ -232,9 +232,7 @@ def pendulum(samples: Mapping[str, Floats], truth: Floats, log_density: Mapping[
                 chain = np.concatenate([np.zeros((1, 2)), nodes])
                 ax.plot(chain[:, 0], chain[:, 1], "o-", color=INK, markersize=3, linewidth=1)
                 ax.set(xlim=(-3.2, 3.2), ylim=(-3.2, 3.2), aspect="equal")
-            mean, error = log_density[name]
-            words = f"{mean:.2f} ± {error:.2f} nats" if np.isfinite(mean) else "no finite density"
-            axes[row, 0].set_title(f"{name}: {words}", loc="left", fontsize=7)
+            axes[row, 0].set_title(titles[name], loc="left", fontsize=7)
         marks, names = axes[0, 0].get_legend_handles_labels()
         figure.legend(marks, names, loc="outside right upper", markerscale=3, handletextpad=0.1)
         figure.supxlabel("x (m)", fontsize=8)

@@ -26,7 +26,7 @@ from posecal_models.contract import Context
 from posecal_models.data.training_set import seeded
 from posecal_models.graph import PoseGraph
 
-__all__ = ["PENDULUM_MODELS", "Pendulum", "PoseWorldRow", "fit", "pendulum", "pose_world"]
+__all__ = ["PENDULUM_MODELS", "LogDensity", "Pendulum", "PoseWorldRow", "fit", "pendulum", "pose_world"]
 
 Batch = tuple[Tensor, Tensor, Tensor]
 """Poses (M, K, D), keypoints (M, K, 2) and which are observed (M, K)."""
@@ -108,20 +108,62 @@ def _observed(sets: Sequence[tuple[int, ...]], rows: int, nodes: int, generator:
 
 
 @dataclass(frozen=True)
+class LogDensity:
+    """Held-out log densities log p(x | c1, c2, c3), nats, x in m, of M poses.
+
+    Attributes
+    ----------
+    mean, standard_error : float
+        Over held-out pendulums; not finite where one pose's is not.
+    median : float
+        Over poses.
+    lost : int
+        Poses so improbable that their latents overflow double precision; their log density counts as minus infinity.
+    poses : int
+        M.
+    """
+
+    mean: float
+    standard_error: float
+    median: float
+    lost: int
+    poses: int
+
+    @classmethod
+    def of(cls, nats: Tensor) -> LogDensity:
+        """Sum up the log densities (pendulums, timesteps) of held-out poses, NaN where a latent overflowed."""
+        known = torch.where(nats.isfinite(), nats, -math.inf)
+        each = known.mean(1)
+        return cls(
+            mean=float(each.mean()),
+            standard_error=float(each.std()) / math.sqrt(len(each)),
+            median=float(np.median(known.numpy())),
+            lost=int((~nats.isfinite()).sum()),
+            poses=nats.numel(),
+        )
+
+    def __str__(self) -> str:
+        if not self.lost:
+            return f"{self.mean:.2f} ± {self.standard_error:.2f} nats"
+        median = f"median {self.median:.3g} nats, " if math.isfinite(self.median) else ""
+        return f"{median}{self.lost:,} of {self.poses:,} poses below what double precision holds"
+
+
+@dataclass(frozen=True)
 class Pendulum:
     """The zero-shot experiment on the pendulum.
 
     Attributes
     ----------
-    log_density : dict of str to tuple of float
-        For each model, mean and standard error over held-out pendulums of log p(x | c1, c2, c3), nats, x in m.
+    log_density : dict of str to LogDensity
+        Of each model.
     truth, keypoints : ndarray
         Held-out poses (M, 3, 2) and what was seen of them, m.
     samples : dict of str to ndarray
         Of each model, (n, M, 3, 2), m, for the first poses.
     """
 
-    log_density: dict[str, tuple[float, float]]
+    log_density: dict[str, LogDensity]
     truth: npt.NDArray[np.float32]
     keypoints: npt.NDArray[np.float32]
     samples: dict[str, npt.NDArray[np.float32]]
@@ -187,11 +229,11 @@ def pendulum(
         fit(estimator, draw, steps=steps, seed=seed, progress=told)
         with torch.inference_mode():
             exact = estimator.double()
-            each = exact(Context(seen.double(), everything)).log_prob(truth.double()).view(pendulums, timesteps).mean(1)
+            nats = exact(Context(seen.double(), everything)).log_prob(truth.double()).view(pendulums, timesteps)
             generator = torch.Generator().manual_seed(seed)
             some = exact(Context(seen[few].double(), everything[few])).sample(samples, generator=generator)
             drawn[name] = some.float().numpy()
-        log_density[name] = (float(each.mean()), float(each.std()) / math.sqrt(pendulums))
+        log_density[name] = LogDensity.of(nats)
     return Pendulum(log_density, truth[few].numpy(), seen[few].numpy(), drawn)
 
 

@@ -150,13 +150,25 @@ def _stretch(unconstrained: Tensor, scale: Scale) -> None:
         unconstrained.add_(2).sigmoid_().add_(_FLOOR)
 
 
-def _stretch_backward(gradient: Tensor, stretch: Tensor, scale: Scale) -> None:
-    """Turn the gradient of the scale into that of the unconstrained one, in place."""
+def _add_log_stretch(unconstrained: Tensor, total: Tensor, scale: Scale) -> None:
+    """Add the log of the positive scale, in nats; that of the exponential one is exact where it overflows."""
+    if scale == "exp":
+        total += unconstrained
+    else:
+        total += (unconstrained + 2).sigmoid_().add_(_FLOOR).log_()
+
+
+def _stretch_backward(gradient: Tensor, d_log: Tensor | None, stretch: Tensor, scale: Scale) -> None:
+    """Turn the gradient of the scale into that of the unconstrained one, in place, and add that of its log."""
     if scale == "exp":
         gradient.mul_(stretch)
-    else:
-        share = stretch - _FLOOR
-        gradient.mul_(share).mul_(1 - share)
+        if d_log is not None:
+            gradient.add_(d_log)
+        return
+    if d_log is not None:
+        gradient.addcdiv_(d_log, stretch)
+    share = stretch - _FLOOR
+    gradient.mul_(share).mul_(1 - share)
 
 
 class _Pass(torch.autograd.Function):
@@ -196,6 +208,8 @@ class _Pass(torch.autograd.Function):
             for index, room in zip(way, rooms * (len(each) // count), strict=True):
                 block = each[index]
                 _net(room, block, *told[index], bones)
+                if not back:
+                    _add_log_stretch(room.stretch, log_stretch[:, *part], scale)
                 _stretch(room.stretch, scale)
                 if keep:
                     room.leaving.copy_(room.entering)
@@ -205,7 +219,6 @@ class _Pass(torch.autograd.Function):
                 else:
                     caught_up = torch.addcmul(block.behind_shift, moved, block.behind_scale)
                     torch.addcmul(room.shift, caught_up, room.stretch, out=moved)
-                    log_stretch[:, *part] += room.stretch.log()
             here.copy_(rooms[-1].leaving)
         kept = space.kept() if keep else {}
         ctx.back, ctx.scale, ctx.workspace, ctx.bones, ctx.seats = back, scale, workspace, bones, seats
@@ -245,11 +258,12 @@ class _Pass(torch.autograd.Function):
                     scratch.shift.copy_(d_moved)
                     d_moved.neg_()
                 else:
-                    torch.mul(d_moved, caught_up, out=scratch.stretch).addcdiv_(d_log_stretch, room.stretch)
+                    torch.mul(d_moved, caught_up, out=scratch.stretch)
                     scratch.shift.copy_(d_moved)
                     d_caught_up = d_moved * room.stretch
                     torch.mul(d_caught_up, block.behind_scale, out=d_moved)
-                _stretch_backward(scratch.stretch, room.stretch, ctx.scale)
+                d_log = None if ctx.back else d_log_stretch
+                _stretch_backward(scratch.stretch, d_log, room.stretch, ctx.scale)
                 into_block.behind_scale.add_((d_caught_up * uncaught).sum())
                 into_block.behind_shift.add_(d_caught_up.sum())
                 _net_backward(room, block, ctx.bones, into_block, scratch)

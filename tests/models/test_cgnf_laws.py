@@ -227,3 +227,17 @@ def test_a_graph_refuses_a_parent_that_is_not_there():
 def test_a_graph_refuses_its_root_as_a_node():
     with pytest.raises(PoseDataError, match="Hip is the root and no node"):
         PoseGraph.of_joints(("Hip", "RHip"))
+
+
+def test_a_stretch_too_small_for_its_type_has_its_exact_log():
+    """A last update that says u = -800 everywhere: exp(-800) is 0 in double, and its log is still -800 nats."""
+    flow, (keypoints, observed, poses) = random_flow(scale="exp"), inputs()
+    with torch.no_grad():
+        flow.couplings.second.pool.weight.zero_()
+        flow.couplings.second.pool.bias.zero_()[0, 1] = -800
+    poses = poses.requires_grad_()
+    _, log_determinant = flow.ready(flow.evidence(keypoints, observed)).forward(poses)
+    expected = flow.couplings.actnorm_log_scale.sum() - 800
+    np.testing.assert_allclose(log_determinant.detach(), expected.expand_as(log_determinant).detach(), rtol=1e-12)
+    (gradient,) = torch.autograd.grad(log_determinant.sum(), flow.couplings.second.pool.bias)
+    np.testing.assert_allclose(gradient[:, 1], log_determinant.numel())
