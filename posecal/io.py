@@ -9,6 +9,7 @@ from __future__ import annotations
 import lzma
 import math
 import os
+import secrets
 import tempfile
 import warnings
 import zipfile
@@ -358,7 +359,10 @@ def _target(path: Path) -> Path:
 
 
 def written_whole(path: str | os.PathLike[str], write: Callable[[BinaryIO], object]) -> None:
-    """Write a file whole or not at all: under a temporary name beside it, then renamed.
+    """Write a file whole or not at all: without its name, then renamed.
+
+    Where the system can, the file has no name at all until it is whole, and vanishes with a process that is killed;
+    else it has a temporary one beside it.
 
     Parameters
     ----------
@@ -373,22 +377,27 @@ def written_whole(path: str | os.PathLike[str], write: Callable[[BinaryIO], obje
         Where it can't be written. What was there before stays.
     """
     path = check_writable(path)
-    target, part = _target(path), None
+    target = _target(path)
+    part = target.with_name(f".{target.name[:200]}.{secrets.token_hex(4)}")
     try:
-        with tempfile.NamedTemporaryFile(dir=target.parent, prefix=f".{path.name}.", delete=False) as file:
-            part = Path(file.name)
-            write(cast(BinaryIO, file))
-        part.chmod(0o666 & ~_umask())
+        unnamed = _unnamed(target.parent)
+        with unnamed or part.open("xb") as file:
+            write(file)
+            file.flush()
+            if unnamed:  # any descriptor makes the system follow the link in /proc
+                os.link(f"/proc/self/fd/{file.fileno()}", part, src_dir_fd=file.fileno(), follow_symlinks=True)
         part.replace(target)
-        part = None
     except OSError as error:
         raise PoseFileError(f"{path}: can't be written ({error.strerror or error}).") from None
     finally:
-        if part is not None:
-            part.unlink(missing_ok=True)
+        part.unlink(missing_ok=True)
 
 
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+def _unnamed(folder: Path) -> BinaryIO | None:
+    """Open a file without a name; None where the system or the disk has no such thing."""
+    if not hasattr(os, "O_TMPFILE") or not Path("/proc/self/fd").is_dir():
+        return None
+    try:
+        return os.fdopen(os.open(folder, os.O_RDWR | os.O_TMPFILE, 0o666), "w+b")
+    except OSError:
+        return None

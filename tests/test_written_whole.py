@@ -1,7 +1,10 @@
 """Files are written whole or not at all, and where they can't be, that is said before any work."""
 
 import os
+import signal
 import stat
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +12,15 @@ import pytest
 
 from posecal.errors import PoseFileError
 from posecal.io import check_writable, written_whole
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(params=["unnamed", "named"], autouse=True)
+def _both_ways(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As systems do that know files without names, and as others do."""
+    if request.param == "named":
+        monkeypatch.setattr("posecal.io._unnamed", lambda folder: None)
 
 
 def test_a_file_is_written_whole_and_nothing_is_left_beside_it(tmp_path: Path) -> None:
@@ -39,6 +51,22 @@ def test_an_interruption_leaves_nothing_behind(tmp_path: Path, interruption: typ
     with pytest.raises(interruption):
         written_whole(tmp_path / "a.txt", stop)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_process_that_is_killed_leaves_nothing_behind(tmp_path: Path) -> None:
+    """Where files need no name; elsewhere a hidden one stays, which nothing reads."""
+    script = (
+        "import os, signal; from posecal.io import written_whole\n"
+        "written_whole('a.txt', lambda file: (file.write(bytes(10**6)), os.kill(os.getpid(), signal.SIGKILL)))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)})
+    assert done.returncode == -signal.SIGKILL
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_long_name_is_written(tmp_path: Path) -> None:
+    written_whole(tmp_path / ("x" * 255), lambda file: file.write(b"words"))
+    assert [path.name for path in tmp_path.iterdir()] == ["x" * 255]
 
 
 def test_a_written_file_has_the_rights_that_the_user_gives_new_files(tmp_path: Path) -> None:
