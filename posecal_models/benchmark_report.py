@@ -1,4 +1,6 @@
-"""What does the benchmark leave behind? The table, the numbers as JSON, and the paper's pictures, in one folder."""
+"""What does the benchmark leave behind? The table, the numbers as JSON, a result of each model that ``posecal compare``
+and ``posecal report`` read, and the paper's pictures, in one folder.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +16,12 @@ from posecal.plot import save
 from posecal_models import pictures
 from posecal_models.benchmark import Judged, held_out_poses, hypotheses_of, judge, markdown
 from posecal_models.cgnf.model import CGNF
-from posecal_models.checkpoint import load_estimator
+from posecal_models.checkpoint import load_estimator, notes_of
 from posecal_models.data.lifting_set import LiftingSet
 from posecal_models.data.training_set import seeded
 from posecal_models.progress import counted
 
-__all__ = ["run_benchmark"]
+__all__ = ["run_benchmark", "seen_in_training"]
 
 _SHOWN = 7
 
@@ -83,11 +85,35 @@ def run_benchmark(
     reports = {row.name: row.report for row in rows if row.report is not None}
     if reports:
         save(pictures.reliability_grid(reports), folder / "reliability.png")
+    for name, report in reports.items():
+        report.save(folder / f"{_stem(name)}.npz")
     for name, estimator in estimators.items():
         if isinstance(estimator, CGNF):
-            stem = "".join(letter if letter.isalnum() else "-" for letter in name.lower()).strip("-")
-            _draw(estimator, test, folder, stem)
+            _draw(estimator, test, folder, _stem(name))
     return table
+
+
+def seen_in_training(weights: str, subjects: list[str]) -> list[str]:
+    """Name the subjects that weights were not held out from, by their own notes.
+
+    Parameters
+    ----------
+    weights : str
+        Named weights or a file.
+    subjects : list of str
+        Test subjects.
+
+    Returns
+    -------
+    list of str
+        Those that were not among the test subjects of the training; none where the notes don't say.
+    """
+    data = notes_of(weights).get("config", {}).get("data", {})
+    return [subject for subject in subjects if "test_subjects" in data and subject not in data["test_subjects"]]
+
+
+def _stem(name: str) -> str:
+    return "-".join("".join(letter if letter.isalnum() else " " for letter in name.lower()).split())
 
 
 def _draw(estimator: CGNF, test: LiftingSet, folder: Path, stem: str) -> None:

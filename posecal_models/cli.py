@@ -14,6 +14,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
+from posecal.cli.running import check_outputs
 from posecal.errors import PosecalError
 
 __all__ = ["app", "main"]
@@ -114,6 +115,8 @@ def sample(
     threads: _Threads = 0,
 ) -> None:
     """Draw hypotheses for every image, into a file that posecal evaluate reads."""
+    check_outputs(keypoints, Path(weights), output=output)
+    from posecal.errors import first_few
     from posecal_models.checkpoint import device_named, load_estimator
     from posecal_models.data.lifting_set import KeypointSet
     from posecal_models.progress import counted
@@ -123,6 +126,8 @@ def sample(
     where = device_named(device)
     estimator = load_estimator(weights, device=where)
     images = KeypointSet.load(keypoints)
+    if lacking := images.lacking(estimator.keypoints):
+        _say(f"note: {keypoints} has no keypoint {first_few(lacking)}: missing in every image.")
     with counted("sampling", len(images)) as progress:
         sample_to_file(
             estimator,
@@ -146,6 +151,7 @@ def motion(
     seed: _Seed = 0,
 ) -> None:
     """Make up motion capture data to try things on."""
+    check_outputs(output=output)
     import numpy as np
 
     from posecal.io import written_whole
@@ -166,6 +172,7 @@ def project(
     seed: _Seed = 0,
 ) -> None:
     """Look at motion capture through virtual cameras: true poses and detected keypoints in one file."""
+    check_outputs(poses, output=output)
     from posecal_models.data.detector import Detector
     from posecal_models.data.mocap import MocapPoses
 
@@ -183,6 +190,7 @@ def import_(
     every: Annotated[int, typer.Option(help="Only every so manieth frame.", min=1)] = 1,
 ) -> None:
     """Turn another project's data into pairs of poses and keypoints."""
+    check_outputs(path, *filter(None, [keypoints, cameras]), output=output)
     from posecal_models.data.cameras import read_cameras
     from posecal_models.data.human36m import read_human36m
     from posecal_models.data.prohpe import read_prohpe
@@ -204,6 +212,7 @@ def convert(
     output: _Output,
 ) -> None:
     """Turn a published cGNF checkpoint into weights of ours, and say what it holds in vain."""
+    check_outputs(released, output=output)
     from posecal_models.checkpoint import load_released, save_estimator
 
     estimator, dead = load_released(released)
@@ -246,10 +255,14 @@ def benchmark(
     threads: _Threads = 0,
 ) -> None:
     """Compare estimators on real motion: the paper's Table 1 and its pictures."""
-    from posecal_models.benchmark_report import run_benchmark
+    models = _named(model)
+    from posecal_models.benchmark_report import run_benchmark, seen_in_training
 
     _set_threads(threads)
-    typer.echo(run_benchmark(data, _named(model), subject, output, n=n, every=every, seeds=seeds))
+    for name, weights in models.items():
+        if seen := seen_in_training(weights, subject):
+            _say(f"note: {name} was not trained without {', '.join(seen)}. If that was on these data, it is no test.")
+    typer.echo(run_benchmark(data, models, subject, output, n=n, every=every, seeds=seeds))
 
 
 @app.command()
@@ -258,11 +271,11 @@ def losses(
     output: Annotated[Path, typer.Option("--output", "-o", help="A picture, .png, .svg or .pdf.")],
 ) -> None:
     """Draw how the losses of trainings fell, to see whether they are flat."""
-    from posecal.plot import check_suffix, save
+    check_outputs(plot=output)
+    from posecal.plot import save
     from posecal_models import pictures
     from posecal_models.progress import read_losses
 
-    check_suffix(output)
     save(pictures.losses({name: read_losses(Path(folder)) for name, folder in _named(run).items()}), output)
 
 
@@ -275,14 +288,13 @@ def zero_shot(
     threads: _Threads = 0,
 ) -> None:
     """Judge cGNFs on sets of observed nodes that they never saw; run it in a checkout."""
-    from posecal.plot import check_suffix, save
+    check_outputs(plot=output)
+    from posecal.plot import save
     from posecal_models import pictures
     from posecal_models import zero_shot as experiments
     from posecal_models.progress import counted
 
     _set_threads(threads)
-    if output is not None:
-        check_suffix(output)
     if experiment is Experiment.PENDULUM:
         with counted("training", steps * len(experiments.PENDULUM_MODELS)) as progress:
             found = experiments.pendulum(steps=steps, seed=seed, progress=progress)
@@ -307,6 +319,9 @@ def _named(models: list[str]) -> dict[str, str]:
     pairs = [model.rpartition("=") for model in models]
     if bad := [model for model, (name, _, weights) in zip(models, pairs, strict=True) if not name or not weights]:
         raise typer.BadParameter(f"{bad[0]!r}: expected NAME=WEIGHTS.")
+    names = [name.casefold() for name, *_ in pairs]
+    if twice := [name for name, *_ in pairs if names.count(name.casefold()) > 1]:
+        raise typer.BadParameter(f"{twice[0]!r}: named more than once; expected names that differ in more than case.")
     return {name: weights for name, _, weights in pairs}
 
 

@@ -15,9 +15,9 @@ from typing import Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
-from posecal.errors import PoseDataError, raise_all
+from posecal.errors import PoseDataError, first_few, raise_all
 
-__all__ = ["Context", "Estimator", "PointEstimate", "PoseDistribution"]
+__all__ = ["Context", "Estimator", "PointEstimate", "PoseDistribution", "check_keypoints", "check_truth"]
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,8 @@ class Context:
     Raises
     ------
     PoseDataError
-        Where shapes or types don't fit, or an observed keypoint is not finite.
+        Where shapes or types don't fit, or an observed keypoint is not finite (on a GPU that is not looked at: looking
+        would wait for it).
 
     Examples
     --------
@@ -51,7 +52,7 @@ class Context:
 
     def __post_init__(self) -> None:
         shape = tuple(self.keypoints.shape)
-        if len(shape) != 3:
+        if len(shape) != 3 or shape[2] != 2:
             raise PoseDataError(f"keypoints {shape}: expected (M, K, 2).")
         problems = []
         if tuple(self.observed.shape) != shape[:2] or self.observed.dtype != torch.bool:
@@ -61,6 +62,8 @@ class Context:
         if self.sigma is not None and tuple(self.sigma.shape) != shape[:2]:
             problems.append(f"sigma {tuple(self.sigma.shape)}: expected {shape[:2]}, one number a keypoint.")
         raise_all(problems)
+        if self.keypoints.device.type == "cpu":
+            _refuse_unknown(self.keypoints, self.observed)
 
     def __len__(self) -> int:
         return len(self.keypoints)
@@ -83,6 +86,59 @@ class Context:
     def hidden(self) -> Context:
         """Take every keypoint away: the context of the prior."""
         return replace(self, observed=torch.zeros_like(self.observed))
+
+
+def _refuse_unknown(keypoints: Tensor, observed: Tensor) -> None:
+    """Refuse observed keypoints that are not finite."""
+    unknown = observed & ~keypoints.isfinite().all(-1)
+    if unknown.any():
+        pose, keypoint = unknown.nonzero()[0].tolist()
+        raise PoseDataError(
+            f"keypoints: {int(unknown.sum()):,} of {int(observed.sum()):,} observed ones are not finite (first: image "
+            f"{pose}, keypoint {keypoint}). Mark them as not observed."
+        )
+
+
+def check_keypoints(context: Context, keypoints: tuple[str, ...]) -> None:
+    """Refuse another number of keypoints than an estimator reads.
+
+    Parameters
+    ----------
+    context : Context
+        Keypoints of M poses.
+    keypoints : tuple of str
+        The names that the estimator reads, in order.
+
+    Raises
+    ------
+    PoseDataError
+        Where there are more or fewer.
+    """
+    found = context.keypoints.shape[1]
+    if found != len(keypoints):
+        raise PoseDataError(
+            f"keypoints {tuple(context.keypoints.shape)}: expected (M, {len(keypoints)}, 2), in the order of "
+            f"{first_few(keypoints)}."
+        )
+
+
+def check_truth(truth: Tensor, poses: int, joints: int, dimensions: int = 3) -> None:
+    """Refuse poses that a distribution is not of.
+
+    Parameters
+    ----------
+    truth : Tensor
+        Should be (M, K, D), mm.
+    poses, joints, dimensions : int
+        M, K and D.
+
+    Raises
+    ------
+    PoseDataError
+        Where it has another shape; nothing is broadcast.
+    """
+    if tuple(truth.shape) != (poses, joints, dimensions):
+        raise PoseDataError(f"truth {tuple(truth.shape)}: expected (M, K, D) = {(poses, joints, dimensions)}.")
 
 
 @runtime_checkable

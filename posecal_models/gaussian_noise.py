@@ -12,7 +12,7 @@ from typing import Literal
 import torch
 from torch import Tensor, nn
 
-from posecal_models.contract import Context
+from posecal_models.contract import Context, check_truth
 from posecal_models.simple_baseline import SimpleBaseline
 
 __all__ = ["GaussianDistribution", "GaussianNoise", "Spread", "likelihood_optimum"]
@@ -71,12 +71,18 @@ class GaussianDistribution:
         Tensor
             (M,), nats per pose in mm; higher is better.
 
+        Raises
+        ------
+        PoseDataError
+            Where the truth has another shape.
+
         Examples
         --------
         >>> distribution = GaussianDistribution(torch.zeros(1, 1, 3), torch.ones(1, 1))
         >>> distribution.log_prob(torch.zeros(1, 1, 3))  # -3/2 log 2 pi
         tensor([-2.7568])
         """
+        check_truth(truth, *self.mean.shape)
         variance = self.sigma.square()
         apart = (truth - self.mean).square() / variance + (2 * math.pi * variance).log()
         return -0.5 * apart.sum((1, 2))

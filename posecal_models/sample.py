@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Callable
+from inspect import signature
 from pathlib import Path
-from typing import IO, BinaryIO, Protocol
+from typing import IO, BinaryIO
 
 import numpy as np
 import numpy.typing as npt
@@ -23,14 +24,10 @@ from posecal_models.contract import Context, Estimator, PoseDistribution
 from posecal_models.data.lifting_set import KeypointSet
 from posecal_models.data.training_set import seeded
 
-__all__ = ["POSES_AT_ONCE", "draw", "sample_to_file"]
+__all__ = ["POSES_AT_ONCE", "check_units", "draw", "sample_to_file"]
 
 POSES_AT_ONCE = 64
 """Poses that are drawn together. What is drawn depends on the seed and on this number alone."""
-
-
-class _HasMode(Protocol):
-    def mode(self) -> Tensor: ...
 
 
 def draw(
@@ -73,10 +70,10 @@ def draw(
         return best[None]
     if temperature == 1:
         return distribution.sample(n, generator=generator)
-    try:
-        return distribution.sample(n, generator=generator, temperature=temperature)  # type: ignore[call-arg]
-    except TypeError as problem:
-        raise PoseDataError(f"temperature: a {type(distribution).__name__} has none; leave it at 1.") from problem
+    takes = signature(distribution.sample).parameters.values()
+    if not any(one.name == "temperature" or one.kind is one.VAR_KEYWORD for one in takes):
+        raise PoseDataError(f"temperature: a {type(distribution).__name__} has none; leave it at 1.")
+    return distribution.sample(n, generator=generator, temperature=temperature)  # type: ignore[call-arg]
 
 
 def sample_to_file(
@@ -127,7 +124,7 @@ def sample_to_file(
     ordered = keypoints.in_order_of(estimator.keypoints)
     if not len(ordered):
         raise PoseDataError("keypoints: 0 images; expected some.")
-    _check(estimator, ordered, device)
+    check_units(estimator, _context(ordered, slice(None), device))
     count = 1 if mode else n
     joints = (root, *estimator.joints)
     small = {
@@ -181,10 +178,22 @@ def _context(keypoints: KeypointSet, poses: slice, device: torch.device | str) -
     ).to(device)
 
 
-def _check(estimator: Estimator, keypoints: KeypointSet, device: torch.device | str) -> None:
-    """Refuse keypoints that an estimator was not made for, before anything is drawn."""
-    standardizer = getattr(estimator, "standardizer", None) or getattr(
-        getattr(estimator, "mean", None), "standardizer", None
-    )
+def check_units(estimator: Estimator, context: Context) -> None:
+    """Refuse keypoints in other units than a reference estimator was trained on, before anything is drawn.
+
+    Parameters
+    ----------
+    estimator : Estimator
+        One of ours; of anybody else's nothing is known.
+    context : Context
+        All keypoints, in the estimator's order.
+
+    Raises
+    ------
+    PoseDataError
+        Where they look normalised already.
+    """
+    mean = getattr(estimator, "mean", None)
+    standardizer = getattr(estimator, "standardizer", None) or getattr(mean, "standardizer", None)
     if standardizer is not None:
-        standardizer.check_keypoints(_context(keypoints, slice(None), device))
+        standardizer.check_keypoints(context)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from posecal_models.cgnf.flow import FlowSize, GraphFlow, ReadyFlow
+from posecal.errors import PoseDataError
+from posecal_models.cgnf.flow import Evidence, FlowSize, GraphFlow, ReadyFlow
 from posecal_models.cgnf.passes import Scale
-from posecal_models.contract import Context
+from posecal_models.contract import Context, check_keypoints, check_truth
 from posecal_models.data.standardizer import Origin, Standardizer
 from posecal_models.graph import PoseGraph, human36m_graph
 
@@ -68,11 +69,17 @@ class FlowDistribution:
         Tensor
             (M,), nats per pose in mm; higher is better.
 
+        Raises
+        ------
+        PoseDataError
+            Where the truth has another shape.
+
         Notes
         -----
         Differs from the published code: it averages over the nodes, in its own units of length; the log density of a
         pose is their sum.
         """
+        check_truth(truth, self._poses, *self._standardizer.pose_mean.shape)
         poses = self._standardizer.poses(truth)[:, None]
         return self._flow.log_prob_per_node(poses).sum((1, 2)) - self._standardizer.log_determinant
 
@@ -95,7 +102,8 @@ class CGNF(nn.Module):
         The paper's own map per direction and its exponential scale, or the released code's; see
         :class:`posecal_models.cgnf.coupling.Couplings`.
     origin : str
-        What keypoints are relative to, see :class:`posecal_models.data.standardizer.Standardizer`.
+        What keypoints are relative to, see :class:`posecal_models.data.standardizer.Standardizer`. With ``root`` a
+        context holds the root's keypoint before those of the joints.
     dimensions : int
         D, coordinates of a joint.
 
@@ -143,8 +151,8 @@ class CGNF(nn.Module):
 
     @property
     def keypoints(self) -> tuple[str, ...]:
-        """K names: the keypoints of a context."""
-        return self.graph.joints
+        """K names: the keypoints of a context; the root's before them where they are relative to it."""
+        return (self.graph.root, *self.joints) if self.standardizer.origin == "root" else self.joints
 
     def forward(self, context: Context) -> FlowDistribution:
         """Give the distribution of the poses with these keypoints.
@@ -158,9 +166,42 @@ class CGNF(nn.Module):
         -------
         FlowDistribution
             Of M poses, mm.
+
+        Raises
+        ------
+        PoseDataError
+            Where there are more or fewer keypoints, or the root's is needed and was not observed.
         """
-        evidence = self.flow.evidence(self.standardizer.keypoints(context), context.observed)
-        return FlowDistribution(self.flow.ready(evidence), self.standardizer, len(context))
+        return FlowDistribution(self.flow.ready(self.evidence(context)), self.standardizer, len(context))
+
+    def evidence(self, context: Context) -> Evidence:
+        """Embed what was observed.
+
+        Parameters
+        ----------
+        context : Context
+            Keypoints of M poses, pixels.
+
+        Returns
+        -------
+        Evidence
+            Of M poses.
+
+        Raises
+        ------
+        PoseDataError
+            As :meth:`forward`.
+        """
+        check_keypoints(context, self.keypoints)
+        keypoints, observed = self.standardizer.keypoints(context), context.observed
+        if self.standardizer.origin == "root":
+            if lost := int((observed.any(1) & ~observed[:, 0]).sum()):
+                raise PoseDataError(
+                    f"keypoints: the {self.graph.root} of {lost:,} of {len(observed):,} images was not observed, and "
+                    "these weights read the others relative to it. Give it, or use weights that were trained without."
+                )
+            keypoints, observed = keypoints[:, 1:], observed[:, 1:]
+        return self.flow.evidence(keypoints, observed)
 
     def prior(self, poses: int = 1) -> FlowDistribution:
         """Give the distribution of poses of which nothing was observed.

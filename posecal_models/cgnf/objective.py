@@ -110,7 +110,7 @@ class FlowObjective:
             (M, K, 3), mm.
         """
         flow, standardizer = self.estimator.flow, self.estimator.standardizer
-        evidence = flow.evidence(standardizer.keypoints(context), context.observed)
+        evidence = self.estimator.evidence(context)
         flow.initialise_actnorm(standardizer.poses(truth)[:, None], evidence)
 
     def backward(
@@ -149,7 +149,7 @@ class FlowObjective:
             losses["mode"] = poses.new_zeros(())
         cut = _Cut()
         folded = cut.off(flow.couplings.folded())
-        evidence = cut.off(flow.evidence(standardizer.keypoints(context), context.observed))
+        evidence = cut.off(self.estimator.evidence(context))
         for part in self._pieces(len(poses)):
             share = len(poses[part]) / len(poses)
             ready = flow.ready(evidence.of_poses(part), folded=folded, workspace=self._there)
@@ -199,7 +199,7 @@ class FlowObjective:
         flow, standardizer = self.estimator.flow, self.estimator.standardizer
         poses = standardizer.poses(truth)[:, None]
         half = 0.5 / (poses.shape[2] if self.per_node else 1)
-        ready = flow.ready(flow.evidence(standardizer.keypoints(context), context.observed))
+        ready = flow.ready(self.estimator.evidence(context))
         posterior = -ready.log_prob_per_node(poses).sum((1, 2)).mean()
         prior = -flow.ready(flow.no_evidence(), folded=ready.folded).log_prob_per_node(poses).sum((1, 2)).mean()
         losses = {"loss": half * (posterior + prior), "prior": prior, "posterior": posterior}

@@ -146,7 +146,7 @@ class LiftingSet:
     def save(self, path: str | Path) -> None:
         """Write an ``.npz`` that is ground truth for ``posecal evaluate`` and input of ``posecal-models sample``.
 
-        The root comes first, at 0 and without a keypoint; keypoints are in the joints' order.
+        The root comes first, at 0; keypoints are in the joints' order, NaN and not observed where there is none.
 
         Parameters
         ----------
@@ -158,17 +158,17 @@ class LiftingSet:
         PoseFileError
             Where it can't be written.
         """
-        seen = self.in_order_of(keypoint_joints=self.joints)
-        first = ((0, 0), (1, 0))
+        joints = (self.root, *self.joints)
+        seen = self.in_order_of(keypoint_joints=joints)
         members = {
-            "truth": np.pad(seen.poses, (*first, (0, 0))),
+            "truth": np.pad(seen.poses, ((0, 0), (1, 0), (0, 0))),
             "axes": np.array("MKD"),
             "unit": np.array("mm"),
-            "joints": np.array([self.root, *self.joints]),
-            "occluded": np.pad(~seen.observed, first),
-            "keypoints_2d": np.pad(seen.keypoints, (*first, (0, 0)), constant_values=np.nan),
-            "keypoints_sigma": np.pad(seen.sigma, first, constant_values=np.nan),
-            "keypoints_observed": np.pad(seen.observed, first),
+            "joints": np.array(joints),
+            "occluded": ~seen.observed & (np.array(joints) != self.root),
+            "keypoints_2d": seen.keypoints,
+            "keypoints_sigma": seen.sigma,
+            "keypoints_observed": seen.observed,
             **{name: getattr(self, name) for name in ("frame_id", "sequence", "subject", "action", "camera")},
         }
         written_whole(path, lambda file: np.savez(file, **members))
@@ -275,6 +275,9 @@ class KeypointSet:
                 f"{path}: lacks keypoint_joints; expected the names of the {keypoints.shape[1:2]} keypoints."
             )
         names = tuple(str(name) for name in named)
+        canonical = [canonical_name(name) for name in names]
+        if twice := [name for name in names if canonical.count(canonical_name(name)) > 1]:
+            raise PoseDataError(f"{path}: keypoints named more than once ({first_few(twice)}); expected each once.")
         if keypoints.ndim != 3 or keypoints.shape[1:] != (len(names), 2):
             raise PoseDataError(
                 f"{path}: keypoints_2d {keypoints.shape}; expected (M, {len(names)}, 2), one row for each of "
@@ -302,6 +305,22 @@ class KeypointSet:
     def __len__(self) -> int:
         return len(self.keypoints)
 
+    def lacking(self, joints: Sequence[str]) -> list[str]:
+        """Name the keypoints that an estimator reads and that are not there.
+
+        Parameters
+        ----------
+        joints : sequence of str
+            The names wanted.
+
+        Returns
+        -------
+        list of str
+            Those of them that would count as missing in every image.
+        """
+        known = {canonical_name(name) for name in self.joints}
+        return [name for name in joints if canonical_name(name) not in known]
+
     def in_order_of(self, joints: Sequence[str]) -> KeypointSet:
         """Bring the keypoints into an estimator's order, by name.
 
@@ -313,7 +332,7 @@ class KeypointSet:
         Returns
         -------
         KeypointSet
-            With these keypoints; one that is not there counts as missing.
+            With these keypoints; one that is not there is NaN and not observed.
 
         Raises
         ------
@@ -325,9 +344,12 @@ class KeypointSet:
         there = np.array(found) >= 0
         if not there.any():
             raise PoseDataError(f"keypoints: none of {', '.join(joints)} is among {', '.join(self.joints)}.")
-        keypoints = np.where(there[:, None], self.keypoints[:, found], np.float32(0))
         return KeypointSet(
-            tuple(joints), keypoints, self.observed[:, found] & there, self.sigma[:, found], self.frame_id
+            tuple(joints),
+            np.where(there[:, None], self.keypoints[:, found], np.float32(np.nan)),
+            self.observed[:, found] & there,
+            np.where(there, self.sigma[:, found], np.float32(np.nan)),
+            self.frame_id,
         )
 
 

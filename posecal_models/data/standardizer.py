@@ -18,7 +18,7 @@ from posecal_models.contract import Context
 
 __all__ = ["Origin", "Standardizer"]
 
-Origin = Literal["observed", "none"]
+Origin = Literal["observed", "root", "none"]
 
 
 class Standardizer(nn.Module):
@@ -26,7 +26,8 @@ class Standardizer(nn.Module):
 
     .. math:: x = (\mathrm{pose} - \mu) / s, \qquad c = (\mathrm{keypoint} - o) / r
 
-    with the origin o the mean of the pose's observed keypoints (``observed``) or zero (``none``).
+    with the origin o the mean of the pose's observed keypoints (``observed``), the first of them, which is the root's
+    (``root``), or zero (``none``).
 
     Parameters
     ----------
@@ -35,7 +36,7 @@ class Standardizer(nn.Module):
     dimensions : int
         D.
     origin : str
-        What keypoints are relative to: ``observed`` or ``none``.
+        What keypoints are relative to: ``observed``, ``root`` or ``none``.
 
     Notes
     -----
@@ -73,9 +74,9 @@ class Standardizer(nn.Module):
         Returns
         -------
         Standardizer
-            With the origin ``none``: that code's keypoints are relative to the hip already.
+            With the origin ``root``: that code's keypoints are relative to the hip's.
         """
-        standardizer = cls(joints, origin="none")
+        standardizer = cls(joints, origin="root")
         standardizer.pose_scale.fill_(1 / 0.0036)
         standardizer.keypoint_scale.fill_(1 / 0.0139)
         return standardizer
@@ -118,15 +119,9 @@ class Standardizer(nn.Module):
         Raises
         ------
         PoseDataError
-            Where an observed keypoint is not finite, or where keypoints spread over less than a fiftieth of what
-            training keypoints did, as keypoints do that were normalised already.
+            Where they spread over less than a fiftieth of what training keypoints did, as keypoints do that were
+            normalised already.
         """
-        known = context.keypoints[context.observed]
-        if not known.isfinite().all():
-            count = int((~known.isfinite().all(-1)).sum())
-            raise PoseDataError(
-                f"keypoints: {count:,} of {len(known):,} observed ones are not finite. Mark them as not observed."
-            )
         several = context.observed.sum(-1) > 1
         if not several.any():
             return
@@ -165,9 +160,9 @@ class Standardizer(nn.Module):
         Returns
         -------
         Tensor
-            (M, K, 2), unitless; relative to the observed ones.
+            (M, K, 2), unitless; relative to the origin.
         """
-        origin = torch.zeros_like(context.keypoints[:, :1])
+        origin = context.keypoints[:, :1] if self.origin == "root" else torch.zeros_like(context.keypoints[:, :1])
         if self.origin == "observed":
             known = context.observed[..., None]
             count = known.sum(1, keepdim=True).clamp(min=1)

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from posecal_models.cgnf.flow import FlowSize, GraphFlow
+from posecal_models.contract import Context
 from posecal_models.graph import human36m_graph
 
 SIZE = FlowSize(blocks=4, hidden=6, context=3, embedding=5)
@@ -36,3 +37,10 @@ def inputs(seed: int = 1) -> tuple[Tensor, Tensor, Tensor]:
 def repeated(keypoints: Tensor, observed: Tensor) -> tuple[Tensor, Tensor]:
     """Keypoints and observed once for every sample, as the naive twin wants them."""
     return keypoints.repeat_interleave(SAMPLES, 0), observed.repeat_interleave(SAMPLES, 0)
+
+
+def below_a_hip(keypoints: Tensor, observed: Tensor) -> Context:
+    """Keypoints relative to the hip, as they lie in an image in which the hip is somewhere."""
+    somewhere = torch.tensor([[[500.0, -300.0]]], dtype=keypoints.dtype).expand(len(keypoints), 1, 2)
+    hips = torch.ones_like(observed[:, :1])
+    return Context(torch.cat([somewhere, keypoints + somewhere], dim=1), torch.cat([hips, observed], dim=1))

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 import torch
 
+from posecal.report import Report
+from posecal.results import load_totals
 from posecal_models import benchmark
 from posecal_models.benchmark_report import run_benchmark
 from posecal_models.cgnf.flow import SIZES
@@ -88,8 +90,11 @@ def test_table_numbers_and_pictures_are_left_in_the_folder(motion_file, baseline
         save_estimator(tmp_path / f"{name}.safetensors", estimator)
     models = {name: str(tmp_path / f"{name}.safetensors") for name in ("point", "noise", "flow")}
     table = run_benchmark(motion_file, models, ["S4"], tmp_path / "out", n=4, every=5, seeds=2)
-    names = ["benchmark.json", "flow-hypotheses.png", "flow-prior.png", "reliability.png", "table.md"]
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == names
+    names = ["benchmark.json", "flow-hypotheses.png", "flow-prior.png", "flow.npz", "noise.npz", "reliability.png"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [*names, "table.md"]
     assert (tmp_path / "out" / "table.md").read_text() == table + "\n"
     about = json.loads((tmp_path / "out" / "benchmark.json").read_text())
     assert len(about["rows"]["flow"]["min_mpjpe"]) == 2
+    for name in ("flow", "noise"):
+        kept = Report(load_totals(tmp_path / "out" / f"{name}.npz"))
+        assert kept.value("min_mpjpe") == about["rows"][name]["min_mpjpe"][0]

@@ -13,9 +13,9 @@ from posecal_models.cgnf.flow import Evidence, FlowSize, GraphFlow
 from posecal_models.cgnf.model import CGNF
 from posecal_models.cgnf.objective import FlowObjective
 from posecal_models.cgnf.released import from_released
-from posecal_models.contract import Context
 from posecal_models.data.standardizer import Standardizer
 from posecal_models.graph import human36m_graph
+from tests.models.some_flows import below_a_hip
 
 FOLDER = Path(__file__).parents[1] / "data" / "reference_models"
 TINY = FlowSize(blocks=2, hidden=8, context=4, embedding=16)
@@ -117,14 +117,14 @@ def test_the_actnorms_start_equals_the_reference(numbers, state):
 
 def training_losses(numbers, state, dtype, **options):
     """Losses and gradients of our objective on the reference's batch, by the names of our parameters."""
-    estimator = CGNF(TINY, origin="none", backward_weights=False, scale="sigmoid")
+    estimator = CGNF(TINY, origin="root", backward_weights=False, scale="sigmoid")
     estimator.flow.load_state_dict(from_released(state)[0])
     estimator.standardizer = Standardizer.released(16)
     estimator = estimator.to(dtype)
     standardizer = estimator.standardizer
     standardizer.pose_scale.fill_(1 / 0.0036)
     keypoints = torch.from_numpy(numbers["c"]).to(dtype) * standardizer.keypoint_scale
-    context = Context(keypoints, torch.from_numpy(numbers["mask_part"]))
+    context = below_a_hip(keypoints, torch.from_numpy(numbers["mask_part"]))
     truth = standardizer.millimetres(torch.from_numpy(numbers["x"]).to(dtype))
     objective = FlowObjective(estimator, per_node=True, graphs_at_once=2, **options)
     losses = objective.backward(context, truth)

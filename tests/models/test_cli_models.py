@@ -146,11 +146,54 @@ main()
 
 
 @pytest.mark.parametrize(
-    "arguments",
-    [("trian",), ("sample", "a"), ("sample", "a", "b", "-o", "c", "--n", "0"), ("import", "bvh", "a", "-o", "b")],
+    ("arguments", "words"),
+    [
+        ("trian", "No such command"),
+        ("sample a", "Missing argument"),
+        ("sample a b -o c --n 0", "--n"),
+        ("import bvh a -o b", "bvh"),
+        ("sample cgnf-small a.npz -o ./a.npz", "a.npz is read already"),
+        ("sample w.safetensors a.npz -o w.safetensors", "w.safetensors is read already"),
+        ("project a.npz -o a.npz", "a.npz is read already"),
+        ("import prohpe a.pkl -o a.pkl", "a.pkl is read already"),
+        ("convert a.pt -o a.pt", "a.pt is read already"),
+        ("losses a=b -o a.gif", "a.gif: .gif; expected a name that ends with .svg, .png or .pdf"),
+        ("losses A=b a=c -o a.png", "'A': named more than once"),
+        ("benchmark --data d.npz --subject S1 -o o --model x=a --model x=b", "'x': named more than once"),
+    ],
 )
-def test_a_wrong_call_exits_with_2(arguments):
-    assert CliRunner().invoke(app, list(arguments)).exit_code == 2
+def test_a_wrong_call_exits_with_2(arguments, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(app, arguments.split(), env={"COLUMNS": "200"})
+    assert done.exit_code == 2
+    assert words in done.output
+
+
+def test_keypoints_that_a_file_lacks_are_named(folder):
+    with np.load(folder / "test.npz") as whole:
+        members = dict(whole)
+    keep = [k for k, name in enumerate(members["joints"]) if name not in {"LWrist", "Spine"}]
+    np.savez(folder / "fewer.npz", keypoints_2d=members["keypoints_2d"][:, keep], joints=members["joints"][keep])
+    done = posecal_models("sample", "tiny/weights.safetensors", "fewer.npz", "-o", "fewer-h.npz", "--n", 2, cwd=folder)
+    assert done.returncode == 0
+    assert "note: fewer.npz has no keypoint Spine, LWrist: missing in every image." in done.stderr.splitlines()
+    twice = members["joints"].copy()
+    twice[5] = twice[2]
+    np.savez(folder / "twice.npz", keypoints_2d=members["keypoints_2d"], joints=twice)
+    done = posecal_models("sample", "tiny/weights.safetensors", "twice.npz", "-o", "twice-h.npz", cwd=folder)
+    assert (done.returncode, done.stderr) == (
+        3,
+        "posecal-models: twice.npz: keypoints named more than once (RKnee, RKnee); expected each once.\n",
+    )
+
+
+def test_a_benchmark_on_people_seen_in_training_is_remarked_on(folder, tmp_path):
+    done = posecal_models(
+        "benchmark", "--data", "motion.npz", "--model", "t=tiny/weights.safetensors", "--subject", "S3",
+        "--subject", "S1", "-o", tmp_path / "out", "--n", 2, "--every", 10, "--seeds", 1, cwd=folder,
+    )  # fmt: skip
+    assert done.returncode == 0
+    assert "note: t was not trained without S1. If that was on these data, it is no test." in done.stderr.splitlines()
 
 
 def test_ctrl_c_exits_with_130_and_leaves_a_checkpoint_that_is_whole(folder):

@@ -10,12 +10,15 @@ import torch
 from scipy import stats
 
 from posecal.errors import PoseDataError
+from posecal_models.cgnf.flow import SIZES
+from posecal_models.cgnf.model import CGNF
 from posecal_models.contract import Context
 from posecal_models.data.detector import Detector
 from posecal_models.data.masks import SHARES, hide
 from posecal_models.data.standardizer import Standardizer
 from posecal_models.data.training_set import TrainingSet, seeded
 from posecal_models.train import draw_graphs
+from tests.models.some_flows import below_a_hip
 from tests.models.test_data_formats import lifting_set
 
 
@@ -165,8 +168,19 @@ def test_the_log_determinant_turns_a_unitless_density_into_one_in_mm():
 def test_the_released_constants_are_named():
     standardizer = Standardizer.released(16)
     np.testing.assert_allclose(standardizer.poses(torch.full((1, 16, 3), 1000.0)), 3.6, rtol=1e-6)
-    keypoints = Context(torch.full((1, 16, 2), 100.0), torch.ones(1, 16, dtype=torch.bool))
-    np.testing.assert_allclose(standardizer.keypoints(keypoints), 1.39, rtol=1e-6)
+    keypoints = below_a_hip(torch.full((1, 16, 2), 100.0), torch.ones(1, 16, dtype=torch.bool))
+    np.testing.assert_allclose(standardizer.keypoints(keypoints)[:, 1:], 1.39, rtol=1e-5)
+
+
+def test_weights_that_read_keypoints_relative_to_the_hip_need_it():
+    estimator = CGNF(SIZES["tiny"], origin="root")
+    assert estimator.keypoints == ("Hip", *estimator.joints)
+    keypoints, observed = torch.randn(3, 17, 2), torch.ones(3, 17, dtype=torch.bool)
+    observed[1] = False  # nothing at all is the prior
+    assert estimator(Context(keypoints, observed)).log_prob(torch.zeros(3, 16, 3)).shape == (3,)
+    observed[2, 0] = False
+    with pytest.raises(PoseDataError, match=r"^keypoints: the Hip of 1 of 3 images was not observed"):
+        estimator(Context(keypoints, observed))
 
 
 def test_pixels_that_were_normalised_already_are_refused():

@@ -200,6 +200,34 @@ def test_every_estimator_keeps_the_contract(pairs, estimator, kind):
         assert distribution.log_prob(torch.from_numpy(some.poses)).shape == (3,)
 
 
+@pytest.mark.parametrize("kind", ["cgnf", "gaussian"])
+@pytest.mark.parametrize("shape", [(5, 3, 16, 3), (1, 16, 3), (3, 1, 3), (3, 16, 1), (3, 16)])
+def test_a_truth_of_another_shape_gives_no_number(estimator, kind, shape):
+    model = {"cgnf": estimator, "gaussian": GaussianNoise(SimpleBaseline(width=8)).eval()}[kind]
+    distribution = model(Context(torch.zeros(3, 16, 2), torch.ones(3, 16, dtype=torch.bool)))
+    with pytest.raises(PoseDataError, match=r"^truth .*: expected \(M, K, D\) = \(3, 16, 3\)\.$"):
+        distribution.log_prob(torch.zeros(shape))
+
+
+def test_contexts_that_can_not_be_are_refused(estimator):
+    seen = torch.ones(3, 17, dtype=torch.bool)
+    with pytest.raises(PoseDataError, match=r"^keypoints \(3, 17, 5\): expected \(M, K, 2\)\.$"):
+        Context(torch.zeros(3, 17, 5), seen)
+    with pytest.raises(PoseDataError, match=r"^keypoints \(3, 17, 2\): expected \(M, 16, 2\), in the order of RHip, "):
+        estimator(Context(torch.zeros(3, 17, 2), seen))
+    unknown = torch.zeros(3, 17, 2)
+    unknown[1, 4, 0] = torch.inf
+    with pytest.raises(PoseDataError, match=r"1 of 51 observed ones are not finite \(first: image 1, keypoint 4\)"):
+        Context(unknown, seen)
+
+
+def test_an_estimator_that_reads_every_keypoint_refuses_a_file_that_lacks_one(pairs, tmp_path):
+    some = replace(keypoints(pairs), joints=("Tail", *keypoints(pairs).joints[1:]))
+    with pytest.raises(PoseDataError, match="are not finite; SimpleBaseline reads every keypoint"):
+        sample_to_file(SimpleBaseline(width=8).eval(), some, tmp_path / "h.npz", n=2)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_distribution_without_temperature_says_so():
     class Plain:
         def sample(self, n, *, generator=None):

@@ -33,6 +33,7 @@ from posecal_models.estimators import build, describe, of_config
 from posecal_models.gaussian_noise import GaussianNoise
 from posecal_models.graph import PoseGraph
 from posecal_models.simple_baseline import SimpleBaseline
+from tests.models.some_flows import below_a_hip
 
 ROOT = Path(__file__).parents[2]
 REFERENCE = Path(__file__).parents[1] / "data" / "reference_models"
@@ -189,7 +190,7 @@ def test_a_released_checkpoint_loads_and_its_dead_tensors_are_listed(tmp_path):
     with np.load(REFERENCE / "tiny_io.npz") as numbers:
         keypoints = torch.from_numpy(numbers["c"]) / 0.0139
         poses = torch.from_numpy(numbers["x"]) / 0.0036
-        context = Context(keypoints, torch.from_numpy(numbers["mask_part"]))
+        context = below_a_hip(keypoints, torch.from_numpy(numbers["mask_part"]))
         # density in mm: that of the scaled pose, and 48 times the log of the scale
         expected = numbers["part/logp_pose"] + 48 * np.log(0.0036)
     np.testing.assert_allclose(estimator(context).log_prob(poses).detach(), expected, rtol=1e-5)
