@@ -221,20 +221,20 @@ def pendulum(samples: Mapping[str, Floats], truth: Floats, titles: Mapping[str, 
     """
     colours = (_GOLD, OVER, UNDER)
     with _style():
-        figure = Figure(figsize=(1.5 * len(truth), 1.75 * len(samples)), layout="constrained")
-        axes = figure.subplots(len(samples), len(truth), sharex=True, sharey=True, squeeze=False)
-        for row, (name, drawn) in enumerate(samples.items()):
-            for column, nodes in enumerate(truth):
-                ax = axes[row, column]
+        figure = Figure(figsize=(1.6 * len(truth), 1.9 * len(samples)), layout="constrained")
+        rows = figure.subfigures(len(samples), 1)
+        for part, (name, drawn) in zip(np.atleast_1d(rows), samples.items(), strict=True):
+            part.suptitle(titles[name], x=0.02, ha="left", fontsize=7)
+            axes = part.subplots(1, len(truth), sharey=True, squeeze=False)[0]
+            for column, (ax, nodes) in enumerate(zip(axes, truth, strict=True)):
                 for node, colour in enumerate(colours):
                     where = drawn[:, column, node]
                     ax.plot(where[:, 0], where[:, 1], ".", color=colour, markersize=2, alpha=0.5, label=f"x{node + 1}")
                 chain = np.concatenate([np.zeros((1, 2)), nodes])
                 ax.plot(chain[:, 0], chain[:, 1], "o-", color=INK, markersize=3, linewidth=1)
-                ax.set(xlim=(-3.2, 3.2), ylim=(-3.2, 3.2), aspect="equal")
-            axes[row, 0].set_title(titles[name], loc="left", fontsize=7)
-        marks, names = axes[0, 0].get_legend_handles_labels()
-        figure.legend(marks, names, loc="outside right upper", markerscale=3, handletextpad=0.1)
+                ax.set(xlim=(-3.2, 3.2), ylim=(-3.2, 3.2), aspect="equal", xticks=(-2, 0, 2), yticks=(-2, 0, 2))
+            axes[0].set_ylabel("y (m)", fontsize=8)
+            marks, names = axes[0].get_legend_handles_labels()
+        figure.legend(marks, names, loc="outside lower right", ncols=3, markerscale=3, handletextpad=0.1, fontsize=7)
         figure.supxlabel("x (m)", fontsize=8)
-        figure.supylabel("y (m)", fontsize=8)
     return figure

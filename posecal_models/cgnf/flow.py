@@ -201,7 +201,7 @@ class GraphFlow(nn.Module):
     Notes
     -----
     Differs from the published code: none with ``scale="sigmoid"`` and ``backward_weights=False``, less the parameters
-    that it never uses. The defaults are the paper's text, which reached higher likelihoods in every comparison.
+    that it never uses. The defaults are the paper's text; docs/models.md measures all four combinations.
 
     References
     ----------
