@@ -7,18 +7,26 @@ here. Named configurations lie in the folder ``configs`` beside this file.
 from __future__ import annotations
 
 import dataclasses
+import math
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from posecal.errors import PoseDataError, PoseFileError, did_you_mean, raise_all
 from posecal_models.data.detector import Detector
+from posecal_models.limits import LARGEST_SEED, Limit, check_limits
 
 __all__ = ["Config", "DataConfig", "ModelConfig", "TrainConfig", "named_configs"]
 
 _FOLDER = Path(__file__).parent / "configs"
+
+_Count = Annotated[int, Limit(1)]
+_CountOrNone = Annotated[int, Limit(0)]
+_NotNegative = Annotated[float, Limit(0)]
+_Positive = Annotated[float, Limit(math.ulp(0.0), words="a positive number")]
+_Seed = Annotated[int, Limit(0, LARGEST_SEED, "0 or more")]
 
 
 @dataclass(frozen=True)
@@ -50,12 +58,15 @@ class ModelConfig:
     backward_weights: bool = True
     scale: Literal["sigmoid", "exp"] = "exp"
     origin: Literal["observed", "none"] = "observed"
-    width: int = 1024
-    residuals: int = 2
-    dropout: float = 0.5
+    width: _Count = 1024
+    residuals: _CountOrNone = 2
+    dropout: Annotated[float, Limit(0, math.nextafter(1, 0), "0 or more and below 1")] = 0.5
     start: str = ""
     mean: str = ""
     spread: Literal["joint", "coordinate"] = "joint"
+
+    def __post_init__(self) -> None:
+        check_limits(self, "model")
 
 
 @dataclass(frozen=True)
@@ -84,12 +95,20 @@ class DataConfig:
 
     test_subjects: tuple[str, ...] = ()
     validation_subjects: tuple[str, ...] = ()
-    views: int = 4
-    every: int = 1
-    body_variation: float = 0.0
-    validation_poses: int = 1000
-    camera_seed: int = 0
+    views: _Count = 4
+    every: _Count = 1
+    body_variation: Annotated[float, Limit(0, 1)] = 0.0
+    validation_poses: _Count = 1000
+    camera_seed: _Seed = 0
     detector: Detector = field(default_factory=Detector)
+
+    def __post_init__(self) -> None:
+        check_limits(self, "data")
+        if both := sorted(set(self.test_subjects) & set(self.validation_subjects)):
+            raise PoseDataError(
+                f"data.test_subjects and data.validation_subjects: both name {', '.join(both)}; expected others. "
+                "What chooses the weights can't judge them."
+            )
 
 
 @dataclass(frozen=True)
@@ -137,39 +156,25 @@ class TrainConfig:
     """
 
     objective: Literal["likelihood", "min-mpjpe", "squared-error"] = "likelihood"
-    sample_weight: float = 0.0
+    sample_weight: _NotNegative = 0.0
     sample_loss: Literal["joints", "pairs"] = "joints"
     loss_per: Literal["pose", "node"] = "pose"
-    hypotheses: int = 200
-    batch: int = 40
-    graphs_per_pose: int = 5
+    hypotheses: _Count = 200
+    batch: _Count = 40
+    graphs_per_pose: _Count = 5
     augmentation: Literal["paper", "released"] = "paper"
-    learning_rate: float = 1e-3
+    learning_rate: _Positive = 1e-3
     schedule: Literal["plateau", "exponential", "cosine"] = "plateau"
-    patience: int = 10
-    epochs: int = 200
-    steps_per_epoch: int = 0
-    clip: float = 1.0
+    patience: _CountOrNone = 10
+    epochs: _Count = 200
+    steps_per_epoch: Annotated[int, Limit(0, words="0 (all poses) or more")] = 0
+    clip: _Positive = 1.0
     cuda_graph: bool = False
-    seed: int = 0
-    checkpoint_seconds: float = 60.0
+    seed: _Seed = 0
+    checkpoint_seconds: _NotNegative = 60.0
 
     def __post_init__(self) -> None:
-        raise_all(
-            f"train.{name}: {getattr(self, name)}; expected {wanted}."
-            for name, fits, wanted in (
-                ("batch", self.batch >= 1, "1 or more"),
-                ("graphs_per_pose", self.graphs_per_pose >= 1, "1 or more"),
-                ("learning_rate", self.learning_rate > 0, "a positive number"),
-                ("epochs", self.epochs >= 1, "1 or more"),
-                ("steps_per_epoch", self.steps_per_epoch >= 0, "0 (all poses) or more"),
-                ("clip", self.clip > 0, "a positive number"),
-                ("hypotheses", self.hypotheses >= 1, "1 or more"),
-                ("sample_weight", self.sample_weight >= 0, "0 or more"),
-                ("seed", self.seed >= 0, "0 or more"),
-            )
-            if not fits
-        )
+        check_limits(self, "train")
 
 
 @dataclass(frozen=True)
@@ -193,6 +198,12 @@ class Config:
     model: ModelConfig = field(default_factory=ModelConfig)
     data: DataConfig = field(default_factory=DataConfig)
     train: TrainConfig = field(default_factory=TrainConfig)
+
+    def __post_init__(self) -> None:
+        if self.model.kind == "simple-baseline" and self.train.batch == 1:
+            raise PoseDataError(
+                "train.batch: 1 of a simple-baseline; expected 2 or more. Its batch norm compares the poses of a batch."
+            )
 
     @classmethod
     def of_table(cls, table: dict[str, Any]) -> Config:
@@ -241,15 +252,16 @@ class Config:
         """
         path = _FOLDER / f"{name}.toml" if name in named_configs() else Path(name)
         try:
-            text = path.read_text(encoding="utf-8")
+            content = path.read_bytes()
         except OSError as problem:
             raise PoseFileError(
                 f"{name}: no such configuration ({problem.strerror}). {did_you_mean(name, named_configs())}"
             ) from problem
         try:
-            return cls.of_table(tomllib.loads(text))
-        except tomllib.TOMLDecodeError as problem:
+            table = tomllib.loads(content.decode("utf-8"))
+        except ValueError as problem:  # what is no TOML, no UTF-8, or has a number of thousands of digits
             raise PoseFileError(f"{name}: not valid TOML ({problem}).") from problem
+        return cls.of_table(table)
 
     def changed(self, changes: Sequence[str]) -> Config:
         """Change single settings.
@@ -278,14 +290,14 @@ class Config:
         for change in changes:
             name, equals, value = change.partition("=")
             *tables, last = name.strip().split(".")
-            inner = table
+            inner: Any = table
             for part in tables:
-                inner = inner.get(part, {})
-            if not equals or not tables or not inner:
+                inner = inner.get(part) if isinstance(inner, dict) else None
+            if not equals or not tables or not isinstance(inner, dict):
                 raise PoseDataError(f"--set {change}: expected table.name=value, such as train.epochs=20.")
             try:
                 inner[last] = tomllib.loads(f"value = {value}")["value"]
-            except tomllib.TOMLDecodeError:
+            except ValueError:
                 inner[last] = value.strip()
         return Config.of_table(table)
 
@@ -336,7 +348,8 @@ def _value(hint: Any, value: Any, where: str, problems: list[str]) -> Any:
             problems.append(f"config: {where} is {value!r}; expected a list of names.")
             return ()
         return tuple(value)
-    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    # an integer that no float can hold is no number here
+    number = isinstance(value, float) or (type(value) is int and abs(value) < 2**1000)
     fits = number if hint is float else type(value) is hint
     if not fits:
         problems.append(f"config: {where} is {value!r}; expected {hint.__name__}.")

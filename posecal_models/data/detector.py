@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import torch
 from torch import Tensor
 
-from posecal.errors import PoseDataError, raise_all
+from posecal.errors import PoseDataError
 from posecal_models.contract import Context
 from posecal_models.data.lifting_set import LiftingSet
+from posecal_models.limits import Limit, check_limits
 
 __all__ = ["Detector"]
 
@@ -37,7 +39,7 @@ class Detector:
     Raises
     ------
     PoseDataError
-        Where a number is out of its range.
+        Where a number is out of its range, or every keypoint would count as missing.
 
     Notes
     -----
@@ -49,23 +51,21 @@ class Detector:
     Pierzchlewicz et al. 2022, arXiv:2210.11179, section 4, "Occlusion Representation".
     """
 
-    sigma: float = 3.0
-    hidden_sigma: float = 25.0
-    hidden_share: float = 0.12
-    degrees_of_freedom: int = 3
-    threshold: float = 5.0
+    sigma: Annotated[float, Limit(0, words="0 pixels or more")] = 3.0
+    hidden_sigma: Annotated[float, Limit(0, words="0 pixels or more")] = 25.0
+    hidden_share: Annotated[float, Limit(0, 1, "a share between 0 and 1")] = 0.12
+    degrees_of_freedom: Annotated[int, Limit(3, 1000, "3 or more, so that the variance is finite")] = 3
+    threshold: Annotated[float, Limit(0, words="0 pixels or more")] = 5.0
 
     def __post_init__(self) -> None:
-        raise_all(
-            f"detector.{name}: {getattr(self, name)}; expected {wanted}."
-            for name, fits, wanted in (
-                ("sigma", self.sigma >= 0, "0 pixels or more"),
-                ("hidden_sigma", self.hidden_sigma >= 0, "0 pixels or more"),
-                ("hidden_share", 0 <= self.hidden_share <= 1, "a share between 0 and 1"),
-                ("degrees_of_freedom", self.degrees_of_freedom >= 3, "3 or more, so that the variance is finite"),
+        check_limits(self, "detector")
+        seen = self.sigma <= self.threshold and self.hidden_share < 1
+        if not seen and not (self.hidden_sigma <= self.threshold and self.hidden_share > 0):
+            raise PoseDataError(
+                f"detector.threshold: {self.threshold:g} pixels; with sigma {self.sigma:g}, hidden_sigma "
+                f"{self.hidden_sigma:g} and hidden_share {self.hidden_share:g} every keypoint counts as missing. "
+                "Raise it, or lower sigma."
             )
-            if not fits
-        )
 
     def detect(self, keypoints: Tensor, generator: torch.Generator) -> Context:
         """Report keypoints with noise.
