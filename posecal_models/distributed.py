@@ -1,7 +1,8 @@
 """How do several processes train one estimator? Each takes its share of every batch, and gradients are added up.
 
 Started by ``torchrun``; every process draws the same whole batch and takes its rows, so that any number of processes
-computes the same gradient as one.
+computes the same gradient as one (:mod:`posecal_models.whole_batch` has what is not a sum over rows). They begin with
+the first process's numbers, and its validation loss counts for all, so that they can't part.
 """
 
 from __future__ import annotations
@@ -14,6 +15,9 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 from torch import distributed as torch_distributed
+
+from posecal.errors import PoseDataError
+from posecal_models.whole_batch import sharing
 
 __all__ = ["Crew", "crew_of_torchrun"]
 
@@ -61,6 +65,46 @@ class Crew:
         """
         return slice(poses * self.rank // self.size, poses * (self.rank + 1) // self.size)
 
+    def check_batch(self, poses: int) -> None:
+        """Refuse a batch of which some process would have no share.
+
+        Parameters
+        ----------
+        poses : int
+            Of the whole batch.
+
+        Raises
+        ------
+        PoseDataError
+            Where there are more processes than poses.
+        """
+        if poses < self.size:
+            raise PoseDataError(
+                f"train.batch: {poses} for {self.size} processes; expected a pose or more for each. "
+                "Raise it, or start fewer processes."
+            )
+
+    @contextmanager
+    def sharing(self, poses: int) -> Iterator[slice]:
+        """Share a batch; what needs the whole of it, such as batch norm, sees the whole meanwhile.
+
+        Parameters
+        ----------
+        poses : int
+            Of the whole batch.
+
+        Yields
+        ------
+        slice
+            This process's rows.
+        """
+        rows = self.share(poses)
+        if self.size == 1:
+            yield rows
+            return
+        with sharing(rows, poses):
+            yield rows
+
     def add_up(self, tensors: Iterable[Tensor], share: float) -> None:
         """Replace each process's means over its rows by the mean over the whole batch, in place.
 
@@ -81,10 +125,20 @@ class Crew:
             tensor.copy_(flat[start : start + tensor.numel()].view_as(tensor))
             start += tensor.numel()
 
-    def wait(self) -> None:
-        """Wait until every process has come here."""
+    @torch.no_grad()
+    def follow(self, tensors: Iterable[Tensor]) -> None:
+        """Replace every process's tensors by those of the leading one, in place."""
         if self.size > 1:
-            torch_distributed.barrier()
+            for tensor in tensors:
+                torch_distributed.broadcast(tensor, 0)
+
+    def agree(self, value: float) -> float:
+        """Give the leading process's number, whatever the others found."""
+        if self.size == 1:
+            return value
+        number = torch.tensor([value], dtype=torch.float64, device=self.device)
+        self.follow([number])
+        return float(number)
 
 
 @contextmanager

@@ -15,6 +15,7 @@ from posecal_models.contract import Context
 from posecal_models.estimators import ReferenceEstimator
 from posecal_models.gaussian_noise import GaussianNoise
 from posecal_models.simple_baseline import SimpleBaseline
+from posecal_models.whole_batch import drawn
 
 __all__ = ["BestOfN", "Likelihood", "Objective", "SquaredError", "objective_of"]
 
@@ -120,7 +121,14 @@ class BestOfN(_Plain):
 
     def loss(self, context: Context, truth: Tensor, generator: torch.Generator) -> Tensor:
         """Give the loss of a batch, a scalar."""
-        poses = self.estimator(context).sample(self.hypotheses, generator=generator)
+        around = self.estimator(context)
+        mean: Tensor = around.mean
+
+        def draw(poses: int) -> Tensor:
+            shape = (self.hypotheses, poses, *mean.shape[1:])
+            return torch.randn(shape, generator=generator, device=mean.device, dtype=mean.dtype)
+
+        poses = mean + around.sigma * drawn(draw, len(mean), axis=1)
         errors = torch.mean(torch.linalg.vector_norm(poses - truth, dim=-1), dim=-1)
         return torch.mean(torch.amin(errors, dim=0))
 

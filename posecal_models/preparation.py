@@ -18,6 +18,7 @@ from posecal_models.estimators import ReferenceEstimator, describe, of_config
 from posecal_models.gaussian_noise import GaussianNoise
 from posecal_models.simple_baseline import SimpleBaseline
 from posecal_models.train import Training
+from posecal_models.training_folder import CHECKPOINT, check_folder, digests
 
 __all__ = ["prepare", "split"]
 
@@ -118,14 +119,14 @@ def prepare(
     Raises
     ------
     PoseFileError, PoseDataError
-        Where something does not fit, or the folder holds a training already and ``resume`` was not asked for.
+        Where something does not fit, a process would have no pose of a batch, a file could not be written, or the
+        folder holds a training already and ``resume`` was not asked for.
     """
     crew = crew or Crew()
-    checkpoint = folder / "checkpoint.safetensors"
-    if checkpoint.exists() and not resume:
-        raise PoseFileError(f"{folder}: holds a training already. Pass --resume to go on, or give another folder.")
-    training, validation, clean = split(path, config.data)
+    crew.check_batch(config.train.batch)
+    check_folder(folder, resume=resume)
     estimator = _estimator(config)
+    training, validation, clean = split(path, config.data)
     detector = config.data.detector if clean else None
     order = (estimator.joints, estimator.keypoints)
     data = TrainingSet(training, *order, detector=detector, device=device)
@@ -138,8 +139,10 @@ def prepare(
         folder.mkdir(exist_ok=True)
     except OSError as problem:
         raise PoseFileError(f"{folder}: can't be made ({problem.strerror}).") from problem
-    run = Training(estimator.to(device), config, data, folder=folder, validation=judged, crew=crew)
-    if resume and checkpoint.exists():
+    run = Training(
+        estimator.to(device), config, data, folder=folder, validation=judged, crew=crew, digests=digests(path)
+    )
+    if resume and (folder / CHECKPOINT).exists():
         run.resume()
     return run
 

@@ -21,7 +21,7 @@ __all__ = ["counted", "read_losses", "shown"]
 
 def _words(standing: Standing, epoch: int) -> str:
     losses = ", ".join(f"{name} {value:.4g}" for name, value in standing.losses.items())
-    validation = "" if standing.validation != standing.validation else f", validation {standing.validation:.4g}"
+    validation = "" if standing.validation is None else f", validation {standing.validation:.4g}"
     return f"epoch {epoch}: {losses}{validation}, learning rate {standing.learning_rate:.2g}"
 
 

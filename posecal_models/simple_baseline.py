@@ -10,12 +10,12 @@ from collections.abc import Mapping
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
 from posecal.errors import PoseDataError
 from posecal.skeleton import joint_set
 from posecal_models.contract import Context, PointEstimate
 from posecal_models.data.standardizer import Origin, Standardizer
+from posecal_models.whole_batch import BatchNorm, dropout
 
 __all__ = ["SimpleBaseline", "from_public"]
 
@@ -26,12 +26,12 @@ class _Layer(nn.Module):
     def __init__(self, features: int, features_out: int, dropout: float) -> None:
         super().__init__()
         self.linear = nn.Linear(features, features_out)
-        self.norm = nn.BatchNorm1d(features_out)
+        self.norm = BatchNorm(features_out)
         self.dropout = dropout
 
     def forward(self, features: Tensor) -> Tensor:
         activated = torch.relu(self.norm(self.linear(features)))
-        return functional.dropout(activated, self.dropout, self.training)
+        return dropout(activated, self.dropout, training=self.training)
 
 
 class _Residual(nn.Module):

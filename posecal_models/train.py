@@ -17,19 +17,17 @@ import torch
 from torch import Tensor
 
 from posecal.errors import PoseDataError, PoseFileError
-from posecal.io import written_whole
 from posecal_models.checkpoint import read_tensors, save_estimator, write_tensors
 from posecal_models.config import Config
-from posecal_models.contract import Context
 from posecal_models.cuda_graph import Recorded
-from posecal_models.data.masks import SHARES, hide
-from posecal_models.data.training_set import TrainingSet, seeded
+from posecal_models.data.training_set import TrainingSet, draw_graphs, seeded
 from posecal_models.distributed import Crew
 from posecal_models.estimators import ReferenceEstimator
 from posecal_models.objectives import Objective, objective_of
 from posecal_models.schedule import Schedule
+from posecal_models.training_folder import CHECKPOINT, WEIGHTS, check_same, write_losses
 
-__all__ = ["Progress", "Training", "draw_graphs"]
+__all__ = ["Progress", "Training"]
 
 _ORDER, _BATCH, _VALIDATION = 1, 2, 3
 
@@ -46,8 +44,8 @@ class Progress:
         Of the last step.
     losses : dict of str to float
         Of the last step.
-    validation : float
-        Loss of the validation poses after the last epoch; NaN before.
+    validation : float or None
+        Loss of the validation poses after the last epoch; none before, and where there are no such poses.
     """
 
     epoch: int
@@ -55,48 +53,7 @@ class Progress:
     steps: int
     learning_rate: float
     losses: dict[str, float]
-    validation: float
-
-
-def draw_graphs(
-    context: Context,
-    truth: Tensor,
-    *,
-    graphs_per_pose: int,
-    first: int,
-    augmentation: str,
-    generator: torch.Generator,
-) -> tuple[Context, Tensor]:
-    """Give every pose several sets of observed keypoints, the paper's five in turn.
-
-    Parameters
-    ----------
-    context : Context
-        Keypoints of B poses.
-    truth : Tensor
-        (B, K, 3), mm.
-    graphs_per_pose : int
-        Sets of each pose.
-    first : int
-        Which of the five comes first; pose i starts i further.
-    augmentation : str
-        See :func:`posecal_models.data.masks.hide`.
-    generator : torch.Generator
-        The source of randomness.
-
-    Returns
-    -------
-    context, truth
-        Of B * graphs_per_pose graphs, those of one pose together.
-    """
-    poses = len(truth)
-    rows = torch.arange(poses, device=truth.device).repeat_interleave(graphs_per_pose)
-    turn = torch.arange(graphs_per_pose, device=truth.device).repeat(poses)
-    start = rows * (graphs_per_pose % len(SHARES) != 0)
-    share = torch.tensor(SHARES, device=truth.device)[(turn + start + first) % len(SHARES)]
-    graphs = context[rows]
-    observed = hide(graphs.observed, share, generator, kind="released" if augmentation == "released" else "paper")
-    return Context(graphs.keypoints, observed, graphs.sigma), truth[rows]
+    validation: float | None
 
 
 class Training:
@@ -116,6 +73,8 @@ class Training:
         Where ``checkpoint.safetensors``, ``weights.safetensors`` and ``losses.csv`` go.
     crew : Crew
         The processes that train together.
+    digests : dict of str to str
+        What tells the data from others, see :func:`posecal_models.training_folder.digests`; kept in the checkpoint.
 
     Attributes
     ----------
@@ -132,6 +91,7 @@ class Training:
         folder: Path,
         validation: TrainingSet | None = None,
         crew: Crew | None = None,
+        digests: dict[str, str] | None = None,
     ) -> None:
         self.estimator = estimator
         self.config = config
@@ -139,6 +99,7 @@ class Training:
         self.validation = validation
         self.folder = folder
         self.crew = crew or Crew()
+        self.digests = digests or {}
         self.parameters = {name: p for name, p in estimator.named_parameters() if self._learns(name)}
         self.objective: Objective = objective_of(estimator, config.train)
         if config.train.cuda_graph:
@@ -147,6 +108,7 @@ class Training:
         self.steps_per_epoch = config.train.steps_per_epoch or math.ceil(len(data) / config.train.batch)
         self.schedule = Schedule(config.train, self.steps_per_epoch * config.train.epochs)
         self.step = self.epoch = 0
+        self._together = False
         self.best: dict[str, Tensor] = {}
         self._step_losses: list[float] = []
         self._epochs: list[tuple[float, ...]] = []
@@ -165,7 +127,7 @@ class Training:
         Raises
         ------
         PoseDataError
-            Where a loss or gradient is no longer finite.
+            Where a loss, of training or validation, or a gradient is no longer finite.
         PoseFileError
             Where a file can't be written.
         """
@@ -222,9 +184,9 @@ class Training:
             )
         if self.step == 0 and not self.config.model.start:
             self.objective.initialise(context, truth)
-        poses = self.crew.share(len(truth) // graphs)
-        mine = slice(poses.start * graphs, poses.stop * graphs)
-        share = (mine.stop - mine.start) / len(truth)
+        if not self._together:
+            self.crew.follow(self.estimator.state_dict().values())
+            self._together = True
 
         self.estimator.train()
         learning_rate = self.schedule.learning_rate(self.step)
@@ -232,11 +194,13 @@ class Training:
             group["lr"] = learning_rate
         self.optimizer.zero_grad(set_to_none=False)
         device = self.data.device
-        with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
+        on_gpu = [device] if device.type == "cuda" else []
+        with torch.random.fork_rng(devices=on_gpu), self.crew.sharing(len(truth) // graphs) as poses:
             torch.manual_seed(generator.initial_seed())
+            mine = slice(poses.start * graphs, poses.stop * graphs)
             losses = self.objective.backward(context[mine], truth[mine], generator=generator, graphs_per_pose=graphs)
         gradients = [p.grad for p in self.parameters.values() if p.grad is not None]
-        self.crew.add_up([*gradients, *losses.values()], share)
+        self.crew.add_up([*gradients, *losses.values()], (mine.stop - mine.start) / len(truth))
         norm = torch.nn.utils.clip_grad_norm_(self.parameters.values(), config.clip)
         values = {name: float(loss) for name, loss in losses.items()}
         self._check_finite(values, float(norm))
@@ -254,30 +218,42 @@ class Training:
             + ", ".join(f"{name} is {value:.6g}" for name, value in losses.items())
             + f", the gradient's norm {norm:.6g}, not finite in {len(broken)} of {len(self.parameters)} tensors"
             + (f" (first: {broken[0]})" if broken else "")
-            + f". The checkpoint in {self.folder} is from before; lower train.learning_rate "
-            f"({self.schedule.learning_rate(self.step):.3g}) or look at the poses of this batch."
+            + f". {self._advice(self.step)} or look at the poses of this batch."
         )
+
+    def _advice(self, step: int) -> str:
+        kept = f"The checkpoint in {self.folder} is from before. " if (self.folder / CHECKPOINT).exists() else ""
+        return f"{kept}Lower train.learning_rate ({self.schedule.learning_rate(step):.3g})"
 
     def _end_epoch(self) -> None:
         self.epoch += 1
         recent = self._step_losses[-self.steps_per_epoch :]
         train = sum(recent) / len(recent)
         validation = self._validate()
-        judged = train if math.isnan(validation) else validation
+        judged = train if validation is None else validation
         if judged < self.schedule.best:
             self.best = {name: t.detach().clone() for name, t in self.estimator.state_dict().items()}
         rate = self.schedule.learning_rate(self.step - 1)
-        self._epochs.append((float(self.epoch), float(self.step), rate, train, validation))
+        told = math.nan if validation is None else validation
+        self._epochs.append((float(self.epoch), float(self.step), rate, train, told))
         self.schedule.after_epoch(judged)
 
-    def _validate(self) -> float:
+    def _validate(self) -> float | None:
         if self.validation is None:
-            return math.nan
+            return None
         self.estimator.eval()
         generator = seeded(self.validation.device, self.config.train.seed, _VALIDATION)
         rows = torch.arange(len(self.validation), device=self.validation.device)
         context, truth = self.validation.batch(rows, generator)
-        return float(self.objective.evaluate(context, truth, generator=generator)["loss"])
+        found = self.objective.evaluate(context, truth, generator=generator)
+        losses = {name: self.crew.agree(float(loss)) for name, loss in found.items()}
+        if not all(map(math.isfinite, losses.values())):
+            raise PoseDataError(
+                f"validation: after step {self.step:,} (epoch {self.epoch}) "
+                + ", ".join(f"{name} is {value:.6g}" for name, value in losses.items())
+                + f". {self._advice(self.step - 1)} or look at the poses of data.validation_subjects."
+            )
+        return losses["loss"]
 
     def _progress(self, losses: dict[str, float]) -> Progress:
         return Progress(
@@ -286,7 +262,7 @@ class Training:
             self.schedule.total_steps,
             self.schedule.learning_rate(self.step - 1),
             losses,
-            self._epochs[-1][-1] if self._epochs else math.nan,
+            self._epochs[-1][-1] if self._epochs and self.validation is not None else None,
         )
 
     def save(self) -> None:
@@ -306,23 +282,17 @@ class Training:
                 tensors[f"adam.{moment}.{name}"] = tensor
         tensors["losses.steps"] = torch.tensor(self._step_losses, dtype=torch.float64)
         tensors["losses.epochs"] = torch.tensor(self._epochs, dtype=torch.float64).view(-1, 5)
-        write_tensors(self.folder / "checkpoint.safetensors", tensors, self._state())
-        self._write_losses()
+        write_tensors(self.folder / CHECKPOINT, tensors, self._state())
+        write_losses(self.folder, self._epochs)
         notes = {"config": self.config.table(), "epochs": self.epoch, "steps": self.step, "poses": len(self.data)}
-        save_estimator(self.folder / "weights.safetensors", self.estimator, tensors=self.best or None, notes=notes)
+        save_estimator(self.folder / WEIGHTS, self.estimator, tensors=self.best or None, notes=notes)
 
     def _state(self) -> dict[str, Any]:
         schedule = self.schedule
         return {
-            "training": {"config": self.config.table(), "step": self.step, "epoch": self.epoch},
+            "training": {"config": self.config.table(), "step": self.step, "epoch": self.epoch, "data": self.digests},
             "schedule": {"best": schedule.best, "waited": schedule.waited, "drops": schedule.drops},
         }
-
-    def _write_losses(self) -> None:
-        lines = ["epoch,step,learning_rate,training_loss,validation_loss"]
-        lines += [f"{e:.0f},{s:.0f},{rate:.6g},{train:.8g},{val:.8g}" for e, s, rate, train, val in self._epochs]
-        text = "\n".join(lines) + "\n"
-        written_whole(self.folder / "losses.csv", lambda file: file.write(text.encode()))
 
     def resume(self) -> None:
         """Go back to the last checkpoint in the folder.
@@ -334,22 +304,13 @@ class Training:
         PoseFileError
             Where there is none, or it is damaged.
         PoseDataError
-            Where it is of another configuration.
+            Where it is of another configuration or of other data.
         """
-        path = self.folder / "checkpoint.safetensors"
+        path = self.folder / CHECKPOINT
         tensors, about = read_tensors(path, device=self.data.device)
         if "training" not in about:
             raise PoseFileError(f"{path}: holds no training; expected the checkpoint of one.")
-        before = about["training"]["config"]
-        now, default = self.config.table(), Config().table()
-        names = [(table, name) for table in ("model", "data", "train") for name in now[table]]
-        names.remove(("train", "epochs"))
-        changed = [f"{t}.{n}" for t, n in names if _plain(before[t].get(n, default[t][n])) != _plain(now[t][n])]
-        if changed:
-            raise PoseDataError(
-                f"{path}: of another configuration ({', '.join(changed)} differ). "
-                "Give the configuration it was started with, or another folder."
-            )
+        check_same(path, about["training"], self.config, self.digests)
         self.step, self.epoch = about["training"]["step"], about["training"]["epoch"]
         for name in ("best", "waited", "drops"):
             setattr(self.schedule, name, about["schedule"][name])
@@ -374,10 +335,3 @@ class Training:
 
 def _under(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
     return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
-
-
-def _plain(value: Any) -> Any:
-    """Turn tuples into lists, as JSON does."""
-    if isinstance(value, dict):
-        return {name: _plain(item) for name, item in value.items()}
-    return [_plain(item) for item in value] if isinstance(value, (list, tuple)) else value

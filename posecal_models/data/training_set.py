@@ -11,8 +11,9 @@ from posecal.errors import PoseDataError
 from posecal_models.contract import Context
 from posecal_models.data.detector import Detector
 from posecal_models.data.lifting_set import LiftingSet
+from posecal_models.data.masks import SHARES, hide
 
-__all__ = ["TrainingSet", "seeded"]
+__all__ = ["TrainingSet", "draw_graphs", "seeded"]
 
 
 def seeded(device: torch.device | str, *numbers: int) -> torch.Generator:
@@ -115,3 +116,44 @@ class TrainingSet:
         if self.detector is None:
             return Context(keypoints, self.observed[rows], self.sigma[rows]), self.poses[rows]
         return self.detector.detect(keypoints, generator), self.poses[rows]
+
+
+def draw_graphs(
+    context: Context,
+    truth: Tensor,
+    *,
+    graphs_per_pose: int,
+    first: int,
+    augmentation: str,
+    generator: torch.Generator,
+) -> tuple[Context, Tensor]:
+    """Give every pose several sets of observed keypoints, the paper's five in turn.
+
+    Parameters
+    ----------
+    context : Context
+        Keypoints of B poses.
+    truth : Tensor
+        (B, K, 3), mm.
+    graphs_per_pose : int
+        Sets of each pose.
+    first : int
+        Which of the five comes first; pose i starts i further.
+    augmentation : str
+        See :func:`posecal_models.data.masks.hide`.
+    generator : torch.Generator
+        The source of randomness.
+
+    Returns
+    -------
+    context, truth
+        Of B * graphs_per_pose graphs, those of one pose together.
+    """
+    poses = len(truth)
+    rows = torch.arange(poses, device=truth.device).repeat_interleave(graphs_per_pose)
+    turn = torch.arange(graphs_per_pose, device=truth.device).repeat(poses)
+    start = rows * (graphs_per_pose % len(SHARES) != 0)
+    share = torch.tensor(SHARES, device=truth.device)[(turn + start + first) % len(SHARES)]
+    graphs = context[rows]
+    observed = hide(graphs.observed, share, generator, kind="released" if augmentation == "released" else "paper")
+    return Context(graphs.keypoints, observed, graphs.sigma), truth[rows]

@@ -1,4 +1,4 @@
-"""Training: resumed as if never interrupted, the same with several processes, stopped where numbers break."""
+"""Training: resumed as if never interrupted, stopped where numbers break."""
 
 from __future__ import annotations
 
@@ -155,36 +155,6 @@ def test_test_and_validation_subjects_are_not_trained_on(motion_file, tmp_path):
     assert len(run.validation) == 2 * 20 * 2
 
 
-@pytest.mark.parametrize("processes", [2])
-@pytest.mark.parametrize("kind", ["cgnf", "gaussian"])
-def test_two_processes_compute_the_gradients_of_one(motion_file, tmp_path, processes, kind):
-    script = Path(__file__).with_name("two_processes.py")
-    command = [sys.executable, "-m", "torch.distributed.run", f"--nproc-per-node={processes}", "--master-port=0"]
-    command += [
-        "--rdzv-backend=c10d",
-        "--rdzv-endpoint=localhost:0",
-        str(script),
-        kind,
-        str(motion_file),
-        str(tmp_path),
-    ]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
-    alone = subprocess.run(
-        [sys.executable, str(script), kind, str(motion_file), str(tmp_path)],
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    assert alone.returncode == 0, alone.stderr
-    one, many = (torch.load(tmp_path / f"gradients_{n}.pt", weights_only=True) for n in (1, processes))
-    assert sorted(one) == sorted(many)
-    for name, gradient in one.items():
-        np.testing.assert_allclose(many[name], gradient, rtol=1e-4, atol=1e-6 * float(gradient.abs().max() + 1))
-
-
 def test_the_learning_rate_falls_on_a_plateau_and_the_training_stops_at_the_third():
     schedule = Schedule(Config.of_table({"train": {"patience": 2}}).train, total_steps=1000)
     rates = []
@@ -249,13 +219,6 @@ def test_a_training_may_begin_with_weights(motion_file, tmp_path):
 
 def test_resuming_where_there_is_nothing_starts(motion_file, tmp_path):
     assert training(CGNF, motion_file, tmp_path / "a", resume=True).step == 0
-
-
-def test_every_process_has_its_share_of_a_batch_that_does_not_divide():
-    from posecal_models.distributed import Crew
-
-    shares = [Crew(rank, 3).share(8) for rank in range(3)]
-    assert [row for share in shares for row in range(8)[share]] == list(range(8))
 
 
 def test_a_recording_needs_a_gpu(motion_file, tmp_path):

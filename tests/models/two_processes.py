@@ -1,34 +1,67 @@
-"""Run by ``torchrun`` in a test: one step of a training, its gradients kept."""
+"""Run by ``torchrun`` in a test: one step of every kind of training, its gradients kept; and some epochs to the end."""
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import torch
 
 from posecal_models.checkpoint import save_estimator
 from posecal_models.config import Config
-from posecal_models.distributed import crew_of_torchrun
+from posecal_models.distributed import Crew, crew_of_torchrun
 from posecal_models.preparation import prepare
 from posecal_models.simple_baseline import SimpleBaseline
 
+BASELINE = {"kind": "simple-baseline", "width": 8, "residuals": 1}
+KINDS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    "cgnf": ({"size": "tiny"}, {}),
+    "cgnf with L_sample": ({"size": "tiny"}, {"sample_weight": 0.1}),
+    "gaussian, likelihood": ({"kind": "gaussian-noise"}, {}),
+    "gaussian, min-mpjpe": ({"kind": "gaussian-noise"}, {"objective": "min-mpjpe", "hypotheses": 20}),
+    "simple-baseline": ({**BASELINE, "dropout": 0.0}, {"objective": "squared-error"}),
+    "simple-baseline with dropout": ({**BASELINE, "dropout": 0.5}, {"objective": "squared-error"}),
+}
+DATA = {"views": 1, "every": 2, "validation_subjects": ["S4"]}
+
+
+def one_step(kind: str, motion: str, folder: Path, crew: Crew) -> dict[str, torch.Tensor]:
+    """Give the gradients of the first step, of 7 poses, which two processes can't share equally; and the buffers."""
+    model, train = KINDS[kind]
+    if model.get("kind") == "gaussian-noise":
+        model = {**model, "mean": str(folder / "mean.safetensors")}
+    table = {"model": model, "data": DATA, "train": {"batch": 7, "clip": 1e9, "graphs_per_pose": 2, **train}}
+    run = prepare(Config.of_table(table), motion, folder / f"{kind}, {crew.size}", crew=crew)
+    run.optimizer.step = lambda: None
+    losses = run._one_step()
+    gradients = {name: p.grad for name, p in run.parameters.items() if p.grad is not None}
+    return {**gradients, **dict(run.estimator.named_buffers()), "loss": torch.tensor(losses["loss"])}
+
+
+def to_the_end(motion: str, folder: Path, crew: Crew) -> dict[str, torch.Tensor]:
+    """Train a few epochs whose learning rate falls on plateaus; give all that could part two processes."""
+    train = {"batch": 9, "objective": "squared-error", "patience": 0, "steps_per_epoch": 2, "epochs": 30}
+    table = {"model": BASELINE, "data": DATA, "train": {**train, "learning_rate": 0.05}}
+    run = prepare(Config.of_table(table), motion, folder / f"to the end, {crew.size}", crew=crew)
+    rows = []
+    run.run(on_step=lambda s: rows.append((s.step, s.learning_rate, s.losses["loss"], s.validation or 0.0)))
+    return {**run.estimator.state_dict(), "told": torch.tensor(rows, dtype=torch.float64)}
+
+
+def save_mean(folder: Path) -> None:
+    """Write the point estimator that the Gaussians stand around."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        save_estimator(folder / "mean.safetensors", SimpleBaseline(width=8))
+
 
 def main() -> None:
-    kind, motion, folder = sys.argv[1], sys.argv[2], Path(sys.argv[3])
-    table = {"model": {"size": "tiny"}, "data": {"views": 1}, "train": {"batch": 7, "clip": 1e9, "graphs_per_pose": 2}}
+    motion, folder = sys.argv[1], Path(sys.argv[2])
     with crew_of_torchrun(torch.device("cpu")) as crew:
-        if kind == "gaussian":
-            mean = folder / f"mean_{crew.size}_{crew.rank}.safetensors"
-            with torch.random.fork_rng(devices=[]):
-                torch.manual_seed(0)
-                save_estimator(mean, SimpleBaseline(width=8))
-            table["model"] = {"kind": "gaussian-noise", "mean": str(mean)}
-        run = prepare(Config.of_table(table), motion, folder / f"run_{crew.size}_{crew.rank}", crew=crew)
-        run.optimizer.step = lambda: None
-        run._one_step()
-        if crew.leads:
-            torch.save({n: p.grad for n, p in run.parameters.items()}, folder / f"gradients_{crew.size}.pt")
+        found = {kind: one_step(kind, motion, folder, crew) for kind in KINDS}
+        found["to the end"] = to_the_end(motion, folder, crew)
+    torch.save(found, folder / f"of_{crew.rank}.pt")
 
 
 if __name__ == "__main__":
