@@ -6,6 +6,7 @@ PyTorch is imported by the commands that need it, so that ``--help`` is quick.
 
 from __future__ import annotations
 
+import os
 import sys
 from enum import StrEnum
 from pathlib import Path
@@ -57,7 +58,8 @@ def main() -> None:
     try:
         app()
     except PosecalError as problem:
-        _say(f"posecal-models: {problem}")
+        if os.environ.get("LOCAL_RANK", "0") == "0":  # the processes of a machine refuse the same: one of them says it
+            _say(f"posecal-models: {problem}")
         sys.exit(3)
     except KeyboardInterrupt:
         sys.exit(130)

@@ -1,28 +1,77 @@
-"""What does a person see while a training runs? A bar on a terminal, a line an epoch elsewhere, both on stderr."""
+"""What does a person see while a training runs? Two lines on a terminal, a line an epoch elsewhere, both on stderr."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Column
+from rich.text import Text
 
 from posecal.errors import PoseFileError
 from posecal_models.train import Progress as Standing
 from posecal_models.train import Training
 
-__all__ = ["counted", "read_losses", "shown"]
+__all__ = ["TrainingBar", "counted", "read_losses", "shown"]
 
 
-def _words(standing: Standing, epoch: int) -> str:
-    losses = ", ".join(f"{name} {value:.4g}" for name, value in standing.losses.items())
-    validation = "" if standing.validation is None else f", validation {standing.validation:.4g}"
-    return f"epoch {epoch}: {losses}{validation}, learning rate {standing.learning_rate:.2g}"
+def _losses(standing: Standing) -> str:
+    losses = dict(standing.losses)
+    if standing.validation is not None:
+        losses["validation"] = standing.validation
+    return ", ".join(f"{name} {value:.4g}" for name, value in losses.items())
+
+
+class TrainingBar(Progress):
+    """Two lines: epoch, time left, learning rate, steps and a bar; and below it the losses.
+
+    The bar takes what room the line has; what is said never gives way to it.
+
+    Parameters
+    ----------
+    run : Training
+        What is shown.
+    console : Console
+        Where.
+    """
+
+    def __init__(self, run: Training, console: Console) -> None:
+        self._run = run
+        self._losses = ""
+        whole = Column(no_wrap=True)
+        super().__init__(
+            TextColumn("{task.description}"),
+            TimeRemainingColumn(table_column=whole),
+            TextColumn("left"),
+            TextColumn("learning rate {task.fields[rate]:.2g}"),
+            MofNCompleteColumn(table_column=whole),
+            BarColumn(bar_width=None),
+            console=console,
+            expand=True,
+        )
+        rate = run.schedule.learning_rate(run.step)
+        self._steps = self.add_task(self._epoch(), total=run.schedule.total_steps, completed=run.step, rate=rate)
+
+    def tell(self, standing: Standing) -> None:
+        """Show where the training stands."""
+        self._losses = _losses(standing)
+        rate = standing.learning_rate
+        self.update(self._steps, completed=standing.step, description=self._epoch(), rate=rate)
+
+    def get_renderables(self) -> Iterable[RenderableType]:
+        """Give the two lines."""
+        yield self.make_tasks_table(self.tasks)
+        if self._losses:
+            yield Text(self._losses, no_wrap=True, overflow="ellipsis")
+
+    def _epoch(self) -> str:
+        return f"epoch {self._run.epoch + (not self._run.finished)} of {self._run.config.train.epochs}"
 
 
 @contextmanager
@@ -43,22 +92,16 @@ def shown(run: Training) -> Iterator[Callable[[Standing], None]]:
         yield lambda _: None
         return
     if sys.stderr.isatty():
-        columns = (
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeRemainingColumn(),
-            TextColumn("{task.description}"),
-        )
-        with Progress(*columns, console=Console(stderr=True)) as bar:
-            task = bar.add_task("", total=run.schedule.total_steps, completed=run.step)
-            yield lambda s: bar.update(task, completed=s.step, description=_words(s, s.epoch + 1))
+        with TrainingBar(run, Console(stderr=True)) as bar:
+            yield bar.tell
         return
     told = [run.epoch]
 
     def tell(standing: Standing) -> None:
         if standing.epoch > told[0]:
             told[0] = standing.epoch
-            line = f"step {standing.step:,} of {standing.steps:,}, {_words(standing, standing.epoch)}"
+            line = f"step {standing.step:,} of {standing.steps:,}, epoch {standing.epoch}: {_losses(standing)}"
+            line += f", learning rate {standing.learning_rate:.2g}"
             print(line, file=sys.stderr, flush=True)  # noqa: T201
 
     yield tell

@@ -12,6 +12,7 @@ import pytest
 import torch
 
 from posecal.errors import PoseDataError
+from posecal_models.cli import main
 from posecal_models.config import Config
 from posecal_models.distributed import Crew
 from posecal_models.preparation import prepare
@@ -74,3 +75,16 @@ def test_fewer_poses_than_processes_are_refused(motion_file, tmp_path):
     with pytest.raises(PoseDataError, match=r"train\.batch: 2 for 3 processes; expected a pose or more for each"):
         prepare(config, motion_file, tmp_path / "run", crew=Crew(0, 3))
     assert not (tmp_path / "run").exists()
+
+
+def test_of_several_processes_on_a_machine_one_says_what_is_wrong(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["posecal-models", "train", "cgnf-tinny", "--data", "motion.npz", "-o", "run"])
+    said = []
+    for rank in ("0", "1"):
+        monkeypatch.setenv("LOCAL_RANK", rank)
+        with pytest.raises(SystemExit) as ended:
+            main()
+        assert ended.value.code == 3
+        said.append(capsys.readouterr().err)
+    assert said[0].startswith("posecal-models: cgnf-tinny: no such configuration")
+    assert said[1] == ""

@@ -245,7 +245,7 @@ def test_every_named_configuration_builds_its_estimator(name):
         assert of_config(config.model).joints
 
 
-def test_the_released_configuration_names_every_difference():
+def test_the_released_configuration_sets_every_difference_that_is_a_setting():
     config = Config.load("cgnf-small-released")
     assert (config.model.scale, config.model.backward_weights) == ("sigmoid", False)
     assert (config.train.loss_per, config.train.sample_loss, config.train.augmentation) == ("node", "pairs", "released")
