@@ -42,7 +42,10 @@ class ModelConfig:
     backward_weights, scale
         Of a cGNF, see :class:`posecal_models.cgnf.flow.GraphFlow`.
     origin : str
-        What keypoints are relative to: ``observed`` (the mean of the observed ones) or ``none``.
+        What keypoints are relative to: ``observed`` (the mean of the observed ones), ``root`` (the hip's keypoint,
+        which the data must then hold) or ``none``.
+    units : str
+        Constants of the standardizer: ``fitted`` to the training set, or those of the ``released`` code.
     width, residuals, dropout
         Of a SimpleBaseline.
     start : str
@@ -57,7 +60,8 @@ class ModelConfig:
     size: Literal["tiny", "small", "large", "xlarge"] = "small"
     backward_weights: bool = True
     scale: Literal["sigmoid", "exp"] = "exp"
-    origin: Literal["observed", "none"] = "observed"
+    origin: Literal["observed", "root", "none"] = "observed"
+    units: Literal["fitted", "released"] = "fitted"
     width: _Count = 1024
     residuals: _CountOrNone = 2
     dropout: Annotated[float, Limit(0, math.nextafter(1, 0), "0 or more and below 1")] = 0.5

@@ -8,9 +8,11 @@ from typing import Any
 from torch import nn
 
 from posecal.errors import PoseDataError
+from posecal.skeleton import joint_set
 from posecal_models.cgnf.flow import SIZES, FlowSize
 from posecal_models.cgnf.model import CGNF
 from posecal_models.config import ModelConfig
+from posecal_models.data.standardizer import Standardizer
 from posecal_models.gaussian_noise import GaussianNoise
 from posecal_models.graph import PoseGraph
 from posecal_models.simple_baseline import SimpleBaseline
@@ -20,7 +22,9 @@ __all__ = ["ReferenceEstimator", "build", "describe", "of_config", "parameter_co
 ReferenceEstimator = CGNF | SimpleBaseline | GaussianNoise
 
 
-def of_config(config: ModelConfig, *, mean: SimpleBaseline | None = None) -> ReferenceEstimator:
+def of_config(
+    config: ModelConfig, *, mean: SimpleBaseline | None = None, keypoints: tuple[str, ...] | None = None
+) -> ReferenceEstimator:
     """Build an untrained estimator.
 
     Parameters
@@ -29,6 +33,8 @@ def of_config(config: ModelConfig, *, mean: SimpleBaseline | None = None) -> Ref
         Which.
     mean : SimpleBaseline, optional
         The trained point estimator that a Gaussian noise model needs.
+    keypoints : tuple of str, optional
+        What a SimpleBaseline reads; where not given Human3.6M's 16, after the hip where they are relative to it.
 
     Returns
     -------
@@ -40,20 +46,29 @@ def of_config(config: ModelConfig, *, mean: SimpleBaseline | None = None) -> Ref
     PoseDataError
         Where a Gaussian noise model has no mean.
     """
+    if config.kind == "gaussian-noise":
+        if mean is None:
+            raise PoseDataError("model.mean: not given; expected the weights file of a trained SimpleBaseline.")
+        return GaussianNoise(mean, spread=config.spread)
+    estimator: CGNF | SimpleBaseline
     if config.kind == "cgnf":
-        return CGNF(
+        estimator = CGNF(
             SIZES[config.size],
             backward_weights=config.backward_weights,
             scale=config.scale,
             origin=config.origin,
         )
-    if config.kind == "simple-baseline":
-        return SimpleBaseline(
-            width=config.width, residuals=config.residuals, dropout=config.dropout, origin=config.origin
+    else:
+        estimator = SimpleBaseline(
+            keypoints=joint_set("h36m-17") if keypoints is None and config.origin == "root" else keypoints,
+            width=config.width,
+            residuals=config.residuals,
+            dropout=config.dropout,
+            origin=config.origin,
         )
-    if mean is None:
-        raise PoseDataError("model.mean: not given; expected the weights file of a trained SimpleBaseline.")
-    return GaussianNoise(mean, spread=config.spread)
+    if config.units == "released":
+        estimator.standardizer = Standardizer.released(len(estimator.joints), origin=config.origin)
+    return estimator
 
 
 def describe(estimator: ReferenceEstimator) -> dict[str, Any]:

@@ -222,8 +222,8 @@ def pendulum(samples: Mapping[str, Floats], truth: Floats, titles: Mapping[str, 
     colours = (_GOLD, OVER, UNDER)
     with _style():
         figure = Figure(figsize=(1.6 * len(truth), 1.9 * len(samples)), layout="constrained")
-        rows = figure.subfigures(len(samples), 1)
-        for part, (name, drawn) in zip(np.atleast_1d(rows), samples.items(), strict=True):
+        rows = figure.subfigures(len(samples), 1, squeeze=False)[:, 0]
+        for part, (name, drawn) in zip(rows, samples.items(), strict=True):
             part.suptitle(titles[name], x=0.02, ha="left", fontsize=7)
             axes = part.subplots(1, len(truth), sharey=True, squeeze=False)[0]
             for column, (ax, nodes) in enumerate(zip(axes, truth, strict=True)):
@@ -234,7 +234,7 @@ def pendulum(samples: Mapping[str, Floats], truth: Floats, titles: Mapping[str, 
                 ax.plot(chain[:, 0], chain[:, 1], "o-", color=INK, markersize=3, linewidth=1)
                 ax.set(xlim=(-3.2, 3.2), ylim=(-3.2, 3.2), aspect="equal", xticks=(-2, 0, 2), yticks=(-2, 0, 2))
             axes[0].set_ylabel("y (m)", fontsize=8)
-            marks, names = axes[0].get_legend_handles_labels()
+        marks, names = figure.axes[0].get_legend_handles_labels()
         figure.legend(marks, names, loc="outside lower right", ncols=3, markerscale=3, handletextpad=0.1, fontsize=7)
         figure.supxlabel("x (m)", fontsize=8)
     return figure

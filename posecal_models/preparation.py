@@ -128,10 +128,12 @@ def prepare(
     estimator = _estimator(config)
     training, validation, clean = split(path, config.data)
     detector = config.data.detector if clean else None
+    if isinstance(estimator, SimpleBaseline) and (lacking := _lacking(training, estimator.keypoints)):
+        estimator = _estimator(config, keypoints=tuple(name for name in estimator.keypoints if name not in lacking))
     order = (estimator.joints, estimator.keypoints)
     data = TrainingSet(training, *order, detector=detector, device=device)
     judged = None if validation is None else TrainingSet(validation, *order, detector=detector, device=device)
-    if not isinstance(estimator, GaussianNoise) and not config.model.start:
+    if not isinstance(estimator, GaussianNoise) and not config.model.start and config.model.units == "fitted":
         rows = torch.linspace(0, len(data) - 1, min(len(data), _FIT_POSES), device=data.device).long()
         context, truth = data.batch(rows, seeded(data.device, config.train.seed))
         estimator.standardizer.fit(truth.cpu(), context.keypoints.cpu(), context.observed.cpu())
@@ -147,7 +149,14 @@ def prepare(
     return run
 
 
-def _estimator(config: Config) -> ReferenceEstimator:
+def _lacking(training: LiftingSet, keypoints: tuple[str, ...]) -> set[str]:
+    """Name the keypoints that no image of a training set has: nothing can learn to read them."""
+    seen = training.in_order_of(keypoint_joints=keypoints).keypoints
+    return {name for j, name in enumerate(keypoints) if not np.isfinite(seen[:, j]).any()}
+
+
+def _estimator(config: Config, *, keypoints: tuple[str, ...] | None = None) -> ReferenceEstimator:
+    """Build what is trained, or load what training starts from; a SimpleBaseline reads these keypoints."""
     mean = None
     if config.model.kind == "gaussian-noise" and config.model.mean:
         loaded = load_estimator(config.model.mean)
@@ -158,7 +167,7 @@ def _estimator(config: Config) -> ReferenceEstimator:
         mean = loaded
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.train.seed)
-        estimator = of_config(config.model, mean=mean)
+        estimator = of_config(config.model, mean=mean, keypoints=keypoints)
     if not config.model.start:
         return estimator
     started = load_estimator(config.model.start)

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from posecal.errors import PoseDataError
 from posecal.skeleton import joint_set
-from posecal_models.contract import Context, PointEstimate
+from posecal_models.contract import Context, PointEstimate, check_keypoints
 from posecal_models.data.standardizer import Origin, Standardizer
 from posecal_models.whole_batch import BatchNorm, dropout
 
@@ -127,8 +127,9 @@ class SimpleBaseline(nn.Module):
         Raises
         ------
         PoseDataError
-            Where a keypoint is not finite.
+            Where there are more or fewer keypoints, or one is not finite.
         """
+        check_keypoints(context, self.keypoints)
         if not context.keypoints.isfinite().all():
             missing = int((~context.keypoints.isfinite().all(-1)).sum())
             raise PoseDataError(

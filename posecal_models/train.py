@@ -181,6 +181,7 @@ class Training:
                 first=self.step,
                 augmentation=config.augmentation,
                 generator=generator,
+                root=self.config.model.origin == "root",
             )
         if self.step == 0 and not self.config.model.start:
             self.objective.initialise(context, truth)

@@ -170,7 +170,7 @@ class CGNF(nn.Module):
         Raises
         ------
         PoseDataError
-            Where there are more or fewer keypoints, or the root's is needed and was not observed.
+            Where there are more or fewer keypoints, or the root's is needed and not there.
         """
         return FlowDistribution(self.flow.ready(self.evidence(context)), self.standardizer, len(context))
 
@@ -195,13 +195,19 @@ class CGNF(nn.Module):
         check_keypoints(context, self.keypoints)
         keypoints, observed = self.standardizer.keypoints(context), context.observed
         if self.standardizer.origin == "root":
-            if lost := int((observed.any(1) & ~observed[:, 0]).sum()):
-                raise PoseDataError(
-                    f"keypoints: the {self.graph.root} of {lost:,} of {len(observed):,} images was not observed, and "
-                    "these weights read the others relative to it. Give it, or use weights that were trained without."
-                )
+            if observed.device.type == "cpu":
+                self._check_root(context)
             keypoints, observed = keypoints[:, 1:], observed[:, 1:]
         return self.flow.evidence(keypoints, observed)
+
+    def _check_root(self, context: Context) -> None:
+        """Refuse images with keypoints but without the root's; a GPU would have to be waited for."""
+        lost = context.observed.any(1) & ~context.keypoints[:, 0].isfinite().all(-1)
+        if lost.any():
+            raise PoseDataError(
+                f"keypoints: no {self.graph.root} in {int(lost.sum()):,} of {len(context):,} images, and the others "
+                "are read relative to it. Give it, or use weights that were trained without."
+            )
 
     def prior(self, poses: int = 1) -> FlowDistribution:
         """Give the distribution of poses of which nothing was observed.

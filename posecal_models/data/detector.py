@@ -73,7 +73,7 @@ class Detector:
         Parameters
         ----------
         keypoints : Tensor
-            (M, K, 2), pixels: where the joints are in the image.
+            (M, K, 2), pixels: where the joints are in the image; NaN where nobody knows, which is never observed.
         generator : torch.Generator
             The source of randomness.
 
@@ -93,7 +93,8 @@ class Detector:
         heavy = noise * torch.sqrt((degrees - 2) / chi_squared)
         sigma = torch.where(hidden, self.hidden_sigma, self.sigma)
         reported = keypoints + sigma[..., None] * torch.where(hidden[..., None], heavy, noise).to(keypoints.dtype)
-        return Context(reported, sigma <= self.threshold, sigma.to(keypoints.dtype))
+        observed = (sigma <= self.threshold) & keypoints.isfinite().all(-1)
+        return Context(reported, observed, sigma.to(keypoints.dtype))
 
     def seen(self, data: LiftingSet, *, seed: int = 0) -> LiftingSet:
         """Detect the keypoints of a whole data set once.

@@ -63,20 +63,22 @@ class Standardizer(nn.Module):
         self.register_buffer("keypoint_scale", torch.ones(()))
 
     @classmethod
-    def released(cls, joints: int) -> Standardizer:
+    def released(cls, joints: int, *, origin: Origin = "root") -> Standardizer:
         """Give the published code's constants: 2D * 0.0139 and 3D * 0.0036, nothing taken off.
 
         Parameters
         ----------
         joints : int
             K.
+        origin : str
+            What keypoints are relative to; in that code to the hip's.
 
         Returns
         -------
         Standardizer
-            With the origin ``root``: that code's keypoints are relative to the hip's.
+            With these constants.
         """
-        standardizer = cls(joints, origin="root")
+        standardizer = cls(joints, origin=origin)
         standardizer.pose_scale.fill_(1 / 0.0036)
         standardizer.keypoint_scale.fill_(1 / 0.0139)
         return standardizer

@@ -11,7 +11,7 @@ from posecal.errors import PoseDataError
 from posecal_models.contract import Context
 from posecal_models.data.detector import Detector
 from posecal_models.data.lifting_set import LiftingSet
-from posecal_models.data.masks import SHARES, hide
+from posecal_models.data.masks import SHARES, Augmentation, hide
 
 __all__ = ["TrainingSet", "draw_graphs", "seeded"]
 
@@ -126,6 +126,7 @@ def draw_graphs(
     first: int,
     augmentation: str,
     generator: torch.Generator,
+    root: bool = False,
 ) -> tuple[Context, Tensor]:
     """Give every pose several sets of observed keypoints, the paper's five in turn.
 
@@ -143,6 +144,8 @@ def draw_graphs(
         See :func:`posecal_models.data.masks.hide`.
     generator : torch.Generator
         The source of randomness.
+    root : bool
+        Whether the first keypoint is that of the root, which is never hidden.
 
     Returns
     -------
@@ -155,5 +158,8 @@ def draw_graphs(
     start = rows * (graphs_per_pose % len(SHARES) != 0)
     share = torch.tensor(SHARES, device=truth.device)[(turn + start + first) % len(SHARES)]
     graphs = context[rows]
-    observed = hide(graphs.observed, share, generator, kind="released" if augmentation == "released" else "paper")
+    first_hidden = int(root)
+    kind: Augmentation = "released" if augmentation == "released" else "paper"
+    some = hide(graphs.observed[:, first_hidden:], share, generator, kind=kind)
+    observed = torch.cat([graphs.observed[:, :first_hidden], some], dim=1)
     return Context(graphs.keypoints, observed, graphs.sigma), truth[rows]

@@ -178,8 +178,10 @@ def test_weights_that_read_keypoints_relative_to_the_hip_need_it():
     keypoints, observed = torch.randn(3, 17, 2), torch.ones(3, 17, dtype=torch.bool)
     observed[1] = False  # nothing at all is the prior
     assert estimator(Context(keypoints, observed)).log_prob(torch.zeros(3, 16, 3)).shape == (3,)
-    observed[2, 0] = False
-    with pytest.raises(PoseDataError, match=r"^keypoints: the Hip of 1 of 3 images was not observed"):
+    observed[2, 0] = False  # but it is there
+    assert estimator(Context(keypoints, observed)).log_prob(torch.zeros(3, 16, 3)).isfinite().all()
+    keypoints[2, 0] = torch.nan
+    with pytest.raises(PoseDataError, match=r"^keypoints: no Hip in 1 of 3 images, and the others are read relative"):
         estimator(Context(keypoints, observed))
 
 
