@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import pickle
 from pathlib import Path
 
@@ -14,8 +13,6 @@ from posecal.skeleton import joint_set
 from posecal_models.data.cameras import Camera, read_cameras
 from posecal_models.data.human36m import read_human36m
 from posecal_models.data.lifting_set import KeypointSet, LiftingSet, read_npz
-from posecal_models.data.mocap import MocapPoses
-from posecal_models.data.pickles import read_object_npz, read_pickle
 from posecal_models.data.prohpe import read_prohpe
 from posecal_models.data.videopose3d import OF_32, read_videopose3d
 
@@ -24,69 +21,6 @@ H36M, MPII = joint_set("h36m-17"), joint_set("mpii-16")
 
 def numbers(*shape: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).normal(size=shape) * 100
-
-
-class _Runs:
-    """Something that would make a file when a pickle of it is loaded."""
-
-    def __init__(self, proof: Path) -> None:
-        self.proof = proof
-
-    def __reduce__(self):
-        return os.mkdir, (str(self.proof),)
-
-
-# --- pickles ----------------------------------------------------------------------------------------------------
-
-
-def test_a_pickle_of_plain_data_is_read(tmp_path):
-    held = {"S1": {"poses": numbers(3, 2), "name": "Directions", "list": [1, 2.5, None, True], "t": (1, "a")}}
-    for protocol in range(pickle.HIGHEST_PROTOCOL + 1):
-        (tmp_path / "a.pkl").write_bytes(pickle.dumps(held, protocol=protocol))
-        read = read_pickle(tmp_path / "a.pkl")
-        np.testing.assert_array_equal(read["S1"]["poses"], held["S1"]["poses"])
-        assert {k: v for k, v in read["S1"].items() if k != "poses"} == {
-            k: v for k, v in held["S1"].items() if k != "poses"
-        }
-
-
-@pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
-def test_a_hostile_pickle_is_refused_and_runs_nothing(tmp_path, protocol):
-    proof = tmp_path / "it ran"
-    (tmp_path / "a.pkl").write_bytes(pickle.dumps({"poses": _Runs(proof)}, protocol=protocol))
-    with pytest.raises(PoseFileError, match=r"a\.pkl: asks for posix\.mkdir; expected a pickle of plain arrays"):
-        read_pickle(tmp_path / "a.pkl")
-    assert not proof.exists()
-    pickle.loads((tmp_path / "a.pkl").read_bytes())
-    assert proof.exists()  # Python's own reader would have run it: this test can fail
-
-
-def test_a_hostile_array_in_an_npz_is_refused_and_runs_nothing(tmp_path):
-    proof = tmp_path / "it ran"
-    np.savez(tmp_path / "a.npz", positions_3d=np.array(_Runs(proof), dtype=object))
-    with pytest.raises(PoseFileError, match=r"positions_3d\.npy: asks for posix\.mkdir"):
-        read_object_npz(tmp_path / "a.npz")
-    assert not proof.exists()
-
-
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        (b"", "a.pkl: Ran out of input"),
-        (b"garbage", "expected a pickle of plain arrays"),
-        (b"cbuiltins\neval\n(S'1'\ntR.", r"asks for builtins\.eval"),
-        (b"c_codecs\nencode\n(S'a'\nS'rot13'\ntR.", "asks for the codec rot13"),
-    ],
-)
-def test_a_damaged_or_sly_pickle_is_refused(tmp_path, content, words):
-    (tmp_path / "a.pkl").write_bytes(content)
-    with pytest.raises(PoseFileError, match=words):
-        read_pickle(tmp_path / "a.pkl")
-
-
-def test_a_missing_pickle_is_named(tmp_path):
-    with pytest.raises(PoseFileError, match=r"none\.pkl: can't be read \(No such file"):
-        read_pickle(tmp_path / "none.pkl")
 
 
 # --- VideoPose3D ------------------------------------------------------------------------------------------------
@@ -331,64 +265,3 @@ def test_a_pickled_array_is_refused(tmp_path):
     np.savez(tmp_path / "a.npz", poses=np.array([{}], dtype=object))
     with pytest.raises(PoseFileError, match=r"a\.npz: can't be read as \.npz"):
         read_npz(tmp_path / "a.npz")
-
-
-# --- motion capture ---------------------------------------------------------------------------------------------
-
-
-def mocap(path: Path, **changes) -> None:
-    members = {
-        "poses": np.array([[[0, 0, 1000], [0, 100, 500]]] * 4, float),
-        "joints": ["Hip", "RKnee"],
-        "unit": "mm",
-        "subject": [1, 1, 2, 2],
-        "clip_id": ["a", "a", "b", "b"],
-    }
-    np.savez(path, **{**members, **changes})
-
-
-def test_motion_capture_is_projected_into_each_camera(tmp_path):
-    mocap(tmp_path / "m.npz")
-    pairs = MocapPoses(tmp_path / "m.npz").seen_by_cameras(views=3, seed=1)
-    assert len(pairs) == 4 * 3
-    assert sorted(set(pairs.subject.tolist())) == ["S1", "S2"]
-    # lengths are kept, and up in the room is against y in the image
-    np.testing.assert_allclose(np.linalg.norm(pairs.poses[:, 0], axis=1), np.hypot(100, 500), rtol=1e-5)
-    assert (pairs.poses[:, 0, 1] > 400).all()
-    # a camera at about 5 m sees 510 mm as about 510 / 5000 * 1146 pixels; perspective and its place vary it
-    hip_free = pairs.keypoints[:, 0]
-    assert ((hip_free > 0) & (hip_free < 1100)).all()
-
-
-def test_a_clip_s_cameras_do_not_depend_on_the_other_clips(tmp_path):
-    mocap(tmp_path / "m.npz")
-    poses = MocapPoses(tmp_path / "m.npz")
-    both, one = poses.seen_by_cameras(seed=3), poses.seen_by_cameras(but_not=["S1"], seed=3)
-    np.testing.assert_array_equal(both.take(both.subject == "S2").poses, one.poses)
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"joints": ["RHip", "RKnee"]}, "no Hip among RHip, RKnee"),
-        ({"up": "y"}, "up is y; expected z"),
-        ({"poses": np.zeros((4, 3, 3))}, r"poses \(4, 3, 3\); expected \(M, 2, 3\)"),
-        ({"unit": "inch"}, "unit: 'inch'"),
-    ],
-)
-def test_motion_capture_that_does_not_fit_is_refused(tmp_path, changes, words):
-    mocap(tmp_path / "m.npz", **changes)
-    with pytest.raises(PoseDataError, match=words):
-        MocapPoses(tmp_path / "m.npz")
-
-
-def test_an_unknown_subject_is_named(tmp_path):
-    mocap(tmp_path / "m.npz")
-    with pytest.raises(PoseDataError, match="subjects: S7 not there; there are S1, S2"):
-        MocapPoses(tmp_path / "m.npz").seen_by_cameras(but_not=["S7"])
-
-
-def test_a_camera_refuses_points_behind_it():
-    camera = Camera.looking_at((0, -5000, 0), (0, 0, 0))
-    with pytest.raises(PoseDataError, match="1 of 2 points lie behind the camera"):
-        camera.project(np.array([[0.0, 0, 0], [0, -6000, 0]]))
