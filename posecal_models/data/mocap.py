@@ -1,7 +1,8 @@
 """How do motion captures without images become training data? Poses in a room, seen by virtual cameras.
 
 A file of poses is an ``.npz`` with ``poses`` (M, K, 3) in a room with z up, ``joints``, ``unit``, ``subject`` and
-``clip_id``; ``frame`` and ``description`` are used where they are there.
+``clip_id``; ``frame`` and ``description`` are used where they are there, and ``axes`` is the layout of ``poses``. What
+one subject has under one ``clip_id`` is a clip: two people may have clips of the same name.
 """
 
 from __future__ import annotations
@@ -16,7 +17,9 @@ from posecal.errors import PoseDataError
 from posecal.skeleton import Skeleton, canonical_name
 from posecal.units import millimetres_per
 from posecal_models.data.cameras import cameras_around
-from posecal_models.data.lifting_set import LiftingSet, read_npz
+from posecal_models.data.lifting_set import LiftingSet
+from posecal_models.data.npz import joint_names, labels, read_npz, stored_poses, word
+from posecal_models.data.sizes import check_millimetres
 
 __all__ = ["MocapPoses", "with_other_bodies"]
 
@@ -37,28 +40,56 @@ class MocapPoses:
         (M, K, 3), mm, z up.
     subject, clip, frame, description : ndarray of str
         (M,) labels.
+    sequence : ndarray of str
+        (M,): the clip's name, after its subject's and a slash in a file where people share names of clips.
 
     Raises
     ------
     PoseFileError, PoseDataError
-        Where the file can't be read, or is no such file.
+        Where the file can't be read, or is no such file: one of its poses is not finite, two frames of a clip have the
+        same name, labels are missing, or what should be mm looks like metres.
     """
 
     def __init__(self, path: str | Path) -> None:
         members = read_npz(path, required=("poses", "joints", "unit", "subject", "clip_id"))
-        self.joints = tuple(str(name) for name in members["joints"])
-        poses = np.asarray(members["poses"], np.float64) * millimetres_per(str(members["unit"]))
-        if poses.ndim != 3 or poses.shape[1:] != (len(self.joints), 3):
-            raise PoseDataError(f"{path}: poses {poses.shape}; expected (M, {len(self.joints)}, 3).")
+        self.joints = joint_names(members["joints"], f"{path}: joints")
+        poses = stored_poses(members, "poses", self.joints, path) * millimetres_per(word(members, "unit", path, "mm"))
         if not any(canonical_name(name) == "Hip" for name in self.joints):
             raise PoseDataError(f"{path}: no Hip among {', '.join(self.joints)}; expected the root among the joints.")
-        if str(members.get("up", "z")) != "z":
-            raise PoseDataError(f"{path}: up is {members['up']}; expected z. Turn the poses.")
+        if (up := word(members, "up", path, "z")) != "z":
+            raise PoseDataError(f"{path}: up is {up}; expected z. Turn the poses.")
+        check_millimetres(poses, f"{path}: poses", "Store unit = 'm' in it.")
+        many = (len(poses),)
+        subject = labels(members["subject"], f"{path}: subject", many)
         self.poses = poses
-        self.subject = np.array([f"S{int(s)}" if str(s).isdigit() else str(s) for s in members["subject"]])
-        self.clip = members["clip_id"].astype(str)
-        self.frame = members.get("frame", np.arange(len(poses))).astype(str)
-        self.description = members.get("description", self.clip).astype(str)
+        self.subject = np.array([f"S{int(s)}" if s.isdecimal() else s for s in subject.tolist()], np.str_)
+        self.clip = labels(members["clip_id"], f"{path}: clip_id", many)
+        self.frame = labels(members.get("frame", np.arange(len(poses))), f"{path}: frame", many)
+        self.description = labels(members.get("description", self.clip), f"{path}: description", many)
+        self.sequence = self._sequences()
+        self._check_frames(path)
+
+    def _sequences(self) -> npt.NDArray[np.str_]:
+        people = set(zip(self.subject.tolist(), self.clip.tolist(), strict=True))
+        if len(people) == len({clip for _, clip in people}):
+            return self.clip
+        return np.array([f"{s}/{c}" for s, c in zip(self.subject.tolist(), self.clip.tolist(), strict=True)])
+
+    def _check_frames(self, path: str | Path) -> None:
+        broken = ~np.isfinite(self.poses).all(-1)
+        if broken.any():
+            row, joint = (int(index) for index in np.argwhere(broken)[0])
+            raise PoseDataError(
+                f"{path}: poses are not finite in {int(broken.any(-1).sum()):,} of {len(self.poses):,} frames (first: "
+                f"clip {self.sequence[row]}, frame {self.frame[row]}, joint {self.joints[joint]}). Leave them out."
+            )
+        names = np.array([f"{c}/{f}" for c, f in zip(self.sequence.tolist(), self.frame.tolist(), strict=True)])
+        known, counts = np.unique(names, return_counts=True)
+        if (counts > 1).any():
+            raise PoseDataError(
+                f"{path}: {int((counts > 1).sum()):,} frames are there more than once (first: "
+                f"{known[counts > 1][0]}); expected each frame of a clip once. Number them."
+            )
 
     def seen_by_cameras(
         self,
@@ -84,7 +115,7 @@ class MocapPoses:
             Standard deviation of the log of each bone's length. Above 0 every pose is given a body of its own: with few
             people to learn from, an estimator learns their bones instead of bodies. 0: bodies as they were captured.
         seed : int
-            Where the cameras stand; a clip's cameras depend on the seed and the clip's name alone.
+            Where the cameras stand; a clip's cameras depend on the seed and the clip's name (in ``sequence``) alone.
 
         Returns
         -------
@@ -105,11 +136,11 @@ class MocapPoses:
         rest = [k for k in range(len(self.joints)) if k != root]
         chosen: list[npt.NDArray[np.intp]] = []
         poses, keypoints, cameras = [], [], []
-        for clip in dict.fromkeys(self.clip.tolist()):
-            rows = np.flatnonzero(self.clip == clip)
-            if self.subject[rows[0]] not in wanted:
+        for subject, clip in dict.fromkeys(zip(self.subject.tolist(), self.clip.tolist(), strict=True)):
+            if subject not in wanted:
                 continue
-            generator = np.random.default_rng([seed, *clip.encode()])
+            rows = np.flatnonzero((self.clip == clip) & (self.subject == subject))
+            generator = np.random.default_rng([seed, *str(self.sequence[rows[0]]).encode()])
             around = cameras_around(self.poses[rows, root], generator, views=views)
             rows = rows[::every]
             for index, camera in enumerate(around):
@@ -134,9 +165,9 @@ class MocapPoses:
             observed=np.ones((len(rows), len(rest)), bool),
             sigma=np.zeros((len(rows), len(rest)), np.float32),
             frame_id=np.array(
-                [f"{c}/{f}/{v}" for c, f, v in zip(self.clip[rows], self.frame[rows], cameras, strict=True)]
+                [f"{c}/{f}/{v}" for c, f, v in zip(self.sequence[rows], self.frame[rows], cameras, strict=True)]
             ),
-            sequence=self.clip[rows],
+            sequence=self.sequence[rows],
             subject=self.subject[rows],
             action=self.description[rows],
             camera=camera_names,
