@@ -6,7 +6,6 @@ Keypoints are in pixels, x to the right, y down. One row is one person in one im
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -19,6 +18,8 @@ from posecal.errors import PoseDataError, PoseFileError, first_few, raise_all
 from posecal.io import written_whole
 from posecal.skeleton import canonical_name
 from posecal.units import millimetres_per
+from posecal_models.data.npz import Members, joint_names, labels, read_npz, real_numbers, stored_poses, word
+from posecal_models.data.sizes import check_millimetres
 
 __all__ = ["KeypointSet", "LiftingSet", "read_npz"]
 
@@ -180,8 +181,9 @@ class LiftingSet:
         Parameters
         ----------
         path : str or Path
-            An ``.npz`` with ``truth``, ``joints`` and ``unit`` beside the members of :meth:`KeypointSet.load`. Labels
-            are used where they are there.
+            An ``.npz`` with ``truth`` (or ``gt``) and ``joints`` beside the members of :meth:`KeypointSet.load`.
+            ``axes`` is its layout, MKD where the file doesn't say, and ``unit`` its unit, mm where it doesn't. Labels
+            are used where they are there. Poses without a hip are taken only where ``root_relative`` is true.
 
         Returns
         -------
@@ -191,18 +193,28 @@ class LiftingSet:
         Raises
         ------
         PoseFileError, PoseDataError
-            Where the file can't be read or lacks something.
+            Where the file can't be read or lacks something, or where its poses look like metres in what should be mm.
         """
-        members = read_npz(path, required=("truth", "keypoints_2d", "joints", "unit"))
+        members = read_npz(path, required=("keypoints_2d", "joints"))
+        name = "truth" if "truth" in members else "gt"
+        if name not in members:
+            raise PoseFileError(f"{path}: lacks truth; it holds {', '.join(sorted(members))}.")
+        joints = joint_names(members["joints"], f"{path}: joints")
         seen = KeypointSet.of_members(members, path)
-        joints = tuple(str(name) for name in members["joints"])
-        truth = np.asarray(members["truth"], np.float64) * millimetres_per(str(members["unit"]))
+        truth = stored_poses(members, name, joints, path) * millimetres_per(word(members, "unit", path, "mm"))
+        check_millimetres(truth, f"{path}: {name}", "Store unit = 'm' in it.")
         root = next((k for k, name in enumerate(joints) if canonical_name(name) == "Hip"), None)
         if root is not None:
             truth = np.delete(truth - truth[:, root : root + 1], root, axis=1)
-        labels = {
-            name: members[name].astype(str) if name in members else np.full(len(truth), "")
-            for name in ("sequence", "subject", "action", "camera")
+        elif not _is_true(members, "root_relative"):
+            raise PoseDataError(
+                f"{path}: no joint Hip among {', '.join(joints)}: the poses can't be made relative to it. Store the "
+                "hip too, or poses relative to it with a member root_relative = True."
+            )
+        many = (len(truth),)
+        told = {
+            label: labels(members[label], f"{path}: {label}", many) if label in members else np.full(many, "")
+            for label in ("sequence", "subject", "action", "camera")
         }
         return cls(
             joints=tuple(name for k, name in enumerate(joints) if k != root),
@@ -212,10 +224,10 @@ class LiftingSet:
             observed=seen.observed,
             sigma=seen.sigma,
             frame_id=seen.frame_id,
-            sequence=labels["sequence"],
-            subject=labels["subject"],
-            action=labels["action"],
-            camera=labels["camera"],
+            sequence=told["sequence"],
+            subject=told["subject"],
+            action=told["action"],
+            camera=told["camera"],
         )
 
 
@@ -266,18 +278,15 @@ class KeypointSet:
         return cls.of_members(read_npz(path, required=("keypoints_2d",)), path)
 
     @classmethod
-    def of_members(cls, members: dict[str, npt.NDArray[np.generic]], path: str | Path) -> KeypointSet:
+    def of_members(cls, members: Members, path: str | Path) -> KeypointSet:
         """Take keypoints out of the members of a file that was read."""
-        keypoints = np.asarray(members["keypoints_2d"], np.float32)
+        keypoints = real_numbers(members["keypoints_2d"], f"{path}: keypoints_2d").astype(np.float32)
         named = members.get("keypoint_joints", members.get("joints"))
         if named is None:
             raise PoseFileError(
                 f"{path}: lacks keypoint_joints; expected the names of the {keypoints.shape[1:2]} keypoints."
             )
-        names = tuple(str(name) for name in named)
-        canonical = [canonical_name(name) for name in names]
-        if twice := [name for name in names if canonical.count(canonical_name(name)) > 1]:
-            raise PoseDataError(f"{path}: keypoints named more than once ({first_few(twice)}); expected each once.")
+        names = joint_names(named, f"{path}: names of the keypoints")
         if keypoints.ndim != 3 or keypoints.shape[1:] != (len(names), 2):
             raise PoseDataError(
                 f"{path}: keypoints_2d {keypoints.shape}; expected (M, {len(names)}, 2), one row for each of "
@@ -285,22 +294,23 @@ class KeypointSet:
             )
         observed: Flags = np.asarray(np.isfinite(keypoints).all(-1))
         if "keypoints_observed" in members:
-            observed = np.asarray(members["keypoints_observed"], bool)
+            observed = _flags(members["keypoints_observed"], f"{path}: keypoints_observed")
         elif "occluded" in members and members["occluded"].shape == keypoints.shape[:2]:
-            observed = observed & ~np.asarray(members["occluded"], bool)
-        sigma = members.get("keypoints_sigma", np.zeros(keypoints.shape[:2]))
-        frame_id = members.get("frame_id", np.arange(len(keypoints)))
+            observed = observed & ~_flags(members["occluded"], f"{path}: occluded")
+        sigma = real_numbers(
+            members.get("keypoints_sigma", np.zeros(keypoints.shape[:2])), f"{path}: keypoints_sigma"
+        ).astype(np.float32)
+        frame_id = labels(members.get("frame_id", np.arange(len(keypoints))), f"{path}: frame_id", keypoints.shape[:1])
         problems = [
             f"{path}: {name} {array.shape}; expected {shape}."
             for name, array, shape in (
                 ("keypoints_observed", observed, keypoints.shape[:2]),
                 ("keypoints_sigma", sigma, keypoints.shape[:2]),
-                ("frame_id", frame_id, keypoints.shape[:1]),
             )
             if array.shape != shape
         ]
         raise_all(problems)
-        return cls(names, keypoints, observed, np.asarray(sigma, np.float32), frame_id.astype(str))
+        return cls(names, keypoints, observed, sigma, frame_id)
 
     def __len__(self) -> int:
         return len(self.keypoints)
@@ -363,34 +373,12 @@ def _columns(have: Sequence[str], want: Sequence[str], which: str) -> list[int]:
     return [index[canonical_name(name)] for name in want]
 
 
-def read_npz(path: str | Path, *, required: Sequence[str] = ()) -> dict[str, npt.NDArray[np.generic]]:
-    """Read the members of an ``.npz`` file without ever unpickling.
+def _flags(array: npt.NDArray[np.generic], which: str) -> Flags:
+    """Give yes and no, stored as such or as 1 and 0; a detector's confidence is neither."""
+    if array.dtype.kind not in "biuf" or not np.isin(array, (0, 1)).all():
+        raise PoseDataError(f"{which}: dtype {array.dtype}; expected bool, or 1 and 0.")
+    return np.asarray(array, bool)
 
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-    required : sequence of str
-        Members that must be there.
 
-    Returns
-    -------
-    dict of str to ndarray
-        All members.
-
-    Raises
-    ------
-    PoseFileError
-        Where the file is missing, damaged, pickled or lacks a member.
-    """
-    path = Path(path)
-    try:
-        with open(path, "rb") as stored, np.load(stored, allow_pickle=False) as file:
-            members = {name: file[name] for name in file.files}
-    except (OSError, ValueError, zipfile.BadZipFile, EOFError, AttributeError) as problem:
-        what = "is not there" if not path.exists() else f"can't be read as .npz ({problem})"
-        raise PoseFileError(f"{path}: {what}; expected an .npz of plain arrays.") from problem
-    missing = [name for name in required if name not in members]
-    if missing:
-        raise PoseFileError(f"{path}: lacks {', '.join(missing)}; it holds {', '.join(sorted(members)) or 'nothing'}.")
-    return members
+def _is_true(members: Members, name: str) -> bool:
+    return name in members and members[name].size > 0 and bool(_flags(members[name], name).all())

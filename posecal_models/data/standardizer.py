@@ -20,6 +20,9 @@ __all__ = ["Origin", "Standardizer"]
 
 Origin = Literal["observed", "root", "none"]
 
+SMALLEST = 2.0
+"""Keypoints of people that spread over less, pixels, are none in pixels."""
+
 
 class Standardizer(nn.Module):
     r"""The affine maps between millimetres or pixels and what a network sees.
@@ -86,6 +89,8 @@ class Standardizer(nn.Module):
     def fit(self, poses: Tensor, keypoints: Tensor, observed: Tensor | None = None) -> None:
         """Take the constants from training data.
 
+        Poses in two dimensions, such as a pendulum's, are of no camera: theirs may be any keypoints.
+
         Parameters
         ----------
         poses : Tensor
@@ -98,13 +103,16 @@ class Standardizer(nn.Module):
         Raises
         ------
         PoseDataError
-            Where all poses are the same, or the keypoints look normalised already.
+            Where all poses are the same, or where the observed keypoints of poses in space are not finite or spread
+            over less than 2 pixels about the middle of their pose, as keypoints do that were normalised already.
         """
         known = torch.ones_like(keypoints[..., 0], dtype=torch.bool) if observed is None else observed
         self.pose_mean.copy_(poses.double().mean(0))
         self.pose_scale.copy_((poses.double() - self.pose_mean.double()).square().mean().sqrt())
         if not self.pose_scale > 0:
             raise PoseDataError(f"poses: all {len(poses):,} are the same pose; expected poses that vary.")
+        if poses.shape[-1] == 3:
+            _check_pixels(keypoints, known)
         self.keypoint_scale.fill_(1)
         centred = self.keypoints(Context(keypoints, known))[known]
         spread = float(centred.double().square().mean().sqrt())
@@ -191,4 +199,21 @@ class Standardizer(nn.Module):
         return (
             f"origin={self.origin!r}, pose_scale={float(self.pose_scale):.1f} mm, "
             f"keypoint_scale={float(self.keypoint_scale):.1f} px"
+        )
+
+
+def _check_pixels(keypoints: Tensor, observed: Tensor) -> None:
+    several = observed.sum(-1) > 1
+    seen, known = keypoints[several].double(), observed[several][..., None]
+    if not len(seen):
+        return
+    count = known.sum(1, keepdim=True)
+    middle = torch.where(known, seen, 0).sum(1, keepdim=True) / count
+    spread = float((seen - middle)[known[..., 0]].square().mean().sqrt())
+    if not math.isfinite(spread):
+        raise PoseDataError("keypoints: some observed ones are not finite. Mark them as not observed.")
+    if spread < SMALLEST:
+        raise PoseDataError(
+            f"keypoints: spread over {spread:.3g} about their centre; expected {SMALLEST:g} pixels or more. "
+            "They look normalised already: give the pixels."
         )
