@@ -189,7 +189,14 @@ def import_(
     output: _Output,
     keypoints: Annotated[Path | None, typer.Option(help="VideoPose3D's data_2d_h36m_*.npz.")] = None,
     cameras: Annotated[Path | None, typer.Option(help="VideoPose3D: the cameras, .npz.")] = None,
-    every: Annotated[int, typer.Option(help="Only every so manieth frame.", min=1)] = 1,
+    every: Annotated[
+        int | None,
+        typer.Option(
+            help="Only every so manieth frame; 4 for human36m, whose S9 and S11 are taken every 64th anyway, else 1.",
+            min=1,
+            show_default=False,
+        ),
+    ] = None,
 ) -> None:
     """Turn another project's data into pairs of poses and keypoints."""
     check_outputs(path, *filter(None, [keypoints, cameras]), output=output)
@@ -198,14 +205,15 @@ def import_(
     from posecal_models.data.prohpe import read_prohpe
     from posecal_models.data.videopose3d import read_videopose3d
 
+    steps: dict[str, Any] = {} if every is None else {"every": every}
     if kind is Format.PROHPE:
-        read_prohpe(path, every=every).save(output)
+        read_prohpe(path, **steps).save(output)
     elif kind is Format.HUMAN36M:
-        read_human36m(path, every=every).save(output)
+        read_human36m(path, **steps).save(output)
     elif keypoints is None or cameras is None:
         raise typer.BadParameter("videopose3d needs --keypoints and --cameras too.")
     else:
-        read_videopose3d(path, keypoints, read_cameras(cameras), every=every).save(output)
+        read_videopose3d(path, keypoints, read_cameras(cameras), **steps).save(output)
 
 
 @app.command()

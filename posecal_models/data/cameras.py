@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.errors import PoseDataError
-from posecal_models.data.lifting_set import read_npz
+from posecal_models.data.npz import labels, read_npz, real_numbers
 
 __all__ = ["Camera", "cameras_around", "read_cameras"]
 
@@ -181,25 +181,30 @@ def read_cameras(path: str | Path) -> dict[str, list[Camera]]:
     Raises
     ------
     PoseFileError, PoseDataError
-        Where the file can't be read, or a rotation is none.
+        Where the file can't be read, a shape is another, a number is not finite, or a rotation is none.
     """
     members = read_npz(path, required=("subject", "rotation", "position"))
-    subject = members["subject"].astype(str)
-    rotation, position = (np.asarray(members[name], float) for name in ("rotation", "position"))
+    subject = labels(members["subject"], f"{path}: subject")
     count = len(subject)
-    focal = np.asarray(members.get("focal", np.full(count, H36M_FOCAL)), float)
-    centre = np.asarray(members.get("centre", np.tile(H36M_CENTRE, (count, 1))), float)
-    for name, array, shape in (
-        ("rotation", rotation, (count, 3, 3)),
-        ("position", position, (count, 3)),
-        ("focal", focal, (count,)),
-        ("centre", centre, (count, 2)),
-    ):
+    defaults = {"focal": np.full(count, H36M_FOCAL), "centre": np.tile(H36M_CENTRE, (count, 1))}
+    shapes = {"rotation": (count, 3, 3), "position": (count, 3), "focal": (count,), "centre": (count, 2)}
+    stored: dict[str, Array] = {}
+    for name, shape in shapes.items():
+        array = real_numbers(members.get(name, defaults.get(name)), f"{path}: {name}").astype(np.float64)
         if array.shape != shape:
             raise PoseDataError(f"{path}: {name} {array.shape}; expected {shape}.")
+        if not np.isfinite(array).all():
+            raise PoseDataError(f"{path}: {name} is not finite everywhere; expected the numbers of {count} cameras.")
+        stored[name] = array
+    rotation, position, focal, centre = stored.values()
     off = np.abs(rotation @ rotation.mT - np.eye(3)).max(axis=(1, 2))
-    if (off > 1e-3).any() or (np.linalg.det(rotation) < 0).any():
-        raise PoseDataError(f"{path}: rotation of camera {int(off.argmax())} is none (R R^T is {off.max():.3g} off I).")
+    wrong = (off > 1e-3) | (np.linalg.det(rotation) < 0)
+    if wrong.any():
+        first = int(wrong.argmax())
+        raise PoseDataError(
+            f"{path}: rotation of camera {first} is none (R R^T is {off[first]:.3g} off I, det R is "
+            f"{np.linalg.det(rotation[first]):.3g})."
+        )
     found: dict[str, list[Camera]] = {}
     for index, name in enumerate(subject.tolist()):
         middle = (float(centre[index, 0]), float(centre[index, 1]))

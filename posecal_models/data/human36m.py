@@ -17,6 +17,8 @@ import numpy.typing as npt
 from posecal.errors import PoseDataError, PoseFileError
 from posecal.skeleton import joint_set
 from posecal_models.data.lifting_set import LiftingSet
+from posecal_models.data.npz import BROKEN, in_words
+from posecal_models.data.sizes import check_millimetres
 from posecal_models.data.videopose3d import OF_32
 
 __all__ = ["TEST_SUBJECTS", "TRAINING_SUBJECTS", "read_human36m"]
@@ -37,7 +39,7 @@ def read_human36m(
     subjects : sequence of str, optional
         Which; those of the paper that are there where not given.
     every, test_every : int
-        Only every so manieth frame of the training subjects, and of S9 and S11.
+        Only every so manieth frame of the training subjects, and of S9 and S11, as in the paper.
 
     Returns
     -------
@@ -80,10 +82,12 @@ def read_human36m(
             f"{folder}: no D3_Positions_mono/*.cdf below {', '.join(wanted) or 'any subject'}; "
             "expected Human3.6M's folders."
         )
+    relative = np.concatenate(poses)
+    check_millimetres(relative, f"{folder}: D3_Positions_mono")
     seen = np.concatenate(keypoints).astype(np.float32)
     return LiftingSet(
         joints=names[1:],
-        poses=np.concatenate(poses).astype(np.float32),
+        poses=relative.astype(np.float32),
         keypoint_joints=names[1:],
         keypoints=seen,
         observed=np.ones(seen.shape[:2], bool),
@@ -104,8 +108,8 @@ def _read(path: Path, dimensions: int) -> npt.NDArray[np.float64]:
         raise PoseFileError(f"{path}: reading .cdf takes cdflib. Install it: pip install cdflib.") from problem
     try:
         values = np.asarray(cdflib.CDF(path).varget("Pose"), float)
-    except (OSError, ValueError, KeyError) as problem:
-        raise PoseFileError(f"{path}: can't be read as .cdf ({problem}).") from problem
-    if values.shape[-1] != 32 * dimensions:
+    except BROKEN as problem:
+        raise PoseFileError(f"{path}: can't be read as .cdf ({in_words(problem)}).") from problem
+    if values.shape[-1:] != (32 * dimensions,):
         raise PoseDataError(f"{path}: Pose {values.shape}; expected (1, F, {32 * dimensions}).")
     return values.reshape(-1, 32, dimensions)

@@ -18,13 +18,17 @@ import numpy.typing as npt
 from posecal.errors import PoseDataError, PoseFileError
 from posecal.skeleton import joint_set
 from posecal_models.data.lifting_set import LiftingSet
+from posecal_models.data.npz import real_numbers
 from posecal_models.data.pickles import read_pickle
+from posecal_models.data.sizes import check_millimetres
 
 __all__ = ["Joined", "read_prohpe"]
 
 Joined = Literal["by-name", "as-released"]
 
 _SIGMA_X, _SIGMA_Y = 3, 5
+_COLUMNS = {"3d_gt": 51, "2d_hrnet": 32, "gaussfit": 112}
+_KEYS = (*_COLUMNS, "imgpath")
 
 
 def read_prohpe(path: str | Path, *, every: int = 1, threshold: float = 5.0, joined: Joined = "by-name") -> LiftingSet:
@@ -51,7 +55,7 @@ def read_prohpe(path: str | Path, *, every: int = 1, threshold: float = 5.0, joi
     Raises
     ------
     PoseFileError, PoseDataError
-        Where the file is not of this form.
+        Where the file is not of this form, or its poses look like metres.
 
     Notes
     -----
@@ -68,6 +72,7 @@ def read_prohpe(path: str | Path, *, every: int = 1, threshold: float = 5.0, joi
     h36m, mpii = joint_set("h36m-17"), joint_set("mpii-16")
     parts = [_part(table, name, every, path) for name, table in videos]
     poses, keypoints, sigma = (np.concatenate([part[i] for part in parts]) for i in range(3))
+    check_millimetres(poses, f"{path}: 3d_gt")
     frames = [frame for part in parts for frame in part[3]]
     labels = [name for (name, _), part in zip(videos, parts, strict=True) for _ in part[3]]
     pairs = LiftingSet(
@@ -97,11 +102,13 @@ def _videos(tree: Any, path: str | Path) -> list[tuple[tuple[str, str, str, str]
             for action, subactions in actions.items():
                 for subaction, cameras in subactions.items():
                     for camera, table in cameras.items():
+                        if lacking := [key for key in _KEYS if not isinstance(table, dict) or key not in table]:
+                            raise KeyError(f"{subject}/{action}/{subaction}/{camera} lacks {', '.join(lacking)}")
                         if len(table["imgpath"]):
                             found.append(((str(subject), str(action), str(subaction), str(camera)), table))
     except (AttributeError, KeyError, TypeError) as problem:
         raise PoseFileError(
-            f"{path}: not subject, action, subaction, camera ({problem}); expected ProHPE's merged pickle."
+            f"{path}: not subject, action, subaction, camera ({problem.args[0]}); expected ProHPE's merged pickle."
         ) from problem
     return found
 
@@ -112,11 +119,12 @@ def _part(
     """Take every so manieth frame of a video apart: poses, keypoints, the larger sigma, frame ids."""
     frames = len(table["imgpath"])
     arrays = {}
-    for key, columns in (("3d_gt", 51), ("2d_hrnet", 32), ("gaussfit", 112)):
-        array = np.asarray(table.get(key, ()), float).reshape(len(table.get(key, ())), -1)
-        if array.shape != (frames, columns):
-            raise PoseDataError(f"{path}: {'/'.join(name)}: {key} {array.shape}; expected ({frames}, {columns}).")
-        arrays[key] = array[::every]
+    for key, columns in _COLUMNS.items():
+        which = f"{path}: {'/'.join(name)}: {key}"
+        array = real_numbers(table[key], which)
+        if array.shape[:1] != (frames,) or array.size != frames * columns:
+            raise PoseDataError(f"{which} {array.shape}; expected ({frames}, {columns}).")
+        arrays[key] = array.reshape(frames, columns)[::every].astype(np.float64)
     fits = arrays["gaussfit"].reshape(-1, 16, 7)
     return (
         arrays["3d_gt"].reshape(-1, 3, 17).transpose(0, 2, 1),

@@ -12,12 +12,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from posecal.errors import PoseDataError, PoseFileError
 from posecal.skeleton import joint_set
 from posecal_models.data.cameras import Camera
 from posecal_models.data.lifting_set import LiftingSet
+from posecal_models.data.npz import real_numbers
 from posecal_models.data.pickles import read_object_npz
+from posecal_models.data.sizes import check_millimetres
 
 __all__ = ["OF_32", "read_videopose3d"]
 
@@ -53,7 +56,7 @@ def read_videopose3d(
     Raises
     ------
     PoseFileError, PoseDataError
-        Where a file is not of this form, or a subject's cameras are missing.
+        Where a file is not of this form, has other joints, or a subject's cameras are missing.
 
     Notes
     -----
@@ -72,27 +75,33 @@ def read_videopose3d(
             continue
         if subject not in cameras:
             raise PoseDataError(f"cameras: none for {subject}; expected those of {', '.join(rooms)}.")
-        for action, room in actions.items():
+        for action, stored in actions.items():
+            room = _frames(stored, 32, 3, f"{poses}: {subject} {action}")
             views = images[subject].get(action, [])
+            if not isinstance(views, list | tuple | np.ndarray):
+                raise PoseFileError(f"{keypoints}: {subject} {action} is no list of views.")
             if len(views) > len(cameras[subject]):
                 raise PoseDataError(
                     f"{keypoints}: {subject} {action} has {len(views)} views; "
                     f"{len(cameras[subject])} cameras are given."
                 )
-            for index, view in enumerate(views):
+            for index, seen_there in enumerate(views):
+                view = _frames(seen_there, 17, 2, f"{keypoints}: {subject} {action}, view {index}")
                 length = min(len(room), len(view))
                 rows = np.arange(0, length, every)
-                pose = np.asarray(room, float)[rows][:, OF_32] * 1000
+                pose = room[rows][:, OF_32, :3] * 1000
                 relative = cameras[subject][index].turn(pose[:, 1:] - pose[:, :1])
                 frames = [f"{subject}/{action}/{index}/{row}" for row in rows]
-                parts.append((relative, np.asarray(view)[rows][:, 1:, :2], frames, subject, action, str(index)))
+                parts.append((relative, view[rows][:, 1:, :2], frames, str(subject), str(action), str(index)))
     if not parts:
         raise PoseDataError(f"{poses} and {keypoints}: no subject and action in common.")
     counts = [len(part[2]) for part in parts]
+    turned = np.concatenate([part[0] for part in parts])
+    check_millimetres(turned, f"{poses}: positions_3d, times 1000,")
     seen = np.concatenate([part[1] for part in parts]).astype(np.float32)
     return LiftingSet(
         joints=names[1:],
-        poses=np.concatenate([part[0] for part in parts]).astype(np.float32),
+        poses=turned.astype(np.float32),
         keypoint_joints=names[1:],
         keypoints=seen,
         observed=np.asarray(np.isfinite(seen).all(-1)),
@@ -111,3 +120,11 @@ def _table(path: str | Path, name: str) -> dict[str, Any]:
     if not isinstance(table, dict) or not all(isinstance(actions, dict) for actions in table.values()):
         raise PoseFileError(f"{path}: no {name} by subject and action; expected a file of VideoPose3D.")
     return table
+
+
+def _frames(stored: Any, joints: int, coordinates: int, which: str) -> npt.NDArray[np.float64]:
+    """Give the frames of one video, (F, joints, coordinates or more)."""
+    array = real_numbers(stored, which)
+    if array.ndim != 3 or array.shape[1] != joints or array.shape[2] < coordinates:
+        raise PoseDataError(f"{which} {array.shape}; expected (F, {joints}, {coordinates}).")
+    return array.astype(np.float64)
