@@ -197,6 +197,10 @@ def import_(
             show_default=False,
         ),
     ] = None,
+    as_released: Annotated[
+        bool,
+        typer.Option("--as-released", help="ProHPE: flags by position, not by name, as published code does."),
+    ] = False,
 ) -> None:
     """Turn another project's data into pairs of poses and keypoints."""
     check_outputs(path, *filter(None, [keypoints, cameras]), output=output)
@@ -207,7 +211,7 @@ def import_(
 
     steps: dict[str, Any] = {} if every is None else {"every": every}
     if kind is Format.PROHPE:
-        read_prohpe(path, **steps).save(output)
+        read_prohpe(path, joined="as-released" if as_released else "by-name", **steps).save(output)
     elif kind is Format.HUMAN36M:
         read_human36m(path, **steps).save(output)
     elif keypoints is None or cameras is None:

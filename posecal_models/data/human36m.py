@@ -72,7 +72,7 @@ def read_human36m(
             pose = _read(path, 3)[::step][:, OF_32]
             projection = path.parent.parent / "D2_Positions" / path.name
             poses.append(pose[:, 1:] - pose[:, :1])
-            keypoints.append(_read(projection, 2)[::step][:, OF_32][:, 1:])
+            keypoints.append(_read(projection, 2)[::step][:, OF_32])
             if len(keypoints[-1]) != len(pose):
                 raise PoseDataError(f"{projection}: {len(keypoints[-1])} frames where {path} has {len(pose)}.")
             frames += [f"{subject}/{matched[1]}/{matched[2]}/{row * step}" for row in range(len(pose))]
@@ -88,7 +88,7 @@ def read_human36m(
     return LiftingSet(
         joints=names[1:],
         poses=relative.astype(np.float32),
-        keypoint_joints=names[1:],
+        keypoint_joints=names,
         keypoints=seen,
         observed=np.ones(seen.shape[:2], bool),
         sigma=np.zeros(seen.shape[:2], np.float32),

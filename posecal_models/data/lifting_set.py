@@ -263,7 +263,8 @@ class KeypointSet:
         ----------
         path : str or Path
             With ``keypoints_2d`` (M, J, 2) in pixels and ``keypoint_joints`` or ``joints``. Which are observed comes
-            from ``keypoints_observed``; else from ``occluded``; else every finite one is.
+            from ``keypoints_observed``; else from ``occluded``, whose columns are the ``joints``; else every finite one
+            is.
 
         Returns
         -------
@@ -295,8 +296,14 @@ class KeypointSet:
         observed: Flags = np.asarray(np.isfinite(keypoints).all(-1))
         if "keypoints_observed" in members:
             observed = _flags(members["keypoints_observed"], f"{path}: keypoints_observed")
-        elif "occluded" in members and members["occluded"].shape == keypoints.shape[:2]:
-            observed = observed & ~_flags(members["occluded"], f"{path}: occluded")
+        elif "occluded" in members and "joints" in members:
+            hidden = _flags(members["occluded"], f"{path}: occluded")
+            column = {canonical_name(str(name)): k for k, name in enumerate(members["joints"])}
+            if hidden.shape != (len(keypoints), len(column)):
+                raise PoseDataError(f"{path}: occluded {hidden.shape}; expected {(len(keypoints), len(column))}.")
+            for j, name in enumerate(names):
+                if canonical_name(name) in column:
+                    observed[:, j] &= ~hidden[:, column[canonical_name(name)]]
         sigma = real_numbers(
             members.get("keypoints_sigma", np.zeros(keypoints.shape[:2])), f"{path}: keypoints_sigma"
         ).astype(np.float32)

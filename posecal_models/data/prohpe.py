@@ -87,11 +87,11 @@ def read_prohpe(path: str | Path, *, every: int = 1, threshold: float = 5.0, joi
         subject=np.array([subject for subject, *_ in labels]),
         action=np.array([action for _, action, *_ in labels]),
         camera=np.array([camera for *_, camera in labels]),
-    ).in_order_of(keypoint_joints=h36m[1:])
+    ).in_order_of(keypoint_joints=h36m)
     if joined == "by-name":
         return pairs
-    observed = sigma <= threshold
-    observed[:, h36m[1:].index("Head")] = False
+    observed = np.insert(sigma <= threshold, 0, True, axis=1)  # the hip, which the rest is relative to
+    observed[:, h36m.index("Head")] = False
     return LiftingSet(**{**vars(pairs), "observed": observed})
 
 

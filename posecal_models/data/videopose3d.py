@@ -92,7 +92,7 @@ def read_videopose3d(
                 pose = room[rows][:, OF_32, :3] * 1000
                 relative = cameras[subject][index].turn(pose[:, 1:] - pose[:, :1])
                 frames = [f"{subject}/{action}/{index}/{row}" for row in rows]
-                parts.append((relative, view[rows][:, 1:, :2], frames, str(subject), str(action), str(index)))
+                parts.append((relative, view[rows][..., :2], frames, str(subject), str(action), str(index)))
     if not parts:
         raise PoseDataError(f"{poses} and {keypoints}: no subject and action in common.")
     counts = [len(part[2]) for part in parts]
@@ -102,7 +102,7 @@ def read_videopose3d(
     return LiftingSet(
         joints=names[1:],
         poses=turned.astype(np.float32),
-        keypoint_joints=names[1:],
+        keypoint_joints=names,
         keypoints=seen,
         observed=np.asarray(np.isfinite(seen).all(-1)),
         sigma=np.zeros(seen.shape[:2], np.float32),

@@ -183,7 +183,7 @@ def test_keypoints_that_a_file_lacks_are_named(folder):
     done = posecal_models("sample", "tiny/weights.safetensors", "twice.npz", "-o", "twice-h.npz", cwd=folder)
     assert (done.returncode, done.stderr) == (
         3,
-        "posecal-models: twice.npz: keypoints named more than once (RKnee, RKnee); expected each once.\n",
+        "posecal-models: twice.npz: names of the keypoints name RKnee more than once; expected each joint once.\n",
     )
 
 

@@ -42,7 +42,7 @@ def test_videopose3d_s_files_are_joined_and_turned_into_the_camera(tmp_path):
     hip, knee = room[2, 0] * 1000, room[2, OF_32[5]] * 1000
     x, y, z = knee - hip
     np.testing.assert_allclose(pairs.poses[2, H36M.index("LKnee") - 1], [y, -z, -x], rtol=1e-5)
-    np.testing.assert_allclose(pairs.keypoints[4 + 2, 3], image[2, 4] + 1, rtol=1e-6)
+    np.testing.assert_allclose(pairs.keypoints[4 + 2, 4], image[2, 4] + 1, rtol=1e-6)
     assert pairs.frame_id[6] == "S1/Walking 1/1/2"
     assert (pairs.action[0], pairs.sequence[0], pairs.camera[6]) == ("Walking", "S1 Walking 1", "1")
 
@@ -96,8 +96,10 @@ def test_prohpe_s_joints_are_joined_by_name(tmp_path):
     for name in ("RFoot", "LElbow", "Thorax", "Head"):
         column = pairs.keypoint_joints.index(name)
         np.testing.assert_allclose(pairs.keypoints[:, column], keypoints[:, MPII.index(name)], rtol=1e-5)
+    assert pairs.keypoint_joints == H36M  # with the hip, which a converted checkpoint reads the others relative to
     absent = [name for name, seen in zip(pairs.keypoint_joints, pairs.observed[0], strict=True) if not seen]
     assert absent == ["Spine", "Neck/Nose"]  # MPII has neither
+    assert np.isnan(pairs.keypoints[:, H36M.index("Spine")]).all()
     assert pairs.frame_id[1] == "S9/Directions.54138969/4"
 
 
@@ -161,7 +163,7 @@ def test_human36m_s_own_files_are_read(tmp_path):
         *(f"S9/Walking 1/54138969/{row}" for row in (0, 8)),
     ]
     np.testing.assert_allclose(pairs.poses[1, H36M.index("Head") - 1], pose[4, 15] - pose[4, 0], rtol=1e-4, atol=1e-3)
-    np.testing.assert_allclose(pairs.keypoints[2, H36M.index("RWrist") - 1], projection[8, 27], rtol=1e-5)
+    np.testing.assert_allclose(pairs.keypoints[2, H36M.index("RWrist")], projection[8, 27], rtol=1e-5)
     assert pairs.action[0] == "Walking"
 
 
@@ -212,6 +214,16 @@ def test_occluded_joints_are_those_without_an_observed_keypoint(tmp_path):
     assert knee.all()
     np.testing.assert_array_equal(right_hip, ~pairs.observed[:, 1])
     np.testing.assert_array_equal(foot, ~pairs.observed[:, 0])
+
+
+def test_occluded_joints_are_no_keypoints_whatever_the_order_of_either(tmp_path):
+    members = {"keypoints_2d": numbers(2, 3, 2), "keypoint_joints": ["LHip", "Nose", "RHip"]}
+    hidden = [[False, True, False], [True, False, False]]
+    np.savez(tmp_path / "k.npz", **members, joints=["Hip", "right_hip", "LHip"], occluded=hidden)
+    assert KeypointSet.load(tmp_path / "k.npz").observed.tolist() == [[True, True, False], [True, True, True]]
+    np.savez(tmp_path / "k.npz", **members, joints=["Hip", "RHip"], occluded=hidden)
+    with pytest.raises(PoseDataError, match=r"occluded \(2, 3\); expected \(2, 2\)"):
+        KeypointSet.load(tmp_path / "k.npz")
 
 
 def test_joints_and_keypoints_are_ordered_by_name():
