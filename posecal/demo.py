@@ -20,10 +20,10 @@ from posecal.archive import write_members
 from posecal.arrays import FloatArray
 from posecal.conclusion import verdict
 from posecal.errors import PoseFileError
-from posecal.io import written_whole
 from posecal.report import Report
 from posecal.skeleton import JOINT_SETS, Skeleton
 from posecal.tables import Sheet, Table
+from posecal.writing import written_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,10 +10,10 @@ import re
 from importlib.resources import files
 
 from posecal.errors import PoseDataError
-from posecal.io import written_whole
 from posecal.plot import KINDS, draw, figure_bytes
 from posecal.report import Report
 from posecal.sheets import report_sheet
+from posecal.writing import written_whole
 
 __all__ = ["as_html", "write_html"]
 

@@ -1,4 +1,4 @@
-"""How do poses come out of files, and results into them? Never unpickled; written whole or not at all.
+"""How do poses come out of files? Never unpickled, and without memory of their size.
 
 ``.npz`` and ``.npy`` are read. A member that was stored uncompressed is read where it lies in the zip, some poses at
 a time; a compressed one is unpacked into an unnamed temporary file first, so that neither needs memory of its size.
@@ -9,16 +9,15 @@ from __future__ import annotations
 import lzma
 import math
 import os
-import secrets
 import tempfile
 import warnings
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from io import FileIO
 from pathlib import Path
-from typing import IO, BinaryIO, Literal, cast
+from typing import IO, Literal, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -28,7 +27,7 @@ from posecal.errors import PosecalError, PoseDataError, PoseFileError, did_you_m
 from posecal.file_array import FileArray
 from posecal.pairs import COMMON_LABELS, Poses
 
-__all__ = ["Role", "as_labels", "as_marks", "as_scores", "check_writable", "read_poses", "written_whole"]
+__all__ = ["Role", "as_labels", "as_marks", "as_scores", "read_poses"]
 
 Role = Literal["hypotheses", "truth"]
 
@@ -317,87 +316,3 @@ def _number(array: npt.NDArray[np.generic] | None, name: str) -> float | None:
 
 
 # --- writing --------------------------------------------------------------------------------------------------
-
-
-def check_writable(path: str | os.PathLike[str]) -> Path:
-    """Check, before the work is done, that a file can be written.
-
-    Parameters
-    ----------
-    path : path
-        The file to be written.
-
-    Returns
-    -------
-    Path
-        The same.
-
-    Raises
-    ------
-    PoseFileError
-        Where its folder does not exist, or nothing can be written into it.
-    """
-    path = Path(path)
-    folder = _target(path).parent
-    if not folder.is_dir():
-        raise PoseFileError(f"{path}: the folder {folder} does not exist. Make it first.")
-    if path.is_dir():
-        raise PoseFileError(f"{path}: is a folder; expected the name of a file.")
-    if path.exists() and not path.is_file():
-        raise PoseFileError(f"{path}: is a device or a pipe; expected the name of a file.")
-    try:
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        raise PoseFileError(f"{path}: can't be written ({error.strerror}).") from None
-    return path
-
-
-def _target(path: Path) -> Path:
-    """Follow links, so that what they point to is written and they stay; a plain name stays as it is."""
-    return Path(os.path.realpath(path)) if path.is_symlink() else path
-
-
-def written_whole(path: str | os.PathLike[str], write: Callable[[BinaryIO], object]) -> None:
-    """Write a file whole or not at all: without its name, then renamed.
-
-    Where the system can, the file has no name at all until it is whole, and vanishes with a process that is killed;
-    else it has a temporary one beside it.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-    write : callable
-        Writes the contents into an open binary file.
-
-    Raises
-    ------
-    PoseFileError
-        Where it can't be written. What was there before stays.
-    """
-    path = check_writable(path)
-    target = _target(path)
-    part = target.with_name(f".{target.name[:200]}.{secrets.token_hex(4)}")
-    try:
-        unnamed = _unnamed(target.parent)
-        with unnamed or part.open("xb") as file:
-            write(file)
-            file.flush()
-            if unnamed:  # any descriptor makes the system follow the link in /proc
-                os.link(f"/proc/self/fd/{file.fileno()}", part, src_dir_fd=file.fileno(), follow_symlinks=True)
-        part.replace(target)
-    except OSError as error:
-        raise PoseFileError(f"{path}: can't be written ({error.strerror or error}).") from None
-    finally:
-        part.unlink(missing_ok=True)
-
-
-def _unnamed(folder: Path) -> BinaryIO | None:
-    """Open a file without a name; None where the system or the disk has no such thing."""
-    if not hasattr(os, "O_TMPFILE") or not Path("/proc/self/fd").is_dir():
-        return None
-    try:
-        return os.fdopen(os.open(folder, os.O_RDWR | os.O_TMPFILE, 0o666), "w+b")
-    except OSError:
-        return None

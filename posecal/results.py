@@ -18,10 +18,10 @@ import numpy.typing as npt
 
 from posecal.archive import write_members
 from posecal.errors import PoseFileError
-from posecal.io import written_whole
 from posecal.metric import Subject
 from posecal.protocol import Protocol
 from posecal.totals import Totals
+from posecal.writing import written_whole
 
 __all__ = ["FORMAT", "is_result", "load_totals", "save_totals"]
 

@@ -11,8 +11,8 @@ import numpy as np
 import torch
 
 from posecal.errors import PoseFileError
-from posecal.io import written_whole
 from posecal.plot import save
+from posecal.writing import written_whole
 from posecal_models import pictures
 from posecal_models.benchmark import Judged, held_out_poses, hypotheses_of, judge, markdown
 from posecal_models.cgnf.model import CGNF

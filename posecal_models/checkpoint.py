@@ -20,7 +20,7 @@ from torch import Tensor
 
 import posecal
 from posecal.errors import PoseDataError, PoseFileError, did_you_mean, first_few
-from posecal.io import written_whole
+from posecal.writing import written_whole
 from posecal_models.cgnf.flow import FlowSize
 from posecal_models.cgnf.model import CGNF
 from posecal_models.cgnf.released import from_released

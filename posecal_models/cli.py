@@ -156,7 +156,7 @@ def motion(
     check_outputs(output=output)
     import numpy as np
 
-    from posecal.io import written_whole
+    from posecal.writing import written_whole
     from posecal_models.data.synthetic import synthetic_motion
 
     members: dict[str, Any] = {**synthetic_motion(subjects=subjects, clips=clips, frames=frames, seed=seed)}

@@ -19,7 +19,7 @@ from numpy.lib import format as npy
 from torch import Tensor
 
 from posecal.errors import PoseDataError
-from posecal.io import written_whole
+from posecal.writing import written_whole
 from posecal_models.contract import Context, Estimator, PoseDistribution
 from posecal_models.data.lifting_set import KeypointSet
 from posecal_models.data.training_set import seeded

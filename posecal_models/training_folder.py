@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from posecal.errors import PoseDataError, PoseFileError
-from posecal.io import check_writable, written_whole
+from posecal.writing import check_writable, written_whole
 from posecal_models.config import Config
 from posecal_models.data.lifting_set import read_npz
 

@@ -85,7 +85,7 @@ def test_a_name_that_is_not_there_is_an_attribute_error() -> None:
 
 FLOORS = (
     "errors",
-    "units skeleton threads arrays layout file_array archive tables numbers",
+    "units skeleton threads arrays layout file_array archive tables numbers writing",
     "box",
     "block",
     "blocks",

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.errors import PoseFileError
-from posecal.io import written_whole
+from posecal.writing import written_whole
 from toy.faults import Case, Fault
 
 __all__ = ["make_folder", "write_case"]

@@ -89,7 +89,7 @@ def check_outputs(*inputs: Path, **outputs: Path | None) -> None:
 
     The output ``plot`` must be a picture.
     """
-    from posecal.io import check_writable
+    from posecal.writing import check_writable
 
     taken = {path.resolve(): "read" for path in inputs}
     for kind, path in outputs.items():
@@ -194,7 +194,7 @@ def write_report(
         files.append(functools.partial(save_figure, draw(report, title=name), plot))
     if html is not None:
         from posecal.html import as_html
-        from posecal.io import written_whole
+        from posecal.writing import written_whole
 
         page = as_html(report, name).encode()
         files.append(functools.partial(written_whole, html, lambda file: file.write(page)))

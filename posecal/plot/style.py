@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from posecal.errors import PoseFileError
-from posecal.io import written_whole
+from posecal.writing import written_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -21,13 +21,13 @@ from posecal.arrays import FloatArray
 from posecal.block import Block
 from posecal.blocks import block_length
 from posecal.errors import PoseFileError
-from posecal.io import written_whole
 from posecal.metrics.spread import joint_deviations
 from posecal.pairs import Hypotheses
 from posecal.recalibration.folds import for_joints
 from posecal.recalibration.radius import RadiusMap
 from posecal.recalibration.spread import SpreadMap, stretched
 from posecal.summation import WINDOW_BYTES
+from posecal.writing import written_whole
 
 __all__ = ["apply_map", "read_map", "write_map"]
 

@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.errors import PoseDataError, PoseFileError, first_few, raise_all
-from posecal.io import written_whole
 from posecal.skeleton import canonical_name
 from posecal.units import millimetres_per
+from posecal.writing import written_whole
 from posecal_models.data.npz import Members, joint_names, labels, read_npz, real_numbers, stored_poses, word
 from posecal_models.data.sizes import check_millimetres
 

@@ -7,7 +7,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from posecal.io import written_whole
+from posecal.writing import written_whole
 from toy import body_pictures
 from toy.experiments.result import Result
 from toy.pendulum import simulate

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from posecal.errors import PoseFileError
-from posecal.io import check_writable, written_whole
+from posecal.writing import check_writable, written_whole
 
 ROOT = Path(__file__).parents[1]
 
@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[1]
 def _both_ways(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """As systems do that know files without names, and as others do."""
     if request.param == "named":
-        monkeypatch.setattr("posecal.io._unnamed", lambda folder: None)
+        monkeypatch.setattr("posecal.writing._unnamed", lambda folder: None)
 
 
 def test_a_file_is_written_whole_and_nothing_is_left_beside_it(tmp_path: Path) -> None:
@@ -56,7 +56,7 @@ def test_an_interruption_leaves_nothing_behind(tmp_path: Path, interruption: typ
 def test_a_process_that_is_killed_leaves_nothing_behind(tmp_path: Path) -> None:
     """Where files need no name; elsewhere a hidden one stays, which nothing reads."""
     script = (
-        "import os, signal; from posecal.io import written_whole\n"
+        "import os, signal; from posecal.writing import written_whole\n"
         "written_whole('a.txt', lambda file: (file.write(bytes(10**6)), os.kill(os.getpid(), signal.SIGKILL)))"
     )
     done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)})
