@@ -231,12 +231,12 @@ class Training:
         recent = self._step_losses[-self.steps_per_epoch :]
         train = sum(recent) / len(recent)
         validation = self._validate()
-        judged = train if validation is None else validation
+        told = math.nan if validation is None else validation
+        rate = self.schedule.learning_rate(self.step - 1)
+        self._epochs.append((float(self.epoch), float(self.step), rate, train, told))
+        judged = _judged(self._epochs[-1])
         if judged < self.schedule.best:
             self.best = {name: t.detach().clone() for name, t in self.estimator.state_dict().items()}
-        rate = self.schedule.learning_rate(self.step - 1)
-        told = math.nan if validation is None else validation
-        self._epochs.append((float(self.epoch), float(self.step), rate, train, told))
         self.schedule.after_epoch(judged)
 
     def _validate(self) -> float | None:
@@ -286,6 +286,8 @@ class Training:
         write_tensors(self.folder / CHECKPOINT, tensors, self._state())
         write_losses(self.folder, self._epochs)
         notes = {"config": self.config.table(), "epochs": self.epoch, "steps": self.step, "poses": len(self.data)}
+        if self._epochs:
+            notes["weights_of_step"] = int(min(self._epochs, key=_judged)[1])
         save_estimator(self.folder / WEIGHTS, self.estimator, tensors=self.best or None, notes=notes)
 
     def _state(self) -> dict[str, Any]:
@@ -336,3 +338,9 @@ class Training:
 
 def _under(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
     return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
+
+
+def _judged(epoch: tuple[float, ...]) -> float:
+    """Give what an epoch is judged by: its validation loss, or its training loss where there is none."""
+    *_, train, validation = epoch
+    return train if math.isnan(validation) else validation

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from posecal.errors import PoseDataError, PoseFileError
-from posecal_models.checkpoint import read_tensors, write_tensors
+from posecal_models.checkpoint import notes_of, read_tensors, write_tensors
 from posecal_models.cli import main
 from posecal_models.config import Config
 from posecal_models.preparation import prepare
@@ -161,3 +161,12 @@ def test_without_validation_the_training_loss_is_judged(motion_file, tmp_path):
     rows = np.genfromtxt(tmp_path / "run" / LOSSES, delimiter=",", names=True)
     assert np.isnan(rows["validation_loss"]).all()
     assert run.schedule.best == pytest.approx(rows["training_loss"].min(), rel=1e-6)
+
+
+def test_the_weights_say_which_step_they_are_of(motion_file, tmp_path):
+    """The one of the lowest validation loss, not the last."""
+    run = training(motion_file, tmp_path / "run")
+    run.run()
+    rows = np.genfromtxt(tmp_path / "run" / LOSSES, delimiter=",", names=True)
+    best = rows["step"][rows["validation_loss"].argmin()]
+    assert notes_of(tmp_path / "run" / WEIGHTS)["weights_of_step"] == best
