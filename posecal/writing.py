@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import secrets
+import shutil
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -73,19 +75,20 @@ def written_whole(path: str | os.PathLike[str], write: Callable[[BinaryIO], obje
     """
     path = check_writable(path)
     target = _target(path)
-    part = target.with_name(f".{target.name[:200]}.{secrets.token_hex(4)}")
+    part = target.with_name(f".posecal-{secrets.token_hex(8)}")
     try:
         unnamed = _unnamed(target.parent)
         with unnamed or part.open("xb") as file:
             write(file)
             file.flush()
-            if unnamed:  # any descriptor makes the system follow the link in /proc
-                os.link(f"/proc/self/fd/{file.fileno()}", part, src_dir_fd=file.fileno(), follow_symlinks=True)
+            if unnamed:
+                _give_name(unnamed, part)
         part.replace(target)
     except OSError as error:
         raise PoseFileError(f"{path}: can't be written ({error.strerror or error}).") from None
     finally:
-        part.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
 
 
 def _unnamed(folder: Path) -> BinaryIO | None:
@@ -96,3 +99,14 @@ def _unnamed(folder: Path) -> BinaryIO | None:
         return os.fdopen(os.open(folder, os.O_RDWR | os.O_TMPFILE, 0o666), "w+b")
     except OSError:
         return None
+
+
+def _give_name(unnamed: BinaryIO, path: Path) -> None:
+    """Let a file without a name appear under one; where the disk refuses that, copy it."""
+    number = unnamed.fileno()
+    try:  # any descriptor makes the system follow the link in /proc
+        os.link(f"/proc/self/fd/{number}", path, src_dir_fd=number, follow_symlinks=True)
+    except OSError:
+        unnamed.seek(0)
+        with path.open("xb") as copy:
+            shutil.copyfileobj(unnamed, copy)

@@ -172,7 +172,8 @@ def judge(
     ordered = data.in_order_of(estimator.joints, estimator.keypoints)
     names = (ordered.root, *ordered.joints)
     truth = np.pad(ordered.poses, ((0, 0), (1, 0), (0, 0)))
-    occluded = np.pad(~ordered.observed, ((0, 0), (1, 0)))
+    seen = data.in_order_of(keypoint_joints=estimator.joints).observed  # of the images, whatever the estimator reads
+    occluded = np.pad(~seen, ((0, 0), (1, 0)))
     hard = np.where(occluded.sum(1) >= HARD, "yes", "no")
     values: dict[str, list[float]] = {column: [] for column in columns}
     first: Report | None = None

@@ -10,16 +10,18 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from posecal.errors import PoseFileError
+from posecal.errors import PoseDataError, PoseFileError
 from posecal.plot import save
 from posecal.writing import written_whole
 from posecal_models import pictures
 from posecal_models.benchmark import Judged, held_out_poses, hypotheses_of, judge, markdown
 from posecal_models.cgnf.model import CGNF
 from posecal_models.checkpoint import load_estimator, notes_of
+from posecal_models.contract import Context
 from posecal_models.data.lifting_set import LiftingSet
 from posecal_models.data.training_set import seeded
 from posecal_models.progress import counted
+from posecal_models.sample import check_suits
 
 __all__ = ["run_benchmark", "seen_in_training"]
 
@@ -61,8 +63,17 @@ def run_benchmark(
     PoseFileError, PoseDataError
         Where something does not fit.
     """
+    stems = [_stem(name) for name in models]
+    if alike := [name for name in models if not _stem(name) or stems.count(_stem(name)) > 1]:
+        raise PoseDataError(
+            f"models: {', '.join(map(repr, alike))} would leave files of one name; expected names that differ in "
+            "letters or digits."
+        )
     estimators = {name: load_estimator(weights) for name, weights in models.items()}
     test = held_out_poses(data, subjects, every=every)
+    for estimator in estimators.values():
+        seen = test.in_order_of(estimator.joints, estimator.keypoints)
+        check_suits(estimator, Context(torch.from_numpy(seen.keypoints), torch.from_numpy(seen.observed)))
     try:
         folder.mkdir(exist_ok=True)
     except OSError as problem:

@@ -30,7 +30,7 @@ app = typer.Typer(
 _Output = Annotated[Path, typer.Option("--output", "-o", help="The file to write.")]
 _Threads = Annotated[int, typer.Option(help="CPU threads; 0 leaves it to PyTorch.", min=0)]
 _Device = Annotated[str, typer.Option(help="cpu, cuda, cuda:1 or auto.")]
-_Seed = Annotated[int, typer.Option(help="Of everything random.", min=0)]
+_Seed = Annotated[int, typer.Option(help="Of everything random.", min=0, max=2**63 - 1)]
 
 
 class Format(StrEnum):

@@ -17,7 +17,7 @@ from posecal_models.gaussian_noise import GaussianNoise
 from posecal_models.graph import PoseGraph
 from posecal_models.simple_baseline import SimpleBaseline
 
-__all__ = ["ReferenceEstimator", "build", "describe", "of_config", "parameter_count"]
+__all__ = ["ReferenceEstimator", "build", "describe", "keypoints_of", "of_config", "parameter_count"]
 
 ReferenceEstimator = CGNF | SimpleBaseline | GaussianNoise
 
@@ -34,7 +34,7 @@ def of_config(
     mean : SimpleBaseline, optional
         The trained point estimator that a Gaussian noise model needs.
     keypoints : tuple of str, optional
-        What a SimpleBaseline reads; where not given Human3.6M's 16, after the hip where they are relative to it.
+        What a SimpleBaseline reads; see :func:`keypoints_of` where not given.
 
     Returns
     -------
@@ -60,7 +60,7 @@ def of_config(
         )
     else:
         estimator = SimpleBaseline(
-            keypoints=joint_set("h36m-17") if keypoints is None and config.origin == "root" else keypoints,
+            keypoints=keypoints_of(config) if keypoints is None else keypoints,
             width=config.width,
             residuals=config.residuals,
             dropout=config.dropout,
@@ -69,6 +69,11 @@ def of_config(
     if config.units == "released":
         estimator.standardizer = Standardizer.released(len(estimator.joints), origin=config.origin)
     return estimator
+
+
+def keypoints_of(config: ModelConfig) -> tuple[str, ...]:
+    """Name the 16 keypoints that a SimpleBaseline reads, after the hip's where they are relative to it."""
+    return joint_set("h36m-17" if config.origin == "root" else "h36m-16")
 
 
 def describe(estimator: ReferenceEstimator) -> dict[str, Any]:

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from posecal_models.contract import Context, check_truth
+from posecal_models.data.standardizer import Standardizer
 from posecal_models.simple_baseline import SimpleBaseline
 
 __all__ = ["GaussianDistribution", "GaussianNoise", "Spread", "likelihood_optimum"]
@@ -128,6 +129,15 @@ class GaussianNoise(nn.Module):
     def keypoints(self) -> tuple[str, ...]:
         """J names: the keypoints of a context."""
         return self.mean.keypoints
+
+    @property
+    def standardizer(self) -> Standardizer:
+        """That of the point estimator."""
+        return self.mean.standardizer
+
+    def check(self, context: Context) -> None:
+        """Refuse keypoints that the point estimator can't read; see its own check."""
+        self.mean.check(context)
 
     def train(self, mode: bool = True) -> GaussianNoise:
         """Switch to training; the mean stays as it is."""

@@ -9,12 +9,14 @@ import torch
 
 from posecal.errors import PoseDataError, PoseFileError
 from posecal_models.checkpoint import load_estimator
-from posecal_models.config import Config, DataConfig
+from posecal_models.config import Config, DataConfig, ModelConfig
+from posecal_models.contract import Context
 from posecal_models.data.lifting_set import LiftingSet, read_npz
 from posecal_models.data.mocap import MocapPoses
+from posecal_models.data.standardizer import check_pixels
 from posecal_models.data.training_set import TrainingSet, seeded
 from posecal_models.distributed import Crew
-from posecal_models.estimators import ReferenceEstimator, describe, of_config
+from posecal_models.estimators import ReferenceEstimator, describe, keypoints_of, of_config
 from posecal_models.gaussian_noise import GaussianNoise
 from posecal_models.simple_baseline import SimpleBaseline
 from posecal_models.train import Training
@@ -125,18 +127,22 @@ def prepare(
     crew = crew or Crew()
     crew.check_batch(config.train.batch)
     check_folder(folder, resume=resume)
-    estimator = _estimator(config)
+    mean = _mean(config.model)
     training, validation, clean = split(path, config.data)
-    detector = config.data.detector if clean else None
-    if isinstance(estimator, SimpleBaseline) and (lacking := _lacking(training, estimator.keypoints)):
-        estimator = _estimator(config, keypoints=tuple(name for name in estimator.keypoints if name not in lacking))
+    estimator = _estimator(config, mean, _keypoints(config.model, training))
     order = (estimator.joints, estimator.keypoints)
+    for poses in filter(None, (training, validation)):
+        seen = poses.in_order_of(*order)
+        estimator.check(Context(torch.from_numpy(seen.keypoints), torch.from_numpy(seen.observed)))
+    detector = config.data.detector if clean else None
     data = TrainingSet(training, *order, detector=detector, device=device)
     judged = None if validation is None else TrainingSet(validation, *order, detector=detector, device=device)
+    rows = torch.linspace(0, len(data) - 1, min(len(data), _FIT_POSES), device=data.device).long()
+    context, truth = data.batch(rows, seeded(data.device, config.train.seed))
+    context, truth = context.to("cpu"), truth.cpu()
+    check_pixels(context)
     if not isinstance(estimator, GaussianNoise) and not config.model.start and config.model.units == "fitted":
-        rows = torch.linspace(0, len(data) - 1, min(len(data), _FIT_POSES), device=data.device).long()
-        context, truth = data.batch(rows, seeded(data.device, config.train.seed))
-        estimator.standardizer.fit(truth.cpu(), context.keypoints.cpu(), context.observed.cpu())
+        estimator.standardizer.fit(truth, context.keypoints, context.observed)
     try:
         folder.mkdir(exist_ok=True)
     except OSError as problem:
@@ -149,22 +155,35 @@ def prepare(
     return run
 
 
-def _lacking(training: LiftingSet, keypoints: tuple[str, ...]) -> set[str]:
-    """Name the keypoints that no image of a training set has: nothing can learn to read them."""
-    seen = training.in_order_of(keypoint_joints=keypoints).keypoints
-    return {name for j, name in enumerate(keypoints) if not np.isfinite(seen[:, j]).any()}
+def _keypoints(config: ModelConfig, training: LiftingSet) -> tuple[str, ...] | None:
+    """Name the keypoints that a SimpleBaseline can learn to read: those that some image of the training set has."""
+    if config.kind != "simple-baseline":
+        return None
+    wanted = keypoints_of(config)
+    seen = training.in_order_of(keypoint_joints=wanted).keypoints
+    there = tuple(name for j, name in enumerate(wanted) if np.isfinite(seen[:, j]).any())
+    if config.origin == "root" and wanted[0] not in there:
+        raise PoseDataError(
+            f"keypoints: no image has the {wanted[0]}'s, and model.origin = root reads the others relative to it. "
+            "Give it, or leave model.origin as it is."
+        )
+    return there
 
 
-def _estimator(config: Config, *, keypoints: tuple[str, ...] | None = None) -> ReferenceEstimator:
-    """Build what is trained, or load what training starts from; a SimpleBaseline reads these keypoints."""
-    mean = None
-    if config.model.kind == "gaussian-noise" and config.model.mean:
-        loaded = load_estimator(config.model.mean)
-        if not isinstance(loaded, SimpleBaseline):
-            raise PoseDataError(
-                f"model.mean: {config.model.mean} holds a {type(loaded).__name__}, not a SimpleBaseline."
-            )
-        mean = loaded
+def _mean(config: ModelConfig) -> SimpleBaseline | None:
+    """Load the point estimator of a Gaussian noise model."""
+    if config.kind != "gaussian-noise":
+        return None
+    if not config.mean:
+        raise PoseDataError("model.mean: not given; expected the weights file of a trained SimpleBaseline.")
+    mean = load_estimator(config.mean)
+    if not isinstance(mean, SimpleBaseline):
+        raise PoseDataError(f"model.mean: {config.mean} holds a {type(mean).__name__}, not a SimpleBaseline.")
+    return mean
+
+
+def _estimator(config: Config, mean: SimpleBaseline | None, keypoints: tuple[str, ...] | None) -> ReferenceEstimator:
+    """Build what is trained, or load what training starts from."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.train.seed)
         estimator = of_config(config.model, mean=mean, keypoints=keypoints)
@@ -172,7 +191,12 @@ def _estimator(config: Config, *, keypoints: tuple[str, ...] | None = None) -> R
         return estimator
     started = load_estimator(config.model.start)
     wanted, found = describe(estimator), describe(started)
-    if differ := [name for name in wanted if wanted[name] != found.get(name)]:
+    differ = [name for name in wanted if wanted[name] != found.get(name)]
+    if isinstance(started, GaussianNoise) and mean is not None and not differ:
+        own = mean.state_dict()
+        if any(not torch.equal(tensor, own[name]) for name, tensor in started.mean.state_dict().items()):
+            differ = ["the weights of the mean"]
+    if differ:
         raise PoseDataError(
             f"model.start: {config.model.start} differs from the configuration in {', '.join(differ)}. "
             "Say in [model] what it is of."

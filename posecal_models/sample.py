@@ -23,8 +23,9 @@ from posecal.writing import written_whole
 from posecal_models.contract import Context, Estimator, PoseDistribution
 from posecal_models.data.lifting_set import KeypointSet
 from posecal_models.data.training_set import seeded
+from posecal_models.estimators import ReferenceEstimator
 
-__all__ = ["POSES_AT_ONCE", "check_units", "draw", "sample_to_file"]
+__all__ = ["POSES_AT_ONCE", "check_suits", "draw", "sample_to_file"]
 
 POSES_AT_ONCE = 64
 """Poses that are drawn together. What is drawn depends on the seed and on this number alone."""
@@ -124,7 +125,7 @@ def sample_to_file(
     ordered = keypoints.in_order_of(estimator.keypoints)
     if not len(ordered):
         raise PoseDataError("keypoints: 0 images; expected some.")
-    check_units(estimator, _context(ordered, slice(None), device))
+    check_suits(estimator, _context(ordered, slice(None), device))
     count = 1 if mode else n
     joints = (root, *estimator.joints)
     small = {
@@ -178,22 +179,21 @@ def _context(keypoints: KeypointSet, poses: slice, device: torch.device | str) -
     ).to(device)
 
 
-def check_units(estimator: Estimator, context: Context) -> None:
-    """Refuse keypoints in other units than a reference estimator was trained on, before anything is drawn.
+def check_suits(estimator: Estimator, context: Context) -> None:
+    """Refuse keypoints that a reference estimator was not made for, before anything is drawn.
 
     Parameters
     ----------
     estimator : Estimator
-        One of ours; of anybody else's nothing is known.
+        Ours; of anybody else's nothing is known.
     context : Context
         All keypoints, in the estimator's order.
 
     Raises
     ------
     PoseDataError
-        Where they look normalised already.
+        Where it can't read them, or they look normalised already.
     """
-    mean = getattr(estimator, "mean", None)
-    standardizer = getattr(estimator, "standardizer", None) or getattr(mean, "standardizer", None)
-    if standardizer is not None:
-        standardizer.check_keypoints(context)
+    if isinstance(estimator, ReferenceEstimator):
+        estimator.check(context)
+        estimator.standardizer.check_keypoints(context)

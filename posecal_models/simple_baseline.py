@@ -111,6 +111,27 @@ class SimpleBaseline(nn.Module):
         """J names: the keypoints of a context."""
         return self._keypoints
 
+    def check(self, context: Context) -> None:
+        """Refuse keypoints that it can't read.
+
+        Parameters
+        ----------
+        context : Context
+            Keypoints of M poses, pixels.
+
+        Raises
+        ------
+        PoseDataError
+            Where there are more or fewer, or one is not finite.
+        """
+        check_keypoints(context, self.keypoints)
+        if not context.keypoints.isfinite().all():
+            missing = int((~context.keypoints.isfinite().all(-1)).sum())
+            raise PoseDataError(
+                f"keypoints: {missing:,} of {context.observed.numel():,} are not finite; "
+                "SimpleBaseline reads every keypoint. Give the detector's guess, or use a cGNF."
+            )
+
     def standardised(self, context: Context) -> Tensor:
         """Estimate standardised poses.
 
@@ -127,15 +148,9 @@ class SimpleBaseline(nn.Module):
         Raises
         ------
         PoseDataError
-            Where there are more or fewer keypoints, or one is not finite.
+            As :meth:`check`.
         """
-        check_keypoints(context, self.keypoints)
-        if not context.keypoints.isfinite().all():
-            missing = int((~context.keypoints.isfinite().all(-1)).sum())
-            raise PoseDataError(
-                f"keypoints: {missing:,} of {context.observed.numel():,} are not finite; "
-                "SimpleBaseline reads every keypoint. Give the detector's guess, or use a cGNF."
-            )
+        self.check(context)
         features: Tensor = self.first(self.standardizer.all_keypoints(context).flatten(1))
         for residual in self.residuals:
             features = residual(features)

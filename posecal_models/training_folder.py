@@ -17,8 +17,8 @@ __all__ = ["CHECKPOINT", "LOSSES", "WEIGHTS", "check_folder", "check_same", "dig
 CHECKPOINT, WEIGHTS, LOSSES = "checkpoint.safetensors", "weights.safetensors", "losses.csv"
 
 _READ = {
-    *("joints", "keypoint_joints", "unit", "up", "subject", "clip_id"),
-    *("poses", "truth", "occluded", "keypoints_2d", "keypoints_observed", "keypoints_sigma"),
+    *("joints", "keypoint_joints", "axes", "unit", "up", "subject", "clip_id", "root_relative"),
+    *("poses", "truth", "gt", "occluded", "keypoints_2d", "keypoints_observed", "keypoints_sigma"),
 }
 
 

@@ -16,9 +16,15 @@ from posecal.writing import check_writable, written_whole
 ROOT = Path(__file__).parents[1]
 
 
-@pytest.fixture(params=["unnamed", "named"], autouse=True)
-def _both_ways(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As systems do that know files without names, and as others do."""
+@pytest.fixture(params=["unnamed", "no link", "named"], autouse=True)
+def _every_way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As systems do that know files without names, as disks do that then refuse the name, and as others do."""
+
+    def refuse(*_: object, **how: object) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    if request.param == "no link":
+        monkeypatch.setattr(os, "link", refuse)
     if request.param == "named":
         monkeypatch.setattr("posecal.writing._unnamed", lambda folder: None)
 
@@ -64,9 +70,10 @@ def test_a_process_that_is_killed_leaves_nothing_behind(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_long_name_is_written(tmp_path: Path) -> None:
-    written_whole(tmp_path / ("x" * 255), lambda file: file.write(b"words"))
-    assert [path.name for path in tmp_path.iterdir()] == ["x" * 255]
+@pytest.mark.parametrize("name", ["x" * 255, "é" * 122 + ".npz"])
+def test_a_long_name_is_written(tmp_path: Path, name: str) -> None:
+    written_whole(tmp_path / name, lambda file: file.write(b"words"))
+    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [(name, b"words")]
 
 
 def test_a_written_file_has_the_rights_that_the_user_gives_new_files(tmp_path: Path) -> None:

@@ -170,7 +170,7 @@ class CGNF(nn.Module):
         Raises
         ------
         PoseDataError
-            Where there are more or fewer keypoints, or the root's is needed and not there.
+            As :meth:`check`.
         """
         return FlowDistribution(self.flow.ready(self.evidence(context)), self.standardizer, len(context))
 
@@ -192,16 +192,29 @@ class CGNF(nn.Module):
         PoseDataError
             As :meth:`forward`.
         """
-        check_keypoints(context, self.keypoints)
+        self.check(context)
         keypoints, observed = self.standardizer.keypoints(context), context.observed
         if self.standardizer.origin == "root":
-            if observed.device.type == "cpu":
-                self._check_root(context)
             keypoints, observed = keypoints[:, 1:], observed[:, 1:]
         return self.flow.evidence(keypoints, observed)
 
-    def _check_root(self, context: Context) -> None:
-        """Refuse images with keypoints but without the root's; a GPU would have to be waited for."""
+    def check(self, context: Context) -> None:
+        """Refuse keypoints that it can't read.
+
+        Parameters
+        ----------
+        context : Context
+            Keypoints of M poses, pixels.
+
+        Raises
+        ------
+        PoseDataError
+            Where there are more or fewer, or where they are read relative to the root's and that is not finite (on a
+            GPU that is not looked at: looking would wait for it).
+        """
+        check_keypoints(context, self.keypoints)
+        if self.standardizer.origin != "root" or context.observed.device.type != "cpu":
+            return
         lost = context.observed.any(1) & ~context.keypoints[:, 0].isfinite().all(-1)
         if lost.any():
             raise PoseDataError(

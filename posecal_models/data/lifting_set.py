@@ -50,6 +50,8 @@ class LiftingSet:
         (M,) labels.
     root : str
         The joint that poses are relative to.
+    occluded : ndarray or None
+        (M, K), bool: joints that a file says were hidden; those without an observed keypoint where it says nothing.
 
     Raises
     ------
@@ -69,6 +71,7 @@ class LiftingSet:
     action: Text
     camera: Text
     root: str = "Hip"
+    occluded: Flags | None = None
 
     def __post_init__(self) -> None:
         many, joints, keypoints = len(self.poses), len(self.joints), len(self.keypoint_joints)
@@ -79,6 +82,8 @@ class LiftingSet:
             "sigma": (many, keypoints),
             **dict.fromkeys(("frame_id", "sequence", "subject", "action", "camera"), (many,)),
         }
+        if self.occluded is not None:
+            expected["occluded"] = (many, joints)
         raise_all(
             f"{name} {getattr(self, name).shape}: expected {shape} (M={many}, K={joints}, J={keypoints})."
             for name, shape in expected.items()
@@ -130,7 +135,8 @@ class LiftingSet:
         result = self
         if joints is not None:
             columns = _columns(self.joints, joints, "joints")
-            result = replace(result, joints=tuple(joints), poses=self.poses[:, columns])
+            hidden = None if self.occluded is None else self.occluded[:, columns]
+            result = replace(result, joints=tuple(joints), poses=self.poses[:, columns], occluded=hidden)
         if keypoint_joints is not None:
             seen = KeypointSet(
                 self.keypoint_joints, self.keypoints, self.observed, self.sigma, self.frame_id
@@ -166,7 +172,7 @@ class LiftingSet:
             "axes": np.array("MKD"),
             "unit": np.array("mm"),
             "joints": np.array(joints),
-            "occluded": ~seen.observed & (np.array(joints) != self.root),
+            "occluded": np.pad(~seen.observed[:, 1:] if self.occluded is None else self.occluded, ((0, 0), (1, 0))),
             "keypoints_2d": seen.keypoints,
             "keypoints_sigma": seen.sigma,
             "keypoints_observed": seen.observed,
@@ -216,7 +222,7 @@ class LiftingSet:
             label: labels(members[label], f"{path}: {label}", many) if label in members else np.full(many, "")
             for label in ("sequence", "subject", "action", "camera")
         }
-        return cls(
+        pairs = cls(
             joints=tuple(name for k, name in enumerate(joints) if k != root),
             poses=truth.astype(np.float32),
             keypoint_joints=seen.joints,
@@ -229,6 +235,14 @@ class LiftingSet:
             action=told["action"],
             camera=told["camera"],
         )
+        if "occluded" not in members:
+            return pairs
+        hidden = _flags(members["occluded"], f"{path}: occluded")
+        if hidden.shape != (len(truth), len(joints)):
+            raise PoseDataError(f"{path}: occluded {hidden.shape}; expected {(len(truth), len(joints))}.")
+        hidden = hidden if root is None else np.delete(hidden, root, axis=1)
+        told_by_keypoints = np.array_equal(hidden, ~pairs.in_order_of(keypoint_joints=pairs.joints).observed)
+        return pairs if told_by_keypoints else replace(pairs, occluded=hidden)
 
 
 @dataclass(frozen=True)
@@ -298,7 +312,8 @@ class KeypointSet:
             observed = _flags(members["keypoints_observed"], f"{path}: keypoints_observed")
         elif "occluded" in members and "joints" in members:
             hidden = _flags(members["occluded"], f"{path}: occluded")
-            column = {canonical_name(str(name)): k for k, name in enumerate(members["joints"])}
+            hidden_joints = joint_names(members["joints"], f"{path}: joints")
+            column = {canonical_name(name): k for k, name in enumerate(hidden_joints)}
             if hidden.shape != (len(keypoints), len(column)):
                 raise PoseDataError(f"{path}: occluded {hidden.shape}; expected {(len(keypoints), len(column))}.")
             for j, name in enumerate(names):

@@ -7,6 +7,7 @@ one subject has under one ``clip_id`` is a clip: two people may have clips of th
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -62,7 +63,7 @@ class MocapPoses:
         many = (len(poses),)
         subject = labels(members["subject"], f"{path}: subject", many)
         self.poses = poses
-        self.subject = np.array([f"S{int(s)}" if s.isdecimal() else s for s in subject.tolist()], np.str_)
+        self.subject = np.array([f"S{s.lstrip('0') or '0'}" if s.isdecimal() else s for s in subject.tolist()], np.str_)
         self.clip = labels(members["clip_id"], f"{path}: clip_id", many)
         self.frame = labels(members.get("frame", np.arange(len(poses))), f"{path}: frame", many)
         self.description = labels(members.get("description", self.clip), f"{path}: description", many)
@@ -83,12 +84,11 @@ class MocapPoses:
                 f"{path}: poses are not finite in {int(broken.any(-1).sum()):,} of {len(self.poses):,} frames (first: "
                 f"clip {self.sequence[row]}, frame {self.frame[row]}, joint {self.joints[joint]}). Leave them out."
             )
-        names = np.array([f"{c}/{f}" for c, f in zip(self.sequence.tolist(), self.frame.tolist(), strict=True)])
-        known, counts = np.unique(names, return_counts=True)
-        if (counts > 1).any():
+        counts = Counter(zip(self.sequence.tolist(), self.frame.tolist(), strict=True))
+        if twice := [names for names, count in counts.items() if count > 1]:
             raise PoseDataError(
-                f"{path}: {int((counts > 1).sum()):,} frames are there more than once (first: "
-                f"{known[counts > 1][0]}); expected each frame of a clip once. Number them."
+                f"{path}: {len(twice):,} frames are there more than once (first: clip {twice[0][0]}, frame "
+                f"{twice[0][1]}); expected each frame of a clip once. Number them."
             )
 
     def seen_by_cameras(

@@ -12,6 +12,7 @@ import io
 import math
 import pickle
 import re
+import sys
 import warnings
 import zipfile
 from collections.abc import Callable
@@ -226,6 +227,10 @@ def _numbers(content: object, dtype: np.dtype[np.generic], count: int, shape: tu
     if not isinstance(content, bytes | bytearray) or len(content) != count * dtype.itemsize:
         there = f"{len(content):,} bytes" if isinstance(content, bytes | bytearray) else type(content).__name__
         raise pickle.UnpicklingError(f"has {there} for an array of {shape} {dtype}")
+    if dtype.kind == "U":
+        letters = np.frombuffer(content, np.dtype(np.uint32).newbyteorder(dtype.byteorder))
+        if letters.max(initial=0) > sys.maxunicode:
+            raise pickle.UnpicklingError("has text with letters that are none")
     return np.frombuffer(content, dtype) if count else np.zeros(0, dtype)
 
 

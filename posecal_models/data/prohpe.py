@@ -45,7 +45,8 @@ def read_prohpe(path: str | Path, *, every: int = 1, threshold: float = 5.0, joi
     joined : str
         ``by-name``: each keypoint and its flag belong to the joint of their name; what MPII lacks is missing.
         ``as-released``: keypoints by name, but flags by position, as the published code has it: the flag of MPII's
-        joint i is taken for Human3.6M's joint i + 1, and Head counts as missing, Neck/Nose as observed.
+        joint i is taken for Human3.6M's joint i + 1, and Head counts as missing. That code takes Neck/Nose and Spine,
+        which MPII lacks, for observed; here they are missing, because no keypoint stands in the file.
 
     Returns
     -------
@@ -92,6 +93,7 @@ def read_prohpe(path: str | Path, *, every: int = 1, threshold: float = 5.0, joi
         return pairs
     observed = np.insert(sigma <= threshold, 0, True, axis=1)  # the hip, which the rest is relative to
     observed[:, h36m.index("Head")] = False
+    observed &= np.isfinite(pairs.keypoints).all(-1)
     return LiftingSet(**{**vars(pairs), "observed": observed})
 
 

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from posecal.errors import PoseDataError
 from posecal_models.contract import Context
 
-__all__ = ["Origin", "Standardizer"]
+__all__ = ["Origin", "Standardizer", "check_pixels"]
 
 Origin = Literal["observed", "root", "none"]
 
@@ -103,16 +103,13 @@ class Standardizer(nn.Module):
         Raises
         ------
         PoseDataError
-            Where all poses are the same, or where the observed keypoints of poses in space are not finite or spread
-            over less than 2 pixels about the middle of their pose, as keypoints do that were normalised already.
+            Where all poses are the same, or an observed keypoint is not finite.
         """
         known = torch.ones_like(keypoints[..., 0], dtype=torch.bool) if observed is None else observed
         self.pose_mean.copy_(poses.double().mean(0))
         self.pose_scale.copy_((poses.double() - self.pose_mean.double()).square().mean().sqrt())
         if not self.pose_scale > 0:
             raise PoseDataError(f"poses: all {len(poses):,} are the same pose; expected poses that vary.")
-        if poses.shape[-1] == 3:
-            _check_pixels(keypoints, known)
         self.keypoint_scale.fill_(1)
         centred = self.keypoints(Context(keypoints, known))[known]
         spread = float(centred.double().square().mean().sqrt())
@@ -202,16 +199,25 @@ class Standardizer(nn.Module):
         )
 
 
-def _check_pixels(keypoints: Tensor, observed: Tensor) -> None:
-    several = observed.sum(-1) > 1
-    seen, known = keypoints[several].double(), observed[several][..., None]
+def check_pixels(context: Context) -> None:
+    """Refuse keypoints that look normalised already.
+
+    Parameters
+    ----------
+    context : Context
+        Keypoints of M poses, pixels.
+
+    Raises
+    ------
+    PoseDataError
+        Where the observed ones spread over less than 2 pixels about the middle of their pose.
+    """
+    several = context.observed.sum(-1) > 1
+    seen, known = context.keypoints[several].double(), context.observed[several][..., None]
     if not len(seen):
         return
-    count = known.sum(1, keepdim=True)
-    middle = torch.where(known, seen, 0).sum(1, keepdim=True) / count
+    middle = torch.where(known, seen, 0).sum(1, keepdim=True) / known.sum(1, keepdim=True)
     spread = float((seen - middle)[known[..., 0]].square().mean().sqrt())
-    if not math.isfinite(spread):
-        raise PoseDataError("keypoints: some observed ones are not finite. Mark them as not observed.")
     if spread < SMALLEST:
         raise PoseDataError(
             f"keypoints: spread over {spread:.3g} about their centre; expected {SMALLEST:g} pixels or more. "

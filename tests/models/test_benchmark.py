@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from posecal.errors import PoseDataError
 from posecal.report import Report
 from posecal.results import load_totals
 from posecal_models import benchmark
@@ -98,3 +99,19 @@ def test_table_numbers_and_pictures_are_left_in_the_folder(motion_file, baseline
     for name in ("flow", "noise"):
         kept = Report(load_totals(tmp_path / "out" / f"{name}.npz"))
         assert kept.value("min_mpjpe") == about["rows"][name]["min_mpjpe"][0]
+
+
+@pytest.mark.parametrize("names", [("G (x)", "G-x"), ("***",)])
+def test_names_that_would_share_a_file_are_refused_before_any_work(tmp_path, names):
+    with pytest.raises(PoseDataError, match="would leave files of one name"):
+        run_benchmark(tmp_path / "no.npz", dict.fromkeys(names, "no.safetensors"), ["S4"], tmp_path / "out")
+
+
+def test_a_model_that_can_t_read_the_images_is_refused_before_any_is_drawn(motion_file, noisy, tmp_path):
+    flow = CGNF(SIZES["tiny"], origin="root")
+    for name, estimator in (("noise", noisy), ("flow", flow)):
+        save_estimator(tmp_path / f"{name}.safetensors", estimator)
+    models = {name: str(tmp_path / f"{name}.safetensors") for name in ("noise", "flow")}
+    with pytest.raises(PoseDataError, match="no Hip in"):
+        run_benchmark(motion_file, models, ["S4"], tmp_path / "out", n=4, every=5)
+    assert not (tmp_path / "out").exists()

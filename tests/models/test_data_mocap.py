@@ -143,7 +143,7 @@ NAN[2, 1, 0] = np.nan
         ({"clip_id": "a"}, r"clip_id \(\); expected \(4,\)"),
         ({"frame": [0, 1]}, r"frame \(2,\); expected \(4,\)"),
         ({"description": ["walk"]}, r"description \(1,\); expected \(4,\)"),
-        ({"frame": [0, 0, 0, 1]}, r"1 frames are there more than once \(first: a/0\)"),
+        ({"frame": [0, 0, 0, 1]}, r"1 frames are there more than once \(first: clip a, frame 0\)"),
         ({"joints": ["Hip", "pelvis"]}, "joints name Hip more than once"),
         ({"joints": [1.5, 2.5]}, "no Hip among"),
         ({"joints": np.array([b"Hip", b"\xff"])}, "joints: .*; expected text"),

@@ -10,10 +10,11 @@ import torch
 
 from posecal.errors import PoseDataError, PoseFileError
 from posecal.skeleton import joint_set
+from posecal_models.contract import Context
 from posecal_models.data.lifting_set import KeypointSet, LiftingSet
 from posecal_models.data.mocap import MocapPoses
 from posecal_models.data.sizes import check_millimetres
-from posecal_models.data.standardizer import Standardizer
+from posecal_models.data.standardizer import check_pixels
 from tests.models.test_data_formats import numbers
 
 NAMES = ("Hip", "RHip", "RKnee")
@@ -157,29 +158,22 @@ def keypoints() -> torch.Tensor:
     return 60 * torch.randn(50, 4, 2, generator=torch.Generator().manual_seed(0)) + 500
 
 
-@pytest.mark.parametrize("origin", ["observed", "none"])
-def test_a_standardizer_is_not_fitted_on_keypoints_that_were_normalised(origin):
-    poses = 300 * torch.randn(50, 4, 3, generator=torch.Generator().manual_seed(1))
-    standardizer = Standardizer(4, origin=origin)
-    standardizer.fit(poses, keypoints())
+def test_keypoints_that_were_normalised_are_refused():
+    observed = torch.ones(50, 4, dtype=torch.bool)
+    check_pixels(Context(keypoints(), observed))
     with pytest.raises(PoseDataError, match=r"spread over 0\.1\d* about their centre; expected 2 pixels or more"):
-        standardizer.fit(poses, keypoints() / 500 - 1)
+        check_pixels(Context(keypoints() / 500 - 1, observed))
 
 
 def test_keypoints_that_are_not_observed_say_nothing_of_the_spread():
-    poses = 300 * torch.randn(50, 4, 3, generator=torch.Generator().manual_seed(1))
     seen, observed = keypoints() / 500, torch.ones(50, 4, dtype=torch.bool)
     seen[:, 0], observed[:, 0] = 1e6, False
     with pytest.raises(PoseDataError, match="look normalised already"):
-        Standardizer(4).fit(poses, seen, observed)
+        check_pixels(Context(seen, observed))
     seen = keypoints()
     seen[:, 0] = torch.nan
-    Standardizer(4).fit(poses, seen, observed)
-    observed[3, 0] = True
-    with pytest.raises(PoseDataError, match="some observed ones are not finite"):
-        Standardizer(4).fit(poses, seen, observed)
+    check_pixels(Context(seen, observed))
 
 
 def test_one_keypoint_alone_has_no_spread():
-    poses = 300 * torch.randn(50, 1, 3, generator=torch.Generator().manual_seed(1))
-    Standardizer(1).fit(poses, keypoints()[:, :1])
+    check_pixels(Context(keypoints()[:, :1], torch.ones(50, 1, dtype=torch.bool)))

@@ -216,6 +216,7 @@ HIMSELF.append(HIMSELF)
         (array_of((1,), Says(np.dtype, "f8,f8"), bytes(16)), "asks for the type 'f8,f8'"),
         (array_of((10**15,), F8, bytes(8)), r"has 8 bytes for an array of \(1000000000000000,\) float64"),
         (array_of((10**15,), np.dtype("U0"), b""), "."),
+        (array_of((1,), np.dtype("U1"), b"\xff" * 4), "letters that are none"),
         (array_of((-1,), F8, bytes(8)), r"asks for an array of shape \(-1,\)"),
         (array_of((-1, -1), F8, bytes(8)), r"asks for an array of shape \(-1, -1\)"),
         (array_of((True,), F8, bytes(8)), r"asks for an array of shape \(True,\)"),

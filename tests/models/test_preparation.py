@@ -85,7 +85,7 @@ def test_keypoints_may_be_read_relative_to_the_hip(pairs, tmp_path, table):
 
 def test_data_without_a_hip_can_t_be_read_relative_to_it(motion_file, tmp_path):
     config = Config.of_table({**FLOW, "model": {**FLOW["model"], "origin": "root"}})
-    with pytest.raises(PoseDataError, match=r"^keypoints: no Hip in 20 of 20 images, and the others are read relative"):
+    with pytest.raises(PoseDataError, match=r"^keypoints: no Hip in 640 of 640 images, and the others are read relative"):
         prepare(config, motion_file, tmp_path / "run").run()
 
 
@@ -98,3 +98,47 @@ def test_the_root_is_never_hidden(augmentation):
     assert graphs.observed[:, 0].all()
     shares = graphs.observed[:, 1:].float().mean(1).view(50, 5).mean(0)
     np.testing.assert_allclose(shares, [1, 3 / 16, 6 / 16, 10 / 16, 13 / 16])
+
+
+def test_a_baseline_is_not_read_relative_to_another_joint_than_the_hip(motion_file, tmp_path):
+    config = Config.of_table({**BASELINE, "model": {**BASELINE["model"], "origin": "root"}})
+    with pytest.raises(PoseDataError, match=r"^keypoints: no image has the Hip's, and model\.origin = root reads"):
+        prepare(config, motion_file, tmp_path / "run")
+
+
+def test_a_baseline_of_fewer_keypoints_can_be_started_from(pairs, tmp_path):
+    names = tuple("Tail" if name == "Spine" else name for name in pairs.keypoint_joints)
+    first = trained(replace(pairs, keypoint_joints=names), tmp_path, BASELINE)
+    start = {**BASELINE["model"], "start": str(tmp_path / "run" / WEIGHTS)}
+    again = prepare(Config.of_table({**BASELINE, "model": start}), tmp_path / "pairs.npz", tmp_path / "again")
+    assert again.estimator.keypoints == first.keypoints
+
+
+def test_a_gaussian_is_not_started_around_another_mean(pairs, tmp_path):
+    table = {"model": {"kind": "gaussian-noise"}, "train": BASELINE["train"] | {"objective": "likelihood"}}
+    for name, seed in (("one", 0), ("two", 1)):
+        pairs.save(tmp_path / "pairs.npz")
+        config = {**BASELINE, "train": BASELINE["train"] | {"seed": seed}}
+        prepare(Config.of_table(config), tmp_path / "pairs.npz", tmp_path / name).run()
+    one, two = (str(tmp_path / name / WEIGHTS) for name in ("one", "two"))
+    table["model"]["mean"] = one
+    prepare(Config.of_table(table), tmp_path / "pairs.npz", tmp_path / "noise").run()
+    table["model"]["start"] = str(tmp_path / "noise" / WEIGHTS)
+    prepare(Config.of_table(table), tmp_path / "pairs.npz", tmp_path / "same")
+    table["model"]["mean"] = two
+    with pytest.raises(PoseDataError, match=r"differs from the configuration in the weights of the mean"):
+        prepare(Config.of_table(table), tmp_path / "pairs.npz", tmp_path / "other")
+
+
+@pytest.mark.parametrize("model", [{}, {"units": "released"}])
+def test_normalised_keypoints_are_never_trained_on(pairs, tmp_path, model):
+    pairs = replace(pairs, keypoints=pairs.keypoints / 500 - 1)
+    with pytest.raises(PoseDataError, match="They look normalised already: give the pixels"):
+        trained(pairs, tmp_path, FLOW, **model)
+
+
+def test_keypoints_that_can_t_be_read_are_refused_before_any_step(pairs, tmp_path):
+    pairs.keypoints[7, 3] = np.nan
+    with pytest.raises(PoseDataError, match=r"1 of .* are not finite; SimpleBaseline reads every keypoint"):
+        trained(replace(pairs, observed=pairs.observed & np.isfinite(pairs.keypoints).all(-1)), tmp_path, BASELINE)
+    assert not (tmp_path / "run").exists()
