@@ -85,7 +85,7 @@ def test_keypoints_may_be_read_relative_to_the_hip(pairs, tmp_path, table):
 
 def test_data_without_a_hip_can_t_be_read_relative_to_it(motion_file, tmp_path):
     config = Config.of_table({**FLOW, "model": {**FLOW["model"], "origin": "root"}})
-    with pytest.raises(PoseDataError, match=r"^keypoints: no Hip in 640 of 640 images, and the others are read relative"):
+    with pytest.raises(PoseDataError, match=r"^keypoints: no Hip in 640 of 640 images, and the others are read"):
         prepare(config, motion_file, tmp_path / "run").run()
 
 
