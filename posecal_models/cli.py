@@ -120,7 +120,7 @@ def sample(
     check_outputs(keypoints, Path(weights), output=output)
     from posecal.errors import first_few
     from posecal_models.checkpoint import device_named, load_estimator
-    from posecal_models.data.lifting_set import KeypointSet
+    from posecal_models.data.keypoint_set import KeypointSet
     from posecal_models.progress import counted
     from posecal_models.sample import sample_to_file
 

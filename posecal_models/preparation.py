@@ -11,8 +11,9 @@ from posecal.errors import PoseDataError, PoseFileError
 from posecal_models.checkpoint import load_estimator
 from posecal_models.config import Config, DataConfig, ModelConfig
 from posecal_models.contract import Context
-from posecal_models.data.lifting_set import LiftingSet, read_npz
+from posecal_models.data.lifting_set import LiftingSet
 from posecal_models.data.mocap import MocapPoses
+from posecal_models.data.npz import read_npz
 from posecal_models.data.standardizer import check_pixels
 from posecal_models.data.training_set import TrainingSet, seeded
 from posecal_models.distributed import Crew

@@ -21,7 +21,7 @@ from torch import Tensor
 from posecal.errors import PoseDataError
 from posecal.writing import written_whole
 from posecal_models.contract import Context, Estimator, PoseDistribution
-from posecal_models.data.lifting_set import KeypointSet
+from posecal_models.data.keypoint_set import KeypointSet
 from posecal_models.data.training_set import seeded
 from posecal_models.estimators import ReferenceEstimator
 

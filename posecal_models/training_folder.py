@@ -10,7 +10,7 @@ from typing import Any
 from posecal.errors import PoseDataError, PoseFileError
 from posecal.writing import check_writable, written_whole
 from posecal_models.config import Config
-from posecal_models.data.lifting_set import read_npz
+from posecal_models.data.npz import read_npz
 
 __all__ = ["CHECKPOINT", "LOSSES", "WEIGHTS", "check_folder", "check_same", "digests", "write_losses"]
 

@@ -21,7 +21,7 @@ from posecal.errors import PoseDataError, PoseFileError, first_few
 from posecal.layout import TRUTH, Layout, MemoryArray
 from posecal.skeleton import canonical_name
 
-__all__ = ["BROKEN", "in_words", "joint_names", "labels", "read_npz", "real_numbers", "stored_poses", "word"]
+__all__ = ["BROKEN", "flags_of", "in_words", "joint_names", "labels", "read_npz", "real_numbers", "stored_poses", "word"]
 
 Members = Mapping[str, npt.NDArray[np.generic]]
 
@@ -158,6 +158,31 @@ def labels(value: npt.NDArray[np.generic], which: str, shape: tuple[int, ...] | 
     except ValueError as problem:
         raise PoseDataError(f"{which}: {in_words(problem)}; expected text.") from problem
     return text
+
+
+def flags_of(array: npt.NDArray[np.generic], which: str) -> npt.NDArray[np.bool_]:
+    """Give yes and no.
+
+    Parameters
+    ----------
+    array : ndarray
+        Of any shape, stored as such or as 1 and 0.
+    which : str
+        How a message calls it.
+
+    Returns
+    -------
+    ndarray of bool
+        Of the same shape.
+
+    Raises
+    ------
+    PoseDataError
+        Where it holds anything else, such as a detector's confidence.
+    """
+    if array.dtype.kind not in "biuf" or not np.isin(array, (0, 1)).all():
+        raise PoseDataError(f"{which}: dtype {array.dtype}; expected bool, or 1 and 0.")
+    return np.asarray(array, bool)
 
 
 def joint_names(value: npt.NDArray[np.generic], which: str) -> tuple[str, ...]:

@@ -18,8 +18,10 @@ from posecal.errors import PosecalError, PoseFileError
 from posecal_models.cli import main
 from posecal_models.data.cameras import Camera, read_cameras
 from posecal_models.data.human36m import read_human36m
-from posecal_models.data.lifting_set import KeypointSet, LiftingSet, read_npz
+from posecal_models.data.keypoint_set import KeypointSet
+from posecal_models.data.lifting_set import LiftingSet
 from posecal_models.data.mocap import MocapPoses
+from posecal_models.data.npz import read_npz
 from posecal_models.data.pickles import read_object_npz
 from posecal_models.data.prohpe import read_prohpe
 from posecal_models.data.videopose3d import read_videopose3d

@@ -14,7 +14,9 @@ from posecal.skeleton import joint_set
 from posecal_models.contract import Context
 from posecal_models.data.cameras import Camera, read_cameras
 from posecal_models.data.human36m import read_human36m
-from posecal_models.data.lifting_set import KeypointSet, LiftingSet, read_npz
+from posecal_models.data.keypoint_set import KeypointSet
+from posecal_models.data.lifting_set import LiftingSet
+from posecal_models.data.npz import read_npz
 from posecal_models.data.prohpe import read_prohpe
 from posecal_models.data.videopose3d import OF_32, read_videopose3d
 

@@ -11,7 +11,8 @@ import torch
 from posecal.errors import PoseDataError, PoseFileError
 from posecal.skeleton import joint_set
 from posecal_models.contract import Context
-from posecal_models.data.lifting_set import KeypointSet, LiftingSet
+from posecal_models.data.keypoint_set import KeypointSet
+from posecal_models.data.lifting_set import LiftingSet
 from posecal_models.data.mocap import MocapPoses
 from posecal_models.data.sizes import check_millimetres
 from posecal_models.data.standardizer import check_pixels

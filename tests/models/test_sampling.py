@@ -18,7 +18,8 @@ from posecal_models.cgnf.flow import SIZES
 from posecal_models.cgnf.model import CGNF
 from posecal_models.contract import Context, Estimator, PointEstimate, PoseDistribution
 from posecal_models.data.detector import Detector
-from posecal_models.data.lifting_set import KeypointSet, LiftingSet
+from posecal_models.data.keypoint_set import KeypointSet
+from posecal_models.data.lifting_set import LiftingSet
 from posecal_models.data.mocap import MocapPoses
 from posecal_models.gaussian_noise import GaussianDistribution, GaussianNoise
 from posecal_models.sample import draw, sample_to_file
@@ -96,7 +97,7 @@ import resource, sys
 import numpy as np, torch
 from posecal_models.gaussian_noise import GaussianNoise
 from posecal_models.simple_baseline import SimpleBaseline
-from posecal_models.data.lifting_set import KeypointSet
+from posecal_models.data.keypoint_set import KeypointSet
 from posecal_models.sample import sample_to_file
 torch.set_num_threads(1)
 model = GaussianNoise(SimpleBaseline(width=8)).eval()
