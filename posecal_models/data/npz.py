@@ -21,7 +21,17 @@ from posecal.errors import PoseDataError, PoseFileError, first_few
 from posecal.layout import TRUTH, Layout, MemoryArray
 from posecal.skeleton import canonical_name
 
-__all__ = ["BROKEN", "flags_of", "in_words", "joint_names", "labels", "read_npz", "real_numbers", "stored_poses", "word"]
+__all__ = [
+    "BROKEN",
+    "flags_of",
+    "in_words",
+    "joint_names",
+    "labels",
+    "read_npz",
+    "real_numbers",
+    "stored_poses",
+    "word",
+]
 
 Members = Mapping[str, npt.NDArray[np.generic]]
 
