@@ -92,6 +92,11 @@ class LiftingSet:
     def __len__(self) -> int:
         return len(self.poses)
 
+    @property
+    def images(self) -> KeypointSet:
+        """What an estimator is asked with: the keypoints without the poses."""
+        return KeypointSet(self.keypoint_joints, self.keypoints, self.observed, self.sigma, self.frame_id)
+
     def take(self, rows: npt.NDArray[np.bool_] | npt.NDArray[np.intp] | slice) -> LiftingSet:
         """Take some of the poses.
 
@@ -135,9 +140,7 @@ class LiftingSet:
             hidden = None if self.occluded is None else self.occluded[:, columns]
             result = replace(result, joints=tuple(joints), poses=self.poses[:, columns], occluded=hidden)
         if keypoint_joints is not None:
-            seen = KeypointSet(
-                self.keypoint_joints, self.keypoints, self.observed, self.sigma, self.frame_id
-            ).in_order_of(keypoint_joints)
+            seen = self.images.in_order_of(keypoint_joints)
             result = replace(
                 result,
                 keypoint_joints=seen.joints,

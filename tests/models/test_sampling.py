@@ -45,10 +45,6 @@ def estimator(pairs) -> CGNF:
     return model.eval()
 
 
-def keypoints(pairs: LiftingSet) -> KeypointSet:
-    return KeypointSet(pairs.keypoint_joints, pairs.keypoints, pairs.observed, pairs.sigma, pairs.frame_id)
-
-
 def test_posecal_reads_what_was_sampled(pairs, estimator, tmp_path):
     pairs.save(tmp_path / "gt.npz")
     sample_to_file(estimator, KeypointSet.load(tmp_path / "gt.npz"), tmp_path / "hyps.npz", n=6)
@@ -68,7 +64,7 @@ def test_posecal_reads_what_was_sampled(pairs, estimator, tmp_path):
 def test_what_is_drawn_depends_on_the_seed(pairs, estimator, tmp_path):
     drawn = []
     for index, seed in enumerate((0, 0, 1)):
-        sample_to_file(estimator, keypoints(pairs), tmp_path / f"{index}.npz", n=2, seed=seed)
+        sample_to_file(estimator, pairs.images, tmp_path / f"{index}.npz", n=2, seed=seed)
         with np.load(tmp_path / f"{index}.npz") as file:
             drawn.append(file["hypotheses"])
     np.testing.assert_array_equal(drawn[0], drawn[1])
@@ -84,7 +80,7 @@ def test_keypoints_are_joined_by_name(pairs, estimator, tmp_path):
         pairs.sigma[:, order],
         pairs.frame_id,
     )
-    for name, some in (("a", keypoints(pairs)), ("b", shuffled)):
+    for name, some in (("a", pairs.images), ("b", shuffled)):
         sample_to_file(estimator, some, tmp_path / f"{name}.npz", n=2)
     with np.load(tmp_path / "a.npz") as one, np.load(tmp_path / "b.npz") as two:
         np.testing.assert_array_equal(one["hypotheses"], two["hypotheses"])
@@ -122,7 +118,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 
 
 def test_the_mode_is_one_hypothesis(pairs, estimator, tmp_path):
-    sample_to_file(estimator, keypoints(pairs), tmp_path / "m.npz", n=200, mode=True)
+    sample_to_file(estimator, pairs.images, tmp_path / "m.npz", n=200, mode=True)
     with np.load(tmp_path / "m.npz") as file:
         assert file["hypotheses"].shape[1] == 1
 
@@ -142,15 +138,15 @@ def test_a_low_temperature_draws_nearer_to_the_mode(pairs, estimator):
 
 def test_a_point_estimator_is_sampled_too(pairs, tmp_path):
     baseline = SimpleBaseline(width=8).eval()
-    sample_to_file(baseline, keypoints(pairs), tmp_path / "s.npz", n=3)
+    sample_to_file(baseline, pairs.images, tmp_path / "s.npz", n=3)
     with np.load(tmp_path / "s.npz") as file:
         np.testing.assert_array_equal(file["hypotheses"][:, 0], file["hypotheses"][:, 2])
 
 
 def test_missing_keypoints_of_a_cgnf_may_be_anything(pairs, estimator, tmp_path):
-    broken = keypoints(pairs)
+    broken = pairs.images
     broken = replace(broken, keypoints=np.where(broken.observed[..., None], broken.keypoints, np.nan))
-    for name, some in (("a", keypoints(pairs)), ("b", broken)):
+    for name, some in (("a", pairs.images), ("b", broken)):
         sample_to_file(estimator, some, tmp_path / f"{name}.npz", n=2)
     with np.load(tmp_path / "a.npz") as one, np.load(tmp_path / "b.npz") as two:
         np.testing.assert_array_equal(one["hypotheses"], two["hypotheses"])
@@ -166,7 +162,7 @@ def test_missing_keypoints_of_a_cgnf_may_be_anything(pairs, estimator, tmp_path)
 )
 def test_keypoints_that_do_not_suit_are_refused_and_nothing_is_written(pairs, estimator, tmp_path, change, words):
     with pytest.raises(PoseDataError, match=words):
-        sample_to_file(estimator, change(keypoints(pairs)), tmp_path / "h.npz", n=2)
+        sample_to_file(estimator, change(pairs.images), tmp_path / "h.npz", n=2)
     assert not list(tmp_path.iterdir())
 
 
@@ -175,13 +171,13 @@ def test_poses_that_are_not_finite_are_refused_and_nothing_is_written(pairs, est
     broken.load_state_dict(estimator.state_dict())
     broken.flow.couplings.actnorm_shift.data.fill_(torch.nan)
     with pytest.raises(PoseDataError, match=r"hypotheses: 1\d\d of 128 drawn .* are not finite"):
-        sample_to_file(broken.eval(), keypoints(pairs), tmp_path / "h.npz", n=2)
+        sample_to_file(broken.eval(), pairs.images, tmp_path / "h.npz", n=2)
     assert not list(tmp_path.iterdir())
 
 
 def test_a_folder_that_is_not_there_is_named(pairs, estimator, tmp_path):
     with pytest.raises(PoseFileError, match="nowhere"):
-        sample_to_file(estimator, keypoints(pairs), tmp_path / "nowhere" / "h.npz", n=2)
+        sample_to_file(estimator, pairs.images, tmp_path / "nowhere" / "h.npz", n=2)
 
 
 @pytest.mark.parametrize("kind", ["cgnf", "baseline", "gaussian"])
@@ -223,7 +219,7 @@ def test_contexts_that_can_not_be_are_refused(estimator):
 
 
 def test_an_estimator_that_reads_every_keypoint_refuses_a_file_that_lacks_one(pairs, tmp_path):
-    some = replace(keypoints(pairs), joints=("Tail", *keypoints(pairs).joints[1:]))
+    some = replace(pairs.images, joints=("Tail", *pairs.images.joints[1:]))
     with pytest.raises(PoseDataError, match="are not finite; SimpleBaseline reads every keypoint"):
         sample_to_file(SimpleBaseline(width=8).eval(), some, tmp_path / "h.npz", n=2)
     assert list(tmp_path.iterdir()) == []
