@@ -9,7 +9,7 @@ from posecal.errors import PoseDataError
 from posecal.pairs import PosePairs
 from posecal.skeleton import Skeleton
 
-__all__ = ["doubts"]
+__all__ = ["TINY", "doubts", "like_metres", "size_of"]
 
 BONES = (50.0, 700.0)
 """A median bone length outside this range, in mm, is remarked on."""
@@ -42,11 +42,11 @@ def doubts(pairs: PosePairs, declared: bool, true_declared: bool, *, each: bool)
     """
     n, m, _, _ = pairs.shape
     few = min(m, 8)
-    size = _size(pairs.truth)
-    ours = _size(pairs.hypotheses.read(0, few)[: min(n, 50)].reshape(-1, *pairs.truth.shape[1:]))
+    size = size_of(pairs.truth)
+    ours = size_of(pairs.hypotheses.read(0, few)[: min(n, 50)].reshape(-1, *pairs.truth.shape[1:]))
     name, true_name = pairs.names
     sides = (true_name, size, true_declared), (name, ours, declared)
-    tiny = [(_metres(of, length), said) for of, length, said in sides if 0 < length < TINY]
+    tiny = [(like_metres(of, length), said) for of, length, said in sides if 0 < length < TINY]
     undeclared = [words for words, said in tiny if not said]
     if undeclared:
         raise PoseDataError(
@@ -64,12 +64,37 @@ def doubts(pairs: PosePairs, declared: bool, true_declared: bool, *, each: bool)
     return remarks or _bones(pairs)
 
 
-def _metres(name: str, size: float) -> str:
+def like_metres(name: str, size: float) -> str:
+    """Say that poses of a size below :data:`TINY` must be in metres.
+
+    Parameters
+    ----------
+    name : str
+        Where they are from.
+    size : float
+        Of :func:`size_of`.
+
+    Returns
+    -------
+    str
+        A sentence.
+    """
     return f"{name} looks like metres: joints lie {size:.2g} from the middle of the pose; expected some 400 (mm)."
 
 
-def _size(poses: FloatArray) -> float:
-    """Median over poses of the root mean square distance of the joints from their mean."""
+def size_of(poses: FloatArray) -> float:
+    """Measure how large poses are: the median of their joints' root mean square distance from their mean.
+
+    Parameters
+    ----------
+    poses : array (M, K, D)
+        In any unit; poses with joints that are not finite don't count.
+
+    Returns
+    -------
+    float
+        In that unit; 0 where no pose is finite.
+    """
     some = poses[:: max(1, len(poses) // 500)].astype(np.float64)
     whole = some[np.isfinite(some).all(axis=(1, 2))]
     if not len(whole):

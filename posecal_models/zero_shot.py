@@ -78,7 +78,7 @@ def fit(
     poses, keypoints, observed = draw(seeded("cpu", seed, steps))
     estimator.standardizer.fit(poses, keypoints, observed)
     flow, standardizer = estimator.flow, estimator.standardizer
-    evidence = flow.evidence(standardizer.keypoints(Context(keypoints, observed)), observed)
+    evidence = estimator.evidence(Context(keypoints, observed))
     flow.initialise_actnorm(standardizer.poses(poses)[:, None], evidence)
     optimizer = torch.optim.Adam(estimator.parameters(), learning_rate, fused=True)
     for step in range(steps):

@@ -11,7 +11,8 @@ import numpy.typing as npt
 
 from posecal.io import read_poses
 from posecal.joining import Join, join
-from posecal.pairs import PosePairs
+from posecal.layout import MemoryArray
+from posecal.pairs import PosePairs, Poses
 from posecal.skeleton import JOINT_SETS
 
 Array = npt.NDArray[Any]
@@ -76,3 +77,18 @@ def opened(ours: Path, theirs: Path, how: Join | None = None) -> PosePairs:
 def coordinates(pairs: PosePairs) -> Array:
     """All hypotheses of some pairs, (N, M, K, 3)."""
     return pairs.hypotheses.read(0, len(pairs.truth))
+
+
+def ours(array: Any = None, **declared: Any) -> Poses:
+    """Hypotheses in memory, as a file would declare them."""
+    return Poses("hyps.npz", MemoryArray(np.asarray(hypotheses() if array is None else array)), **declared)
+
+
+def theirs(array: Any = None, **declared: Any) -> Poses:
+    """True poses in memory, as a file would declare them."""
+    return Poses("gt.npz", MemoryArray(np.asarray(truth() if array is None else array)), **declared)
+
+
+def ids(*names: object) -> Any:
+    """Frame ids."""
+    return np.array([str(name) for name in names])

@@ -6,11 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.errors import PoseDataError
+from posecal.sanity import TINY, like_metres, size_of
 
 __all__ = ["check_millimetres"]
-
-TINY = 20.0
-"""Poses of this size, mm, must be metres: a person's joints lie some 400 mm from their middle, a doll's 50."""
 
 
 def check_millimetres(poses: npt.NDArray[np.floating], which: str, advice: str = "") -> None:
@@ -28,7 +26,7 @@ def check_millimetres(poses: npt.NDArray[np.floating], which: str, advice: str =
     Raises
     ------
     PoseDataError
-        Where in half of the poses the joints lie less than 20 from the middle of the pose, root mean square.
+        Where in half of the poses the joints lie less than 10 from the middle of the pose, root mean square.
 
     Examples
     --------
@@ -37,14 +35,6 @@ def check_millimetres(poses: npt.NDArray[np.floating], which: str, advice: str =
     Traceback (most recent call last):
     posecal.errors.PoseDataError: m.npz looks like metres: joints lie 0.3 from the middle of the pose; expected...
     """
-    some = poses[:: max(1, len(poses) // 500)].astype(np.float64)
-    whole = some[np.isfinite(some).all(axis=(1, 2))]
-    if not whole.size:
-        return
-    centred = whole - whole.mean(axis=1, keepdims=True)
-    size = float(np.median(np.sqrt(np.square(centred).sum(axis=2).mean(axis=1))))
+    size = size_of(poses)
     if 0 < size < TINY:
-        raise PoseDataError(
-            f"{which} looks like metres: joints lie {size:.2g} from the middle of the pose; expected some 400 (mm). "
-            f"{advice}".rstrip()
-        )
+        raise PoseDataError(f"{like_metres(which, size)} {advice}".rstrip())
