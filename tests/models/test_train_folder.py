@@ -170,3 +170,12 @@ def test_the_weights_say_which_step_they_are_of(motion_file, tmp_path):
     rows = np.genfromtxt(tmp_path / "run" / LOSSES, delimiter=",", names=True)
     best = rows["step"][rows["validation_loss"].argmin()]
     assert notes_of(tmp_path / "run" / WEIGHTS)["weights_of_step"] == best
+
+
+@pytest.mark.parametrize("name", ["gt", "axes", "root_relative", "occluded", "keypoint_joints", "unit"])
+def test_every_member_that_a_reader_reads_tells_data_apart(tmp_path, name):
+    members = {member: np.zeros(2) for member in ("gt", "axes", "root_relative", "occluded", "keypoint_joints", "unit")}
+    np.savez(tmp_path / "one.npz", **members)
+    np.savez(tmp_path / "two.npz", **{**members, name: np.ones(2)})
+    one, two = digests(tmp_path / "one.npz"), digests(tmp_path / "two.npz")
+    assert {member for member in members if one[member] != two[member]} == {name}
