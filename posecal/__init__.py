@@ -19,41 +19,41 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from posecal import calibration, metrics, plot
     from posecal.calibration import CalibrationCurve, calibration_curve, ece, perfect_sampler, signed_area
-    from posecal.comparison import Comparison, compare
-    from posecal.conclusion import verdict
+    from posecal.data.match import Declarations, join
+    from posecal.data.read import read_poses
+    from posecal.data.skeleton import JOINT_SETS, Skeleton
+    from posecal.engine.accumulate import accumulate
+    from posecal.engine.merge import merge_totals
+    from posecal.engine.protocol import PRESETS, Protocol
+    from posecal.engine.storage import load_totals, save_totals
+    from posecal.engine.totals import Totals
     from posecal.errors import PosecalError, PoseDataError, PoseFileError
     from posecal.evaluation import evaluate
-    from posecal.io import read_poses
-    from posecal.joining import Join, join
-    from posecal.protocol import PRESETS, Protocol
     from posecal.recalibration import cross_fitted, fit_radius, fit_spread
-    from posecal.reference import climatology, held_against
-    from posecal.report import Report
-    from posecal.results import load_totals, save_totals
-    from posecal.shards import merge_totals
-    from posecal.skeleton import JOINT_SETS, Skeleton
-    from posecal.summation import add_up
-    from posecal.totals import Totals
+    from posecal.report.report import Report
+    from posecal.report.summary import summarize
+    from posecal.stats.comparison import Comparison, compare
+    from posecal.stats.skill import climatology, with_reference
 
 __version__ = "0.1.0"
 
 _HOMES = {
     "posecal.calibration": ("CalibrationCurve", "calibration_curve", "ece", "perfect_sampler", "signed_area"),
-    "posecal.comparison": ("Comparison", "compare"),
-    "posecal.conclusion": ("verdict",),
+    "posecal.stats.comparison": ("Comparison", "compare"),
+    "posecal.report.summary": ("summarize",),
     "posecal.errors": ("PoseDataError", "PoseFileError", "PosecalError"),
     "posecal.evaluation": ("evaluate",),
-    "posecal.io": ("read_poses",),
-    "posecal.joining": ("Join", "join"),
-    "posecal.protocol": ("PRESETS", "Protocol"),
+    "posecal.data.read": ("read_poses",),
+    "posecal.data.match": ("Declarations", "join"),
+    "posecal.engine.protocol": ("PRESETS", "Protocol"),
     "posecal.recalibration": ("cross_fitted", "fit_radius", "fit_spread"),
-    "posecal.reference": ("climatology", "held_against"),
-    "posecal.report": ("Report",),
-    "posecal.results": ("load_totals", "save_totals"),
-    "posecal.shards": ("merge_totals",),
-    "posecal.skeleton": ("JOINT_SETS", "Skeleton"),
-    "posecal.summation": ("add_up",),
-    "posecal.totals": ("Totals",),
+    "posecal.stats.skill": ("climatology", "with_reference"),
+    "posecal.report.report": ("Report",),
+    "posecal.engine.storage": ("load_totals", "save_totals"),
+    "posecal.engine.merge": ("merge_totals",),
+    "posecal.data.skeleton": ("JOINT_SETS", "Skeleton"),
+    "posecal.engine.accumulate": ("accumulate",),
+    "posecal.engine.totals": ("Totals",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 _ROOMS = ("calibration", "metrics", "plot")
@@ -63,7 +63,7 @@ __all__ = [
     "PRESETS",
     "CalibrationCurve",
     "Comparison",
-    "Join",
+    "Declarations",
     "PoseDataError",
     "PoseFileError",
     "PosecalError",
@@ -71,7 +71,7 @@ __all__ = [
     "Report",
     "Skeleton",
     "Totals",
-    "add_up",
+    "accumulate",
     "calibration",
     "calibration_curve",
     "climatology",
@@ -81,7 +81,6 @@ __all__ = [
     "evaluate",
     "fit_radius",
     "fit_spread",
-    "held_against",
     "join",
     "load_totals",
     "merge_totals",
@@ -91,7 +90,8 @@ __all__ = [
     "read_poses",
     "save_totals",
     "signed_area",
-    "verdict",
+    "summarize",
+    "with_reference",
 ]
 
 

@@ -16,14 +16,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from posecal.archive import write_members
-from posecal.arrays import FloatArray
-from posecal.conclusion import verdict
+from posecal.data.archive import write_members
+from posecal.data.arrays import FloatArray
+from posecal.data.skeleton import JOINT_SETS, Skeleton
+from posecal.data.write import write_file
 from posecal.errors import PoseFileError
-from posecal.report import Report
-from posecal.skeleton import JOINT_SETS, Skeleton
-from posecal.tables import Sheet, Table
-from posecal.writing import written_whole
+from posecal.report.report import Report
+from posecal.report.summary import summarize
+from posecal.report.tables import Sheet, Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -196,7 +196,7 @@ def write_demo(folder: Path, world: World | None = None, n_hypotheses: int = 200
     common["frame_id"] = np.array([f"{name}/{number}" for number, name in enumerate(world.sequence)])
 
     def write(name: str, members: dict[str, npt.NDArray[np.generic]]) -> Path:
-        written_whole(folder / name, lambda file: write_members(file, {**members, **common}))
+        write_file(folder / name, lambda file: write_members(file, {**members, **common}))
         return folder / name
 
     yield write(
@@ -230,8 +230,8 @@ def run_demo(folder: Path, say: Callable[[str], object]) -> None:
         Where the folder or a file can't be written.
     """
     from posecal.evaluation import evaluate
-    from posecal.html import write_html
     from posecal.plot import draw, save
+    from posecal.report.html import write_html
 
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -287,7 +287,7 @@ def _lesson(reports: Mapping[str, Report]) -> Sheet:
     columns = (("sampler", False), *((some[metric].label, True) for metric in names))
     return Sheet(
         "That was the calibrated sampler. All three, and what posecal says of them",
-        sentences=[f"{name}: {verdict(report)[0]}" for name, report in reports.items()],
+        sentences=[f"{name}: {summarize(report)[0]}" for name, report in reports.items()],
         tables=[Table("Samplers", columns, [*rows])],
         definitions=[
             (

@@ -9,15 +9,15 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from posecal.data.layout import HYPOTHESES, TRUTH, MemoryArray
+from posecal.data.match import Declarations, join
+from posecal.data.pose_data import StoredPoses
+from posecal.data.read import Role, as_labels, as_marks, as_scores, read_poses
+from posecal.data.skeleton import joint_set
+from posecal.engine.accumulate import accumulate
+from posecal.engine.protocol import Protocol, preset
 from posecal.errors import PoseDataError, raise_all
-from posecal.io import Role, as_labels, as_marks, as_scores, read_poses
-from posecal.joining import Join, join
-from posecal.layout import HYPOTHESES, TRUTH, MemoryArray
-from posecal.pairs import Poses
-from posecal.protocol import Protocol, preset
-from posecal.report import Report
-from posecal.skeleton import joint_set
-from posecal.summation import add_up
+from posecal.report.report import Report
 
 __all__ = ["evaluate"]
 
@@ -112,7 +112,7 @@ def evaluate(
         theirs = replace(theirs, marks={"occluded": as_marks(occluded, "occluded")})
     if scores is not None:
         ours = replace(ours, scores=as_scores(scores, "scores"))
-    pairs = join(ours, theirs, Join(axes=axes, root_joint=root_joint))
+    pairs = join(ours, theirs, Declarations(axes=axes, root_joint=root_joint))
     raise_all(
         f"labels: {name} has {len(values):,} values for {len(pairs.truth):,} poses; expected one each."
         for name, values in given.items()
@@ -124,7 +124,7 @@ def evaluate(
             raise PoseDataError(f"where: {mask.dtype} {mask.shape}; expected bool (M, K) = {pairs.truth.shape[:2]}.")
         pairs = replace(pairs, where=mask)
     by = (by,) if isinstance(by, str) else tuple(by)
-    return Report(add_up(pairs, protocol, by=by, threads=threads), by)
+    return Report(accumulate(pairs, protocol, by=by, threads=threads), by)
 
 
 def _side(
@@ -133,7 +133,7 @@ def _side(
     axes: str,
     unit: str | None,
     joints: tuple[str, ...] | None,
-) -> Poses:
+) -> StoredPoses:
     """Open a file, or declare an array; what a file does not say of itself is said here."""
     if isinstance(side, (str, os.PathLike)):
         found = read_poses(side, role)
@@ -145,4 +145,4 @@ def _side(
     array = np.asanyarray(side)
     if array.dtype.kind not in "fiu":
         raise PoseDataError(f"{role}: dtype {array.dtype}; expected real numbers such as float32.")
-    return Poses(role, MemoryArray(array), axes=axes, unit=unit or "mm", joints=joints)
+    return StoredPoses(role, MemoryArray(array), axes=axes, unit=unit or "mm", joints=joints)

@@ -17,8 +17,8 @@ import numpy.typing as npt
 import torch
 
 import posecal.evaluation
-from posecal.protocol import Protocol, preset
-from posecal.report import Report
+from posecal.engine.protocol import Protocol, preset
+from posecal.report.report import Report
 from posecal_models.contract import Context, Estimator
 from posecal_models.data.detector import Detector
 from posecal_models.data.lifting_set import LiftingSet

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from posecal.data.write import write_file
 from posecal.errors import PoseDataError, PoseFileError
 from posecal.plot import save
-from posecal.writing import written_whole
 from posecal_models import pictures
 from posecal_models.benchmark import Judged, held_out_poses, hypotheses_of, judge, markdown
 from posecal_models.cgnf.model import CGNF
@@ -145,4 +145,4 @@ def _draw(estimator: CGNF, test: LiftingSet, folder: Path, stem: str) -> None:
 
 
 def _write(path: Path, text: str) -> None:
-    written_whole(path, lambda file: file.write(text.encode()))
+    write_file(path, lambda file: file.write(text.encode()))

@@ -19,8 +19,8 @@ from safetensors.torch import save
 from torch import Tensor
 
 import posecal
+from posecal.data.write import write_file
 from posecal.errors import PoseDataError, PoseFileError, did_you_mean, first_few
-from posecal.writing import written_whole
 from posecal_models.cgnf.flow import FlowSize
 from posecal_models.cgnf.model import CGNF
 from posecal_models.cgnf.released import from_released
@@ -105,7 +105,7 @@ def write_tensors(path: str | Path, tensors: Mapping[str, Tensor], about: dict[s
         file.flush()
         os.fsync(file.fileno())
 
-    written_whole(path, write)
+    write_file(path, write)
 
 
 def read_tensors(path: str | Path, *, device: torch.device | str = "cpu") -> tuple[dict[str, Tensor], dict[str, Any]]:

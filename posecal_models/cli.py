@@ -156,11 +156,11 @@ def motion(
     check_outputs(output=output)
     import numpy as np
 
-    from posecal.writing import written_whole
+    from posecal.data.write import write_file
     from posecal_models.data.synthetic import synthetic_motion
 
     members: dict[str, Any] = {**synthetic_motion(subjects=subjects, clips=clips, frames=frames, seed=seed)}
-    written_whole(output, lambda file: np.savez_compressed(file, **members))
+    write_file(output, lambda file: np.savez_compressed(file, **members))
 
 
 @app.command()

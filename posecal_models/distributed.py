@@ -105,7 +105,7 @@ class Crew:
         with sharing(rows, poses):
             yield rows
 
-    def add_up(self, tensors: Iterable[Tensor], share: float) -> None:
+    def accumulate(self, tensors: Iterable[Tensor], share: float) -> None:
         """Replace each process's means over its rows by the mean over the whole batch, in place.
 
         Parameters

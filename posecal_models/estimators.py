@@ -7,8 +7,8 @@ from typing import Any
 
 from torch import nn
 
+from posecal.data.skeleton import joint_set
 from posecal.errors import PoseDataError
-from posecal.skeleton import joint_set
 from posecal_models.cgnf.flow import SIZES, FlowSize
 from posecal_models.cgnf.model import CGNF
 from posecal_models.config import ModelConfig

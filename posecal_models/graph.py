@@ -12,8 +12,8 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from posecal.data.skeleton import Skeleton, joint_set
 from posecal.errors import PoseDataError
-from posecal.skeleton import Skeleton, joint_set
 
 __all__ = ["PoseGraph", "human36m_graph"]
 
@@ -67,7 +67,7 @@ class PoseGraph:
         Parameters
         ----------
         joints : tuple of str
-            K names that :mod:`posecal.skeleton` knows, without the root.
+            K names that :mod:`posecal.data.skeleton` knows, without the root.
         root : str
             The joint that poses are relative to.
 

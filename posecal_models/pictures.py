@@ -16,10 +16,10 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
+from posecal.data.skeleton import Skeleton
 from posecal.plot import reliability
 from posecal.plot.style import FAINT, INK, OVER, UNDER
-from posecal.report import Report
-from posecal.skeleton import Skeleton
+from posecal.report.report import Report
 
 __all__ = ["hypotheses", "losses", "pendulum", "prior", "reliability_grid"]
 

@@ -18,8 +18,8 @@ import torch
 from numpy.lib import format as npy
 from torch import Tensor
 
+from posecal.data.write import write_file
 from posecal.errors import PoseDataError
-from posecal.writing import written_whole
 from posecal_models.contract import Context, Estimator, PoseDistribution
 from posecal_models.data.keypoint_set import KeypointSet
 from posecal_models.data.training_set import seeded
@@ -164,7 +164,7 @@ def sample_to_file(
             progress(min(start + POSES_AT_ONCE, len(ordered)))
         return held
 
-    written_whole(path, write)
+    write_file(path, write)
 
 
 def _write_header(file: IO[bytes], shape: tuple[int, ...]) -> None:

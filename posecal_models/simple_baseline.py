@@ -11,8 +11,8 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor, nn
 
+from posecal.data.skeleton import joint_set
 from posecal.errors import PoseDataError
-from posecal.skeleton import joint_set
 from posecal_models.contract import Context, PointEstimate, check_keypoints
 from posecal_models.data.standardizer import Origin, Standardizer
 from posecal_models.whole_batch import BatchNorm, dropout

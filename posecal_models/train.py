@@ -201,7 +201,7 @@ class Training:
             mine = slice(poses.start * graphs, poses.stop * graphs)
             losses = self.objective.backward(context[mine], truth[mine], generator=generator, graphs_per_pose=graphs)
         gradients = [p.grad for p in self.parameters.values() if p.grad is not None]
-        self.crew.add_up([*gradients, *losses.values()], (mine.stop - mine.start) / len(truth))
+        self.crew.accumulate([*gradients, *losses.values()], (mine.stop - mine.start) / len(truth))
         norm = torch.nn.utils.clip_grad_norm_(self.parameters.values(), config.clip)
         values = {name: float(loss) for name, loss in losses.items()}
         self._check_finite(values, float(norm))

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from posecal.data.write import check_writable, write_file
 from posecal.errors import PoseDataError, PoseFileError
-from posecal.writing import check_writable, written_whole
 from posecal_models.config import Config
 from posecal_models.data.npz import read_npz
 
@@ -74,7 +74,7 @@ def write_losses(folder: Path, epochs: Sequence[tuple[float, ...]]) -> None:
     lines = ["epoch,step,learning_rate,training_loss,validation_loss"]
     lines += [f"{e:.0f},{s:.0f},{rate:.6g},{train:.8g},{val:.8g}" for e, s, rate, train, val in epochs]
     text = "\n".join(lines) + "\n"
-    written_whole(folder / LOSSES, lambda file: file.write(text.encode()))
+    write_file(folder / LOSSES, lambda file: file.write(text.encode()))
 
 
 def digests(path: str | Path) -> dict[str, str]:

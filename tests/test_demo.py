@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import posecal
+from posecal.data.skeleton import JOINT_SETS, Skeleton
 from posecal.demo import SAMPLERS, make_world, run_demo, sample, write_demo
+from posecal.engine.storage import load_totals
 from posecal.errors import PoseFileError
-from posecal.results import load_totals
-from posecal.skeleton import JOINT_SETS, Skeleton
 
 JOINTS = JOINT_SETS["h36m-17"]
 
@@ -87,9 +87,9 @@ def test_the_files_say_everything_themselves(tmp_path: Path) -> None:
     paths = list(write_demo(tmp_path, world, n_hypotheses=4))
     assert [path.name for path in paths] == ["gt.npz", "calibrated.npz", "overconfident.npz", "underconfident.npz"]
     for path in paths[1:]:
-        report = posecal.evaluate(path, paths[0], by=["action", "sight"])
-        assert report.totals.subject.joints == JOINTS
-        assert report.totals.subject.root == 0
+        report = posecal.evaluate(path, paths[0], by=["action", "occlusion"])
+        assert report.totals.spec.joints == JOINTS
+        assert report.totals.spec.root == 0
         assert not [remark for remark in report.remarks if "unit" in remark or "axes" in remark]
 
 

@@ -8,16 +8,16 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from posecal import summation
-from posecal.block import Block
+from posecal.data.pose_data import PoseData
+from posecal.engine import accumulate as summation
+from posecal.engine.accumulate import accumulate, walk
+from posecal.engine.block import Block
+from posecal.engine.protocol import Protocol
 from posecal.errors import PoseDataError
 from posecal.evaluation import evaluate
 from posecal.metrics import diversity, min_mpjpe, mpjpe, mpjve, radius
-from posecal.pairs import PosePairs
-from posecal.protocol import Protocol
-from posecal.summation import add_up, walk
-from tests import oracles
-from tests.drawn import JOINTS, World, skewed, world
+from tests.helpers import oracles
+from tests.helpers.random_worlds import JOINTS, World, skewed, world
 
 Array = npt.NDArray[np.floating]
 
@@ -140,7 +140,7 @@ def test_occluded_joints_are_scored_by_themselves(some: World) -> None:
 # --- which poses -----------------------------------------------------------------------------------------------------
 
 
-def with_label(some: World, **labels: npt.ArrayLike) -> PosePairs:
+def with_label(some: World, **labels: npt.ArrayLike) -> PoseData:
     pairs = some.pairs
     return replace(pairs, labels={**pairs.labels, **{name: np.array(v).astype(str) for name, v in labels.items()}})
 
@@ -148,7 +148,7 @@ def with_label(some: World, **labels: npt.ArrayLike) -> PosePairs:
 @pytest.mark.parametrize("yes", ["yes", "1", "True", "true", "YES"])
 def test_only_the_frames_of_a_label_are_scored(some: World, yes: str) -> None:
     hard = np.arange(M) % 3 == 0
-    totals = add_up(with_label(some, hard=np.where(hard, yes, "no")), Protocol(frames="hard"))
+    totals = accumulate(with_label(some, hard=np.where(hard, yes, "no")), Protocol(frames="hard"))
     expected = some.taken(np.flatnonzero(hard)).totals(Protocol())
     assert totals.poses.sum() == hard.sum()
     np.testing.assert_allclose(totals.sums["errors"].sum(axis=0), expected.sums["errors"].sum(axis=0))
@@ -158,7 +158,7 @@ def test_a_step_over_frames_that_are_left_out_is_no_velocity(some: World) -> Non
     one = replace(some, sequence=np.full(M, "one"))
     hard = np.array([1, 1, 0, 1, 0, 0, 1, 1, 1, 0, 1, 1], dtype=bool)
     protocol = Protocol(frames="hard", metrics="mpjve")
-    totals = add_up(with_label(one, hard=np.where(hard, "yes", "no")), protocol)
+    totals = accumulate(with_label(one, hard=np.where(hard, "yes", "no")), protocol)
     known = hard & np.concatenate([[False], hard[:-1]])
     expected = mpjve(one.x, one.y, root=one.root)[known]
     assert totals.counts["mpjve"].sum() == known.sum() == 4
@@ -171,7 +171,7 @@ def test_every_pose_is_in_one_block_in_the_order_of_the_poses(
     some: World, window: int, block: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(summation, "WINDOW_BYTES", window)
-    monkeypatch.setattr("posecal.blocks.BLOCK_BYTES", block)
+    monkeypatch.setattr("posecal.engine.blocks.BLOCK_BYTES", block)
     blocks = [(poses, lay_out()) for poses, lay_out in walk(some.pairs)]
     assert np.concatenate([np.arange(M)[poses] for poses, _ in blocks]).tolist() == list(range(M))
     sequence = np.unique(some.sequence, return_inverse=True)[1]
@@ -179,8 +179,8 @@ def test_every_pose_is_in_one_block_in_the_order_of_the_poses(
     for name in ("offsets", "truth"):
         joined = np.concatenate([getattr(one, name) for _, one in blocks])
         np.testing.assert_array_equal(joined, getattr(whole, name))
-    for end, expected in enumerate(whole.box_of_others):
-        joined = np.concatenate([one.box_of_others[end] for _, one in blocks])
+    for end, expected in enumerate(whole.range_of_others):
+        joined = np.concatenate([one.range_of_others[end] for _, one in blocks])
         np.testing.assert_array_equal(joined, expected)
     scores = np.concatenate([one.scores for _, one in blocks])
     np.testing.assert_array_equal(scores, some.scores.T)
@@ -193,13 +193,13 @@ def test_a_velocity_is_of_both_poses_across_windows(some: World, monkeypatch: py
         oracles.relative(some.x, some.root), oracles.relative(some.y, some.root), where, list(some.sequence)
     )
     monkeypatch.setattr(summation, "WINDOW_BYTES", 1)
-    totals = add_up(replace(some.pairs, where=where), Protocol(metrics="mpjve"))
+    totals = accumulate(replace(some.pairs, where=where), Protocol(metrics="mpjve"))
     np.testing.assert_allclose(totals.sums["mpjve"].sum(), np.nansum(expected))
     assert totals.counts["mpjve"].sum() == (~np.isnan(expected)).sum()
 
 
 def test_sums_are_kept_per_sequence(some: World) -> None:
-    totals = add_up(some.pairs, Protocol(metrics="mpjpe"))
+    totals = accumulate(some.pairs, Protocol(metrics="mpjpe"))
     errors = mpjpe(some.x, some.y, root=some.root)
     for sequence, sums, poses in zip(totals.cells["sequence"], totals.sums["errors"], totals.poses, strict=True):
         kept = some.sequence == sequence
@@ -210,31 +210,31 @@ def test_sums_are_kept_per_sequence(some: World) -> None:
 def test_a_sequence_that_comes_again_is_one_cell() -> None:
     some = world(3, M=M)
     again = replace(some, sequence=np.array((["a"] * 3 + ["b"] * 3) * 2))
-    totals = add_up(again.pairs, Protocol(metrics="mpjpe"))
+    totals = accumulate(again.pairs, Protocol(metrics="mpjpe"))
     assert totals.cells["sequence"].tolist() == ["a", "b"]
     assert totals.poses.tolist() == [6, 6]
 
 
 @pytest.mark.parametrize("threads", [1, 3])
 def test_progress_counts_the_poses_that_are_done(some: World, threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("posecal.blocks.BLOCK_BYTES", 1)
+    monkeypatch.setattr("posecal.engine.blocks.BLOCK_BYTES", 1)
     seen: list[int] = []
-    add_up(some.pairs, threads=threads, progress=seen.append)
+    accumulate(some.pairs, threads=threads, progress=seen.append)
     assert seen == list(range(1, M + 1))
 
 
 def test_only_statistics_that_are_asked_for_are_added_up(some: World) -> None:
-    assert set(add_up(some.pairs, Protocol(metrics="pck")).sums) == {"truth", "pck"}
-    assert {"errors_by_n", "pck_curve", "cps_curve"} <= set(add_up(some.pairs).sums)
+    assert set(accumulate(some.pairs, Protocol(metrics="pck")).sums) == {"truth", "pck"}
+    assert {"errors_by_n", "pck_curve", "cps_curve"} <= set(accumulate(some.pairs).sums)
 
 
 def test_a_name_with_all_in_it_does_not_ask_for_all(some: World) -> None:
-    found = add_up(some.pairs, Protocol(metrics="fall"), preranks={"fall": lambda pool: pool[:, 0, 2]})
+    found = accumulate(some.pairs, Protocol(metrics="fall"), preranks={"fall": lambda pool: pool[:, 0, 2]})
     assert set(found.sums) == {"truth", "fall"}
 
 
 def test_poses_are_grouped_by_their_predicted_spread(some: World) -> None:
-    totals = add_up(some.pairs, Protocol(metrics="mpjpe"), by=["spread:2"])
+    totals = accumulate(some.pairs, Protocol(metrics="mpjpe"), by=["spread:2"])
     x, moving = oracles.relative(some.x, some.root), np.arange(len(JOINTS)) != some.root
     spread = oracles.deviations(x, 1)[:, moving].mean(axis=1)
     wide = spread >= np.median(spread)
@@ -247,14 +247,14 @@ def test_poses_are_grouped_by_their_predicted_spread(some: World) -> None:
 def test_a_pre_rank_of_one_s_own_is_ranked(some: World) -> None:
     """Of the height of the second joint, as its coordinate's own rank."""
     own = {"height": lambda pool: pool[:, 0, 2]}
-    totals = add_up(some.pairs, Protocol(metrics="height, coordinate_pit"), preranks=own)
+    totals = accumulate(some.pairs, Protocol(metrics="height, coordinate_pit"), preranks=own)
     joint = next(k for k in range(len(JOINTS)) if k != some.root)
     np.testing.assert_allclose(totals.sums["height"][:, 0], totals.sums["coordinate_pit"][:, joint, 2])
 
 
 def test_a_pre_rank_that_gives_something_else_is_refused(some: World) -> None:
     with pytest.raises(PoseDataError, match=r"prerank: gave \(3,\) for a pool of 6 poses; expected one finite number"):
-        add_up(some.pairs, Protocol(metrics="odd"), preranks={"odd": lambda pool: pool[0, 0]})
+        accumulate(some.pairs, Protocol(metrics="odd"), preranks={"odd": lambda pool: pool[0, 0]})
 
 
 # --- what is refused -------------------------------------------------------------------------------------------------
@@ -262,17 +262,17 @@ def test_a_pre_rank_that_gives_something_else_is_refused(some: World) -> None:
 
 def test_frames_of_a_label_that_is_not_there_are_refused(some: World) -> None:
     with pytest.raises(PoseDataError, match=r"frames: truth has no label 'hard'; expected a yes/no member \(M,\)"):
-        add_up(some.pairs, Protocol(frames="hard"))
+        accumulate(some.pairs, Protocol(frames="hard"))
 
 
 def test_frames_of_which_there_is_none_are_refused(some: World) -> None:
     with pytest.raises(PoseDataError, match=r"frames: no pose of truth has the label hard; expected some\."):
-        add_up(with_label(some, hard=["no"] * M), Protocol(frames="hard"))
+        accumulate(with_label(some, hard=["no"] * M), Protocol(frames="hard"))
 
 
 def test_occluded_joints_that_nobody_marked_are_refused(some: World) -> None:
     with pytest.raises(PoseDataError, match=r"where: truth does not say which joints are occluded; expected a member"):
-        add_up(replace(some.pairs, occluded=None), Protocol(where="occluded"))
+        accumulate(replace(some.pairs, occluded=None), Protocol(where="occluded"))
 
 
 def test_joints_that_are_not_scored_and_have_no_coordinates_take_no_part_in_the_fit(some: World) -> None:
@@ -280,15 +280,15 @@ def test_joints_that_are_not_scored_and_have_no_coordinates_take_no_part_in_the_
     x, y = some.x.copy(), some.y.copy()
     x[1, occluded & (np.arange(M) % 2 == 0)[:, None]], y[occluded & (np.arange(M) % 2 == 1)[:, None]] = np.nan, np.inf
     holed = replace(some, x=x, y=y, occluded=occluded)
-    found = add_up(holed.pairs, Protocol(where="visible", metrics="pa_mpjpe, cps"))
-    expected = add_up(replace(holed, where=~occluded).pairs, Protocol(metrics="pa_mpjpe, cps"))
+    found = accumulate(holed.pairs, Protocol(where="visible", metrics="pa_mpjpe, cps"))
+    expected = accumulate(replace(holed, where=~occluded).pairs, Protocol(metrics="pa_mpjpe, cps"))
     for name in ("pa_errors", "cps"):
         np.testing.assert_array_equal(found.sums[name], expected.sums[name])
 
 
 def test_no_joint_to_score_is_refused(some: World) -> None:
     with pytest.raises(PoseDataError, match=r"where: no joint of truth is visible; expected some to score\."):
-        add_up(replace(some, occluded=np.ones_like(some.occluded)).pairs, Protocol(where="visible"))
+        accumulate(replace(some, occluded=np.ones_like(some.occluded)).pairs, Protocol(where="visible"))
 
 
 @pytest.mark.parametrize("side", ["truth", "hypotheses"])
@@ -302,7 +302,7 @@ def test_what_is_not_finite_is_refused_with_its_frames_and_joint(some: World, si
             x[2, m, 5, 1] = value
     words = rf"{side} has non-finite coordinates in 2 of 12 frames \(first: frame 3, joint LWrist\)\. Mask those joints"
     with pytest.raises(PoseDataError, match=words):
-        add_up(replace(some, x=x, y=y).pairs)
+        accumulate(replace(some, x=x, y=y).pairs)
 
 
 def test_what_is_not_finite_is_passed_over_where_it_does_not_count(some: World) -> None:
@@ -311,8 +311,8 @@ def test_what_is_not_finite_is_passed_over_where_it_does_not_count(some: World) 
     y = some.y.copy()
     y[3, 5] = np.nan
     masked = replace(some, where=where)
-    expected = add_up(masked.pairs).sums
-    for name, sums in add_up(replace(masked, y=y).pairs).sums.items():
+    expected = accumulate(masked.pairs).sums
+    for name, sums in accumulate(replace(masked, y=y).pairs).sums.items():
         np.testing.assert_array_equal(sums, expected[name])
 
 
@@ -334,7 +334,7 @@ def test_an_unknown_preset_is_refused(arrays: tuple[Array, Array]) -> None:
 
 def test_a_label_to_group_by_that_is_not_there_is_refused(some: World) -> None:
     with pytest.raises(PoseDataError, match=r"by: 'camera' is not a label of these poses\. Known: "):
-        add_up(some.pairs, by=["camera"])
+        accumulate(some.pairs, by=["camera"])
 
 
 def test_an_average_over_a_label_that_is_not_there_is_refused(arrays: tuple[Array, Array]) -> None:

@@ -19,12 +19,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from posecal import summation
-from posecal.protocol import Protocol
+from posecal.engine import accumulate as summation
+from posecal.engine.merge import merge_totals
+from posecal.engine.protocol import Protocol
+from posecal.engine.totals import Totals
 from posecal.registry import known_metrics
-from posecal.shards import merge_totals
-from posecal.totals import Totals
-from tests.drawn import World, world
+from tests.helpers.random_worlds import World, world
 
 Numbers = dict[str, float]
 Change = Callable[[World], World]
@@ -71,7 +71,7 @@ def usual(protocol: str) -> Numbers:
 
 
 def numbers(totals: Totals) -> Numbers:
-    return {name: totals.value(metric) for name, metric in known_metrics(totals.protocol, totals.subject).items()}
+    return {name: totals.value(metric) for name, metric in known_metrics(totals.protocol, totals.spec).items()}
 
 
 # --- what a law does not bind ----------------------------------------------------------------------------------------
@@ -231,7 +231,7 @@ def test_only_scaling_about_the_origin_sees_where_poses_without_a_root_are(proto
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_lengths_scale_and_shares_stay(protocol: str) -> None:
-    metrics = known_metrics(PROTOCOLS[protocol], WORLD.subject)
+    metrics = known_metrics(PROTOCOLS[protocol], WORLD.spec)
     expected = {
         name: value * (1.7 if metrics[name].unit.startswith("mm") else 1) for name, value in usual(protocol).items()
     }
@@ -298,7 +298,7 @@ def test_a_perfect_hypothesis_among_others_is_the_best(protocol: str) -> None:
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_numbers_do_not_depend_on_the_threads_to_the_last_bit(protocol: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("posecal.blocks.BLOCK_BYTES", 8000)
+    monkeypatch.setattr("posecal.engine.blocks.BLOCK_BYTES", 8000)
     alone = WORLD.totals(PROTOCOLS[protocol])
     together = WORLD.totals(PROTOCOLS[protocol], threads=3)
     assert list(together.sums) == list(alone.sums)
@@ -313,7 +313,7 @@ def test_numbers_do_not_depend_on_how_poses_are_cut_into_blocks(
 ) -> None:
     expected = usual(protocol)
     if block is not None:
-        monkeypatch.setattr("posecal.blocks.BLOCK_BYTES", block)
+        monkeypatch.setattr("posecal.engine.blocks.BLOCK_BYTES", block)
     if window is not None:
         monkeypatch.setattr(summation, "WINDOW_BYTES", window)
     hold("blocks", protocol, WORLD.values(PROTOCOLS[protocol]), expected, rtol=1e-12, atol=1e-12)
@@ -398,7 +398,7 @@ def test_any_world_masked_cut_and_split_anyhow_gives_the_same(
         some = replace(some, occluded=~some.occluded)
     expected = some.values(PROTOCOLS[protocol])
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("posecal.blocks.BLOCK_BYTES", length * N * 8 * 3 * 8)
+        patch.setattr("posecal.engine.blocks.BLOCK_BYTES", length * N * 8 * 3 * 8)
         parts = [part.totals(PROTOCOLS[protocol], threads=threads) for part in shards(some, [cut])]
     hold("shards", protocol, numbers(merge_totals(parts)), expected, rtol=1e-12, atol=1e-12)
 

@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from posecal.block import Block
+from posecal.data.skeleton import JOINT_SETS
+from posecal.engine.block import Block
+from posecal.engine.metric import DataSpec
+from posecal.engine.protocol import Protocol
 from posecal.errors import PoseDataError
-from posecal.metric import Subject
-from posecal.protocol import Protocol
-from posecal.registry import curves_of, known_metrics, metrics_of, sights_of
-from posecal.skeleton import JOINT_SETS
+from posecal.registry import curves_of, known_metrics, metrics_of, occlusion_metrics_of
 
 H36M = JOINT_SETS["h36m-17"]
-PERSON = Subject(7, H36M, 0, ("sequence",), 25.0, True)
+PERSON = DataSpec(7, H36M, 0, ("sequence",), 25.0, True)
 
 
 def test_all_gives_every_metric_that_is_known() -> None:
@@ -40,7 +40,7 @@ def test_named_metrics_come_in_the_order_of_a_report() -> None:
     assert list(found) == ["min_mpjpe", "pck", "ece"]
 
 
-@pytest.mark.parametrize("group", ["battery", "scores"])
+@pytest.mark.parametrize("group", ["rank_tests", "scores"])
 def test_a_group_s_word_gives_its_family(group: str) -> None:
     known = known_metrics(Protocol(), PERSON)
     found = metrics_of(Protocol(metrics=group), PERSON)
@@ -57,7 +57,7 @@ def test_words_and_names_are_put_together() -> None:
 def test_a_user_s_pre_rank_is_a_metric_under_its_name() -> None:
     own = replace(PERSON, preranks=("height",))
     known = known_metrics(Protocol(), own, {"height": lambda pool: pool[:, 0, 2]})
-    assert known["height"].family == "battery"
+    assert known["height"].family == "rank_tests"
 
 
 def test_a_pre_rank_that_is_not_at_hand_can_be_read_but_not_computed() -> None:
@@ -80,32 +80,34 @@ def test_against_a_reference_every_proper_score_has_a_skill() -> None:
 
 def test_numbers_by_sight_bear_the_names_of_those_over_all_joints() -> None:
     marked = replace(PERSON, marked=True)
-    sights = sights_of(Protocol(), marked)
-    assert list(sights) == ["occluded", "visible"]
-    for sight, metrics in sights.items():
+    kinds_of_joints = occlusion_metrics_of(Protocol(), marked)
+    assert list(kinds_of_joints) == ["occluded", "visible"]
+    for occlusion, metrics in kinds_of_joints.items():
         assert set(metrics) <= set(known_metrics(Protocol(), marked))
-        assert all(sight in metric.definition for metric in metrics.values())
+        assert all(occlusion in metric.definition for metric in metrics.values())
 
 
 def test_numbers_by_sight_need_marks_and_two_hypotheses() -> None:
-    with pytest.raises(PoseDataError, match=r"by: sight needs to know which joints are occluded; expected a member"):
-        sights_of(Protocol(), PERSON)
-    with pytest.raises(PoseDataError, match=r"by: sight needs at least 2 hypotheses; there is 1\."):
-        sights_of(Protocol(), replace(PERSON, marked=True, n_hypotheses=1))
+    with pytest.raises(
+        PoseDataError, match=r"by: occlusion needs to know which joints are occluded; expected a member"
+    ):
+        occlusion_metrics_of(Protocol(), PERSON)
+    with pytest.raises(PoseDataError, match=r"by: occlusion needs at least 2 hypotheses; there is 1\."):
+        occlusion_metrics_of(Protocol(), replace(PERSON, marked=True, n_hypotheses=1))
 
 
 def test_with_one_hypothesis_there_is_no_calibration_and_no_spread() -> None:
-    one = known_metrics(Protocol(), Subject(1, H36M, 0, ("sequence",), 25.0, True))
+    one = known_metrics(Protocol(), DataSpec(1, H36M, 0, ("sequence",), 25.0, True))
     assert {metric.family for metric in one.values()} == {"accuracy"}
     assert {"min_mpjpe", "cps", "mpjve", "weighted_pose_mpjpe"} <= set(one)
 
 
 def test_without_sequences_there_are_no_velocities() -> None:
-    assert not [name for name in known_metrics(Protocol(), Subject(7, H36M, 0)) if "mpjve" in name]
+    assert not [name for name in known_metrics(Protocol(), DataSpec(7, H36M, 0)) if "mpjve" in name]
 
 
 def test_without_scores_there_is_no_weighted_pose_and_a_mode_only_by_its_index() -> None:
-    unscored = Subject(7, H36M, 0)
+    unscored = DataSpec(7, H36M, 0)
     assert not [name for name in known_metrics(Protocol(), unscored) if "weighted" in name or "mode" in name]
     assert "pa_mode_mpjpe" in known_metrics(Protocol(mode="6"), unscored)
 
@@ -121,37 +123,37 @@ def test_min_mpjpe_is_given_at_round_numbers_up_to_n() -> None:
         ("min_mpjep", PERSON, r"metrics: min_mpjep is not known\. Did you mean min_mpjpe\?"),
         (
             "mpjve",
-            Subject(7, H36M, 0),
+            DataSpec(7, H36M, 0),
             r"metrics: mpjve needs sequences\. Store a label sequence in the truth's file\.",
         ),
-        ("mode_mpjpe", Subject(7, H36M, 0), r"mode_mpjpe needs the model's scores\..* or set mode to an index\."),
+        ("mode_mpjpe", DataSpec(7, H36M, 0), r"mode_mpjpe needs the model's scores\..* or set mode to an index\."),
         (
             "n_weighted_pose_mpjpe",
-            Subject(7, H36M, 0),
+            DataSpec(7, H36M, 0),
             r"n_weighted_pose_mpjpe needs the model's scores\. Store scores beside the hypotheses\.$",
         ),
-        ("ece_paper", Subject(1, H36M, 0), r"metrics: ece_paper needs at least 2 hypotheses; there is 1\."),
-        ("coverage_50", Subject(1, H36M, 0), r"coverage_50 needs at least 2 hypotheses"),
-        ("radius_50", Subject(1, H36M, 0), r"radius_50 needs at least 2 hypotheses"),
-        ("battery", Subject(1, H36M, 0), r"metrics: battery needs at least 2 hypotheses"),
+        ("ece_paper", DataSpec(1, H36M, 0), r"metrics: ece_paper needs at least 2 hypotheses; there is 1\."),
+        ("coverage_50", DataSpec(1, H36M, 0), r"coverage_50 needs at least 2 hypotheses"),
+        ("radius_50", DataSpec(1, H36M, 0), r"radius_50 needs at least 2 hypotheses"),
+        ("rank_tests", DataSpec(1, H36M, 0), r"metrics: battery needs at least 2 hypotheses"),
         ("a1, pck, b2", PERSON, r"(?s)2 problems:.*metrics: a1 is not known.*metrics: b2 is not known"),
         ("", PERSON, r"metrics: ''; expected default, all, or names with commas\."),
     ],
 )
-def test_metrics_that_can_t_be_given_are_refused_with_what_they_need(names: str, subject: Subject, words: str) -> None:
+def test_metrics_that_can_t_be_given_are_refused_with_what_they_need(names: str, spec: DataSpec, words: str) -> None:
     with pytest.raises(PoseDataError, match=words):
-        metrics_of(Protocol(metrics=names), subject)
+        metrics_of(Protocol(metrics=names), spec)
 
 
 @pytest.mark.parametrize("best", ["sequence", "batch:3"])
 def test_a_best_per_sequence_needs_sequences(best: str) -> None:
     with pytest.raises(PoseDataError, match=rf"best: {best} needs sequences\. Store a label sequence"):
-        known_metrics(Protocol(best=best), Subject(7, H36M, 0))
+        known_metrics(Protocol(best=best), DataSpec(7, H36M, 0))
 
 
 def test_a_velocity_per_second_needs_the_frames_per_second() -> None:
     with pytest.raises(PoseDataError, match=r"velocity: second needs the frames per second\. Store fps"):
-        known_metrics(Protocol(velocity="second"), Subject(7, H36M, 0, ("sequence",)))
+        known_metrics(Protocol(velocity="second"), DataSpec(7, H36M, 0, ("sequence",)))
 
 
 def test_a_mode_is_one_of_the_hypotheses() -> None:

@@ -195,7 +195,7 @@ def rank_law(
     seed: Seed = 0,
     draws: Annotated[int, typer.Option(help="Sets of hypotheses for each N.", min=1)] = 400_000,
 ) -> None:
-    """The bias of the paper's and the reference's curves at finite N, the table of posecal.calibration.floor."""
+    """The bias of the paper's and the reference's curves at finite N, the table of posecal.calibration.expected."""
     from toy.rank_law import write_table
 
     write_table(output, draws, seed)

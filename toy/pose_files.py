@@ -12,8 +12,8 @@ from typing import BinaryIO
 import numpy as np
 import numpy.typing as npt
 
+from posecal.data.write import write_file
 from posecal.errors import PoseFileError
-from posecal.writing import written_whole
 from toy.faults import Case, Fault
 
 __all__ = ["make_folder", "write_case"]
@@ -95,6 +95,6 @@ def write_case(folder: Path, case: Case, fault: Fault, N: int) -> tuple[npt.NDAr
             keypoints_2d=scene.keypoints.astype(np.float32),
         )
 
-    written_whole(folder / "hyps.npz", save_hypotheses)
-    written_whole(folder / "gt.npz", save_truth)
+    write_file(folder / "hyps.npz", save_hypotheses)
+    write_file(folder / "gt.npz", save_truth)
     return hypotheses, truth

@@ -19,8 +19,8 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from posecal.data.skeleton import Skeleton, joint_set
 from posecal.errors import PoseDataError
-from posecal.skeleton import Skeleton, joint_set
 from toy.posterior import Posterior
 
 __all__ = ["PoseWorld", "Posterior", "Scene"]

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from scipy.special import erf
 
-from posecal.arrays import FloatArray
 from posecal.calibration import LEVELS
+from posecal.data.arrays import FloatArray
 from toy.progress import bar
 
 SIZES = (*range(2, 21), 22, 25, 28, 32, 36, 40, 45, 50, 56, 64, 80, 100, 128, 160, 200, 256, 400, 700, 1000)

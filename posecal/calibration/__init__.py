@@ -6,7 +6,7 @@ curve; ``floor``: what a perfect sampler would show.
 
 from posecal.calibration.curve import CalibrationCurve, calibration_curve
 from posecal.calibration.error import OVER_JOINTS, OverJoints, coverage_at, ece, joint_ece, signed_area
-from posecal.calibration.floor import Floor, expected_curve, perfect_sampler
+from posecal.calibration.expected import Floor, expected_curve, perfect_sampler
 from posecal.calibration.ranks import DEFINITIONS, LEVELS, Definition
 
 __all__ = [

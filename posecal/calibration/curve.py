@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from posecal.arrays import BoolArray, FloatArray
-from posecal.block import Block
-from posecal.blocks import per_pose
 from posecal.calibration.ranks import LEVELS, Definition, inside, known_definition
+from posecal.data.arrays import BoolArray, FloatArray
+from posecal.engine.block import Block
+from posecal.engine.blocks import per_pose
 
 __all__ = ["CalibrationCurve", "calibration_curve", "inside_table", "joint_median"]
 

@@ -13,9 +13,9 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from posecal.arrays import FloatArray
 from posecal.calibration.curve import CalibrationCurve
 from posecal.calibration.ranks import LEVELS
+from posecal.data.arrays import FloatArray
 from posecal.errors import PoseDataError, did_you_mean
 
 __all__ = ["OVER_JOINTS", "OverJoints", "coverage_at", "ece", "joint_ece", "signed_area"]
@@ -80,7 +80,7 @@ def ece(curve: CalibrationCurve, over: OverJoints = "median") -> float:
 
     Notes
     -----
-    A perfect sampler shows more than 0 at finite M; see :func:`posecal.calibration.floor.perfect_sampler`.
+    A perfect sampler shows more than 0 at finite M; see :func:`posecal.calibration.expected.perfect_sampler`.
     Differs from the published code: none, given the same curves.
 
     References

@@ -18,7 +18,7 @@ n_less counts the hypotheses that lie nearer to the centre than the truth, n_equ
 If the truth and the hypotheses are exchangeable given the input (a perfect sampler), ``exchangeable`` has
 E ω(q) = q exactly, for every N, D, distribution and dependence between the hypotheses, ties included. ``paper``
 (the text of the publication) and ``reference`` (its released script) are biased at finite N, by rank
-discreteness and by a centre that only the hypotheses pull; see :mod:`posecal.calibration.floor`.
+discreteness and by a centre that only the hypotheses pull; see :mod:`posecal.calibration.expected`.
 
 References
 ----------
@@ -34,8 +34,8 @@ from typing import Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from posecal.arrays import BoolArray, FloatArray, squared_norms
-from posecal.block import Block
+from posecal.data.arrays import BoolArray, FloatArray, squared_norms
+from posecal.engine.block import Block
 from posecal.errors import PoseDataError, did_you_mean
 
 __all__ = [

@@ -39,7 +39,7 @@ def _say_version(asked: bool) -> None:
 @guarded
 def _explain(metric: str | None) -> None:
     if metric is not None:
-        from posecal.explanation import explain
+        from posecal.report.explain import explain
 
         with wrong_call():
             page = explain(metric)

@@ -27,7 +27,7 @@ from posecal.cli.options import (
 from posecal.cli.running import check_outputs, guarded, join_of, progress, protocol_of, read_pairs, say
 
 if TYPE_CHECKING:
-    from posecal.totals import Totals
+    from posecal.engine.totals import Totals
 
 __all__ = ["compare"]
 
@@ -64,10 +64,10 @@ def compare(
 ) -> None:
     """Compare models on the same poses: differences with intervals, p-values and ranks."""
     check_outputs(*files, plot=plot)
-    from posecal.comparison import compare as compare_totals
-    from posecal.results import is_result, load_totals
-    from posecal.sheets import comparison_sheet
-    from posecal.summation import add_up
+    from posecal.engine.accumulate import accumulate
+    from posecal.engine.storage import is_result, load_totals
+    from posecal.report.sheets import comparison_sheet
+    from posecal.stats.comparison import compare as compare_totals
 
     totals: list[Totals] = []
     if all(is_result(path) for path in files):
@@ -87,7 +87,7 @@ def compare(
             protocol = protocol.changed({"metrics": "default, scores"})
         for path, pairs in zip(models, models_of, strict=True):
             with progress(len(pairs.truth), path.name) as advance:
-                totals.append(add_up(pairs, protocol, threads=threads, progress=advance))
+                totals.append(accumulate(pairs, protocol, threads=threads, progress=advance))
     found = compare_totals(totals, names)
     if plot is not None:
         from posecal.plot import draw_comparison, save

@@ -51,7 +51,7 @@ def evaluate(
         option("all, a joint set, names with commas, or common: those in both files.", show_default="all"),
     ] = None,
     metrics: Metrics = None,
-    battery: Annotated[bool, option("Add the tests for what the ECE can't see.", "--battery")] = False,
+    battery: Annotated[bool, option("Add the tests for what the ECE can't see.", "--rank-tests")] = False,
     scores: Annotated[bool, option("Add the proper scores.", "--scores")] = False,
     skill: Annotated[
         str | None,
@@ -81,27 +81,27 @@ def evaluate(
     threads: Threads = None,
 ) -> None:
     """Evaluate hypotheses against the truth: accuracy, calibration and spread, each with its definition."""
-    from posecal.calibration.battery import load_prerank
-    from posecal.report import Report
-    from posecal.summation import add_up
+    from posecal.calibration.rank_tests import load_prerank
+    from posecal.engine.accumulate import accumulate
+    from posecal.report.report import Report
 
     reference = Path(skill) if skill not in {None, "climatology"} else None
     tests = [Path(entry.rpartition(":")[0]) for entry in prerank or []]
     check_outputs(hypotheses, truth, *filter(None, [reference]), *tests, save=save, plot=plot, html=html)
-    groups = [word for word, asked in (("battery", battery or prerank), ("scores", scores or skill)) if asked]
+    groups = [word for word, asked in (("rank_tests", battery or prerank), ("scores", scores or skill)) if asked]
     preranks = dict(load_prerank(entry) for entry in prerank or [])
     protocol = protocol_of(preset, options or [], where, joints, metrics, preranks)
     protocol = protocol.changed({"metrics": ", ".join([protocol.metrics, *groups])}) if groups else protocol
     how = join_of(axes, truth_axes, unit, truth_unit, joint_names, root_joint, missing, joints)
     pairs = read_pairs(hypotheses, truth, how, most)
     if skill is not None:
-        from posecal.reference import climatology, held_against
+        from posecal.stats.skill import climatology, with_reference
 
-        pairs = held_against(
+        pairs = with_reference(
             pairs, climatology(pairs) if reference is None else read_pairs(reference, truth, how, most)
         )
     with progress(len(pairs.truth)) as advance:
-        totals = add_up(pairs, protocol, by=by or (), preranks=preranks, threads=threads, progress=advance)
+        totals = accumulate(pairs, protocol, by=by or (), preranks=preranks, threads=threads, progress=advance)
     write_report(
         Report(totals, by or ()),
         form,
@@ -126,8 +126,8 @@ def report(
 ) -> None:
     """Write the report of a saved result, without the hypotheses."""
     check_outputs(result, plot=plot, html=html)
-    from posecal.report import Report
-    from posecal.results import load_totals
+    from posecal.engine.storage import load_totals
+    from posecal.report.report import Report
 
     found = Report(load_totals(result), by or ())
     write_report(found, form, joints=per_joint, definitions=definitions, plot=plot, html=html, name=result.name)
@@ -140,8 +140,8 @@ def merge(
 ) -> None:
     """Add the results of shards: the same numbers as one run, but for what depends on all poses of a run."""
     check_outputs(*results, output=output)
-    from posecal.results import load_totals, save_totals
-    from posecal.shards import merge_totals
+    from posecal.engine.merge import merge_totals
+    from posecal.engine.storage import load_totals, save_totals
 
     whole = merge_totals([load_totals(path) for path in results], [path.name for path in results])
     save_totals(whole, output)
@@ -151,7 +151,7 @@ def merge(
 @guarded
 def presets() -> None:
     """List the published protocols with every option that they set, and all options."""
-    from posecal.sheets import presets_sheet
+    from posecal.report.sheets import presets_sheet
 
     say(presets_sheet())
 

@@ -84,7 +84,7 @@ Most = Annotated[int | None, option("Take only the first so many hypotheses.", "
 By = Annotated[
     list[str] | None,
     option(
-        "Group by a label, such as action; spread: terciles of the predicted spread; sight: occluded and visible "
+        "Group by a label, such as action; spread: terciles of the predicted spread; occlusion: occluded and visible "
         "joints. Repeatable."
     ),
 ]

@@ -31,9 +31,9 @@ app = typer.Typer(no_args_is_help=True, help="Draw a saved result, or some poses
 
 def _draw(result: Path, kind: str, output: Path) -> None:
     check_outputs(result, plot=output)
+    from posecal.engine.storage import load_totals
     from posecal.plot import draw, save
-    from posecal.report import Report
-    from posecal.results import load_totals
+    from posecal.report.report import Report
 
     save(draw(Report(load_totals(result)), kind), output)
 
@@ -68,9 +68,9 @@ def correct(result: Result, output: Output) -> None:
 
 @app.command()
 @guarded
-def battery(result: Result, output: Output) -> None:
+def rank_tests(result: Result, output: Output) -> None:
     """What each test of the battery shows, beside what chance would."""
-    _draw(result, "battery", output)
+    _draw(result, "rank_tests", output)
 
 
 @app.command()

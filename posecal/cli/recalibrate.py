@@ -58,7 +58,7 @@ def fit(
     """Fit a recalibration on all poses; --split also says what it does to sequences it has not seen."""
     check_outputs(hypotheses, truth, output=output)
     from posecal.recalibration import cross_fitted, fit_radius, fit_spread, held_out_coverage, write_map
-    from posecal.sheets import radius_sheet, spread_sheet
+    from posecal.report.sheets import radius_sheet, spread_sheet
 
     if scaled and radius is None:
         raise typer.BadParameter("goes with --radius only.", param_hint="--scaled")
@@ -92,8 +92,8 @@ def apply(
     """Apply a fitted map: new hypotheses, or the centres and radii of balls."""
     how = join_of(axes, unit=unit, joint_names=joint_names, root_joint=root_joint)
     check_outputs(hypotheses, map_file, output=output)
-    from posecal.io import read_poses
-    from posecal.joining import alone
+    from posecal.data.match import alone
+    from posecal.data.read import read_poses
     from posecal.recalibration import apply_map, read_map
 
     map_ = read_map(map_file)

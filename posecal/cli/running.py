@@ -18,11 +18,11 @@ import typer
 from posecal.cli.options import Form, Missing, Where
 
 if TYPE_CHECKING:
-    from posecal.joining import Join
-    from posecal.pairs import PosePairs
-    from posecal.protocol import Protocol
-    from posecal.report import Format, Report
-    from posecal.tables import Sheet
+    from posecal.data.match import Declarations
+    from posecal.data.pose_data import PoseData
+    from posecal.engine.protocol import Protocol
+    from posecal.report.report import Format, Report
+    from posecal.report.tables import Sheet
 
 __all__ = [
     "check_outputs",
@@ -89,7 +89,7 @@ def check_outputs(*inputs: Path, **outputs: Path | None) -> None:
 
     The output ``plot`` must be a picture.
     """
-    from posecal.writing import check_writable
+    from posecal.data.write import check_writable
 
     taken = {path.resolve(): "read" for path in inputs}
     for kind, path in outputs.items():
@@ -115,21 +115,21 @@ def join_of(
     root_joint: str | None = None,
     missing: Missing = Missing.error,
     joints: str | None = None,
-) -> Join:
+) -> Declarations:
     """Give what the flags say of the files."""
-    from posecal.joining import Join
+    from posecal.data.match import Declarations
 
     shared: Literal["same", "common"] = "common" if joints == "common" else "same"
     with wrong_call():
-        return Join(axes, truth_axes, unit, truth_unit, joint_names, root_joint, missing.value, shared)
+        return Declarations(axes, truth_axes, unit, truth_unit, joint_names, root_joint, missing.value, shared)
 
 
-def read_pairs(hypotheses: Path, truth: Path, how: Join, most: int | None = None) -> PosePairs:
+def read_pairs(hypotheses: Path, truth: Path, how: Declarations, most: int | None = None) -> PoseData:
     """Open two files and join them."""
+    from posecal.data.match import join
+    from posecal.data.read import read_poses
+    from posecal.engine.storage import is_result
     from posecal.errors import PoseFileError
-    from posecal.io import read_poses
-    from posecal.joining import join
-    from posecal.results import is_result
 
     for path in (hypotheses, truth):
         if is_result(path):
@@ -150,8 +150,8 @@ def protocol_of(
     own: Collection[str] = (),
 ) -> Protocol:
     """Give the protocol of a preset, changed by options and flags; ``own`` are names of the user's own metrics."""
-    from posecal.protocol import Protocol
-    from posecal.protocol import preset as named
+    from posecal.engine.protocol import Protocol
+    from posecal.engine.protocol import preset as named
     from posecal.registry import check_names
 
     said = {}
@@ -193,13 +193,13 @@ def write_report(
 
         files.append(functools.partial(save_figure, draw(report, title=name), plot))
     if html is not None:
-        from posecal.html import as_html
-        from posecal.writing import written_whole
+        from posecal.data.write import write_file
+        from posecal.report.html import as_html
 
         page = as_html(report, name).encode()
-        files.append(functools.partial(written_whole, html, lambda file: file.write(page)))
+        files.append(functools.partial(write_file, html, lambda file: file.write(page)))
     if form is Form.text:
-        from posecal.sheets import report_sheet
+        from posecal.report.sheets import report_sheet
 
         text = _fitted(report_sheet(report, joints=joints, definitions=definitions))
     else:

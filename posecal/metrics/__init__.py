@@ -6,11 +6,11 @@ average them as you like. ``position``: the MPJPE family; ``velocity``: MPJVE; `
 wide spread is a sign of error.
 """
 
-from posecal.metrics.guide import rank_correlation, sparsification, sparsification_area
 from posecal.metrics.pck import auc, cps, pck
 from posecal.metrics.position import min_mpjpe, min_mpjpe_curve, mpjpe
 from posecal.metrics.proper import brier_score, crps, energy_score, variogram_score
-from posecal.metrics.spread import diversity, radius
+from posecal.metrics.sharpness import diversity, radius
+from posecal.metrics.uncertainty import rank_correlation, sparsification, sparsification_area
 from posecal.metrics.velocity import mpjve
 
 __all__ = [

@@ -12,7 +12,7 @@ from typing import Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from posecal.arrays import FloatArray
+from posecal.data.arrays import FloatArray
 
 __all__ = ["OF_ERRORS", "ROUND_SIZES", "OfErrors", "best_of", "curve_sizes", "subset_weights"]
 

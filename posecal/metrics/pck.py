@@ -17,11 +17,11 @@ from typing import Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from posecal.align import Alignment
-from posecal.arrays import BoolArray, FloatArray
-from posecal.block import Block
-from posecal.blocks import per_pose
+from posecal.data.arrays import BoolArray, FloatArray
+from posecal.engine.block import Block
+from posecal.engine.blocks import per_pose
 from posecal.errors import PoseDataError, did_you_mean
+from posecal.geometry.procrustes import Alignment
 from posecal.metrics.position import joint_errors, linked
 
 __all__ = [
@@ -114,7 +114,7 @@ def joint_score(
     select : str
         One of :data:`SELECTIONS`; ``own`` takes the best hypothesis at each threshold that the score adds up.
     align : str
-        See :mod:`posecal.align`.
+        See :mod:`posecal.geometry.procrustes`.
     joints : bool array (K,), optional
         The joints that are scored.
     body : bool array (K,), optional
@@ -224,7 +224,7 @@ def pck(
     strict : bool
         Whether a joint at the very threshold is wrong.
     where : bool array (M, K), optional
-        The joints that count; Human3.6M's PCK has 14 of 17 (:data:`posecal.skeleton.JOINT_SETS`).
+        The joints that count; Human3.6M's PCK has 14 of 17 (:data:`posecal.data.skeleton.JOINT_SETS`).
     root : int, optional
         The joint to subtract from every pose first.
 
@@ -340,7 +340,7 @@ def cps(
     hypotheses, truth, select, where, root
         As for :func:`pck`; Human3.6M's CPS has 16 of 17 joints, all but the spine.
     align : str
-        See :mod:`posecal.align`; Procrustes by default.
+        See :mod:`posecal.geometry.procrustes`; Procrustes by default.
 
     Returns
     -------

@@ -21,11 +21,11 @@ from typing import Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from posecal.align import Alignment, aligned_errors
-from posecal.arrays import BoolArray, FloatArray
-from posecal.block import Block
-from posecal.blocks import per_pose
+from posecal.data.arrays import BoolArray, FloatArray
+from posecal.engine.block import Block
+from posecal.engine.blocks import per_pose
 from posecal.errors import PoseDataError, did_you_mean
+from posecal.geometry.procrustes import Alignment, aligned_errors
 from posecal.metrics.best_of import OF_ERRORS, OfErrors, best_of, subset_weights
 
 __all__ = [
@@ -100,7 +100,7 @@ def joint_errors(
     block : Block
         B poses.
     align : str
-        How each pose is moved onto the truth first; see :mod:`posecal.align`.
+        How each pose is moved onto the truth first; see :mod:`posecal.geometry.procrustes`.
     of : str, optional
         One of :data:`OF_POSES`; each hypothesis by default.
     fit : bool array (K,), optional
@@ -198,7 +198,7 @@ def mpjpe(
         hypotheses: ``mean_pose``, ``median_pose`` or ``mode`` (the hypothesis of index ``mode``).
     align : str
         ``none``, ``similarity`` (PA-MPJPE), ``rigid``, ``reflection``, ``scale`` (N-MPJPE), ``norm_root`` or
-        ``rms_mean``; see :mod:`posecal.align`.
+        ``rms_mean``; see :mod:`posecal.geometry.procrustes`.
     where : bool array (M, K), optional
         The joints that count: those that the mean is over and, too, those that the alignment is fitted to.
     root : int, optional

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from posecal.arrays import BoolArray, FloatArray, checked, squared_norms
-from posecal.block import Block
-from posecal.blocks import per_pose
+from posecal.data.arrays import BoolArray, FloatArray, checked, squared_norms
+from posecal.engine.block import Block
+from posecal.engine.blocks import per_pose
 from posecal.errors import PoseDataError
 from posecal.metrics.position import OfPoses
 

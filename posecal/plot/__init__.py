@@ -13,12 +13,12 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from posecal.errors import PoseDataError, did_you_mean
-from posecal.plot.battery import deviation, draw_battery
-from posecal.plot.body import draw_poses, frames_of, poses, signed_areas, with_sign
 from posecal.plot.comparison import accuracy_and_calibration, draw_comparison
 from posecal.plot.curves import correct, drawn_definition, errors_by_n, event, guide, reliability
+from posecal.plot.rank_tests import deviation, draw_rank_tests
+from posecal.plot.skeletons import draw_poses, frames_of, poses, signed_areas, with_sign
 from posecal.plot.style import STYLE, check_suffix, figure_bytes, save
-from posecal.report import Report
+from posecal.report.report import Report
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,9 +31,9 @@ __all__ = [
     "correct",
     "deviation",
     "draw",
-    "draw_battery",
     "draw_comparison",
     "draw_poses",
+    "draw_rank_tests",
     "errors_by_n",
     "event",
     "figure_bytes",
@@ -78,8 +78,8 @@ def draw(report: Report, kind: str = "reliability", *, title: str | None = None)
     PoseDataError
         Where the report lacks what the picture shows.
     """
-    if kind == "battery":
-        return draw_battery(report)
+    if kind == "rank_tests":
+        return draw_rank_tests(report)
     if kind not in KINDS:
         raise PoseDataError(f"picture: {kind!r} is not known. {did_you_mean(kind, [*KINDS, 'battery'])}")
     import matplotlib as mpl
@@ -115,7 +115,7 @@ def _caption(kind: str, report: Report) -> str:
     if kind == "joints":
         return (
             "∫ (ω_k(q) − q) dq of each joint k, exchangeable definition, "
-            f"N={report.totals.subject.n_hypotheses}. A disc grows with the size of its joint's area."
+            f"N={report.totals.spec.n_hypotheses}. A disc grows with the size of its joint's area."
         )
     if kind == "errors":
         return f"{report.curve('errors_by_n')[0].definition}."

@@ -6,9 +6,9 @@ import math
 import textwrap
 from typing import TYPE_CHECKING
 
-from posecal.comparison import Comparison
 from posecal.errors import PoseDataError
 from posecal.plot.style import GREEN, INK, STYLE, given
+from posecal.stats.comparison import Comparison
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

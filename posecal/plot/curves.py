@@ -9,9 +9,9 @@ import numpy as np
 from posecal.calibration import DEFINITIONS, Definition
 from posecal.errors import PoseDataError
 from posecal.metrics.best_of import ROUND_SIZES
-from posecal.metrics.guide import DROPPED
+from posecal.metrics.uncertainty import DROPPED
 from posecal.plot.style import FAINT, INK, ORANGE, OVER, OVER_TEXT, UNDER, given
-from posecal.report import Report
+from posecal.report.report import Report
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,7 +57,7 @@ def reliability(
     ax.fill_between([0, 1], 0, [0, 1], color=OVER, alpha=0.11, lw=0, zorder=0)
     ax.text(0.04, 0.93, "underconfident", color=UNDER, va="top")
     ax.text(0.96, 0.07, "overconfident", color=OVER_TEXT, ha="right")
-    for joint, values in zip(report.totals.subject.joints, curve.coverage, strict=True):
+    for joint, values in zip(report.totals.spec.joints, curve.coverage, strict=True):
         if not np.isnan(values).any():
             ax.plot(curve.levels, values, color=FAINT, lw=0.8, zorder=1, gid=f"joint {joint}")
     band = report.null("ece", group).band if definition == "exchangeable" and "ece" in report.metrics else np.nan
@@ -88,7 +88,7 @@ def drawn_definition(report: Report) -> Definition:
     PoseDataError
         Where it holds none.
     """
-    if report.totals.subject.n_hypotheses < 2:
+    if report.totals.spec.n_hypotheses < 2:
         raise PoseDataError("reliability: calibration needs at least 2 hypotheses; there is 1.")
     held = [definition for definition in DEFINITIONS if f"inside_{definition}" in report.totals.sums]
     if not held:

@@ -10,8 +10,8 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from posecal.data.write import write_file
 from posecal.errors import PoseFileError
-from posecal.writing import written_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -87,7 +87,7 @@ def save(figure: Figure, path: str | os.PathLike[str]) -> None:
         For another ending, or where the file can't be written.
     """
     contents = figure_bytes(figure, check_suffix(path))
-    written_whole(path, lambda file: file.write(contents))
+    write_file(path, lambda file: file.write(contents))
 
 
 def figure_bytes(figure: Figure, suffix: str) -> bytes:

@@ -5,16 +5,16 @@ distance from the median that holds a share of the truths. Both are fitted on se
 judged on, and kept in small files (``maps``).
 """
 
+from posecal.recalibration.dispersion import FACTORS, RescaledHypotheses, SpreadMap, cross_fitted, fit_spread
 from posecal.recalibration.folds import folds_of
 from posecal.recalibration.maps import apply_map, read_map, write_map
 from posecal.recalibration.radius import RadiusMap, fit_radius, held_out_coverage
-from posecal.recalibration.spread import FACTORS, SpreadMap, Stretched, cross_fitted, fit_spread
 
 __all__ = [
     "FACTORS",
     "RadiusMap",
+    "RescaledHypotheses",
     "SpreadMap",
-    "Stretched",
     "apply_map",
     "cross_fitted",
     "fit_radius",

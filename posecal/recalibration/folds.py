@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from posecal.arrays import BoolArray, FloatArray
+from posecal.data.arrays import BoolArray, FloatArray
+from posecal.data.pose_data import PoseData, Rows
 from posecal.errors import PoseDataError
-from posecal.pairs import PosePairs, Rows
 
 __all__ = ["at_least_two", "folds_of", "for_joints", "moving", "sequences"]
 
 
-def folds_of(pairs: PosePairs, folds: int = 5) -> Rows:
+def folds_of(pairs: PoseData, folds: int = 5) -> Rows:
     """Give the part of each pose, (M,), cutting between sequences, the parts alike in poses.
 
     Poses without sequences are cut into runs of consecutive frames.
@@ -38,7 +38,7 @@ def folds_of(pairs: PosePairs, folds: int = 5) -> Rows:
     return of_name[place]
 
 
-def moving(pairs: PosePairs) -> BoolArray:
+def moving(pairs: PoseData) -> BoolArray:
     """Give the joints that are recalibrated, (K,): all but the root."""
     mask = np.ones(len(pairs.joints), dtype=bool)
     if pairs.root is not None:
@@ -60,12 +60,12 @@ def for_joints(names: tuple[str, ...], values: FloatArray, joints: tuple[str, ..
     return values[[names.index(joint) for joint in joints]]
 
 
-def sequences(pairs: PosePairs) -> int:
+def sequences(pairs: PoseData) -> int:
     """Give the number of labelled sequences."""
     return len(np.unique(pairs.labels["sequence"])) if "sequence" in pairs.labels else 0
 
 
-def at_least_two(pairs: PosePairs) -> None:
+def at_least_two(pairs: PoseData) -> None:
     """Refuse one hypothesis, which has no spread.
 
     Raises

@@ -16,18 +16,18 @@ import numpy as np
 import numpy.typing as npt
 
 import posecal
-from posecal.archive import Archive
-from posecal.arrays import FloatArray
-from posecal.block import Block
-from posecal.blocks import block_length
+from posecal.data.archive import Archive
+from posecal.data.arrays import FloatArray
+from posecal.data.pose_data import Hypotheses
+from posecal.data.write import write_file
+from posecal.engine.accumulate import WINDOW_BYTES
+from posecal.engine.block import Block
+from posecal.engine.blocks import block_length
 from posecal.errors import PoseFileError
-from posecal.metrics.spread import joint_deviations
-from posecal.pairs import Hypotheses
+from posecal.metrics.sharpness import joint_deviations
+from posecal.recalibration.dispersion import SpreadMap, stretched
 from posecal.recalibration.folds import for_joints
 from posecal.recalibration.radius import RadiusMap
-from posecal.recalibration.spread import SpreadMap, stretched
-from posecal.summation import WINDOW_BYTES
-from posecal.writing import written_whole
 
 __all__ = ["apply_map", "read_map", "write_map"]
 
@@ -53,7 +53,7 @@ def write_map(map_: Map, path: str | os.PathLike[str]) -> None:
         about |= {"kind": "radius", "alpha": map_.alpha, "unit": unit, "radii": _by_joint(map_.joints, map_.radii)}
     about["fitted_on"] = {"poses": map_.poses, "sequences": map_.sequences}
     text = json.dumps(about, indent=1, ensure_ascii=False) + "\n"
-    written_whole(path, lambda file: file.write(text.encode()))
+    write_file(path, lambda file: file.write(text.encode()))
 
 
 def _by_joint(joints: tuple[str, ...], values: FloatArray) -> dict[str, float | None]:
@@ -131,7 +131,7 @@ def apply_map(
     path : path
         An ``.npz`` file: ``hypotheses`` (M, N, K, D), or ``centre`` (M, K, D) and ``radius`` (M, K), mm.
     members : mapping of arrays
-        What else goes into the file: :attr:`posecal.pairs.Poses.beside`, say.
+        What else goes into the file: :attr:`posecal.data.pose_data.Poses.beside`, say.
     progress : callable, optional
         Called with the number of poses that are done.
 
@@ -170,7 +170,7 @@ def apply_map(
             for name, array in common.items():
                 archive.add(name, array)
 
-    written_whole(path, write)
+    write_file(path, write)
 
 
 def _balls(

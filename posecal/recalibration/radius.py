@@ -9,14 +9,14 @@ from functools import partial
 
 import numpy as np
 
-from posecal.arrays import FloatArray
-from posecal.block import Block
+from posecal.data.arrays import FloatArray
+from posecal.data.pose_data import PoseData
+from posecal.engine.accumulate import walk
+from posecal.engine.block import Block
+from posecal.engine.threads import run_in_order
 from posecal.errors import PoseDataError
-from posecal.metrics.spread import joint_deviations
-from posecal.pairs import PosePairs
+from posecal.metrics.sharpness import joint_deviations
 from posecal.recalibration.folds import at_least_two, folds_of, moving, sequences
-from posecal.summation import walk
-from posecal.threads import in_order
 
 __all__ = ["RadiusMap", "fit_radius", "held_out_coverage"]
 
@@ -47,7 +47,7 @@ class RadiusMap:
     sequences: int
 
 
-def _distances(pairs: PosePairs, *, scaled: bool, threads: int | None) -> FloatArray:
+def _distances(pairs: PoseData, *, scaled: bool, threads: int | None) -> FloatArray:
     """Distance of the truth from the median, (M, K), mm or predicted standard deviations; NaN for uncounted ones."""
     mask = moving(pairs)
 
@@ -59,7 +59,7 @@ def _distances(pairs: PosePairs, *, scaled: bool, threads: int | None) -> FloatA
                 found = found / joint_deviations(block)
         return np.where(block.where & mask, found, np.nan)
 
-    return np.concatenate(list(in_order((partial(measure, lay_out) for _, lay_out in walk(pairs)), threads)))
+    return np.concatenate(list(run_in_order((partial(measure, lay_out) for _, lay_out in walk(pairs)), threads)))
 
 
 def _radii(distances: FloatArray, alpha: float) -> FloatArray:
@@ -79,7 +79,7 @@ def _radii(distances: FloatArray, alpha: float) -> FloatArray:
     return radii
 
 
-def fit_radius(pairs: PosePairs, alpha: float = 0.1, *, scaled: bool = False, threads: int | None = None) -> RadiusMap:
+def fit_radius(pairs: PoseData, alpha: float = 0.1, *, scaled: bool = False, threads: int | None = None) -> RadiusMap:
     r"""Find the radius about the median that holds the truth of each joint in a share 1 - α of poses.
 
     .. math:: r_k = d_{(\lceil (n+1)(1-\alpha) \rceil)\,k}, \qquad
@@ -87,7 +87,7 @@ def fit_radius(pairs: PosePairs, alpha: float = 0.1, *, scaled: bool = False, th
 
     Parameters
     ----------
-    pairs : PosePairs
+    pairs : PoseData
         Hypotheses and truth, n poses.
     alpha : float
         The share of truths that may lie outside, between 0 and 1.
@@ -125,7 +125,7 @@ def fit_radius(pairs: PosePairs, alpha: float = 0.1, *, scaled: bool = False, th
 
 
 def held_out_coverage(
-    pairs: PosePairs, alpha: float = 0.1, *, scaled: bool = False, folds: int = 5, threads: int | None = None
+    pairs: PoseData, alpha: float = 0.1, *, scaled: bool = False, folds: int = 5, threads: int | None = None
 ) -> FloatArray:
     """Share of held-out truths inside the radius that was fitted on the other sequences, per joint.
 

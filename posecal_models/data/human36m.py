@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from posecal.data.skeleton import joint_set
 from posecal.errors import PoseDataError, PoseFileError
-from posecal.skeleton import joint_set
 from posecal_models.data.lifting_set import LiftingSet
 from posecal_models.data.npz import BROKEN, in_words
 from posecal_models.data.sizes import check_millimetres

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from posecal.data.skeleton import canonical_name
 from posecal.errors import PoseDataError, PoseFileError, first_few, raise_all
-from posecal.skeleton import canonical_name
 from posecal_models.data.npz import Members, flags_of, joint_names, labels, read_npz, real_numbers
 
 __all__ = ["Flags", "Floats", "KeypointSet", "Text"]

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from posecal.data.skeleton import canonical_name
+from posecal.data.units import millimetres_per
+from posecal.data.write import write_file
 from posecal.errors import PoseDataError, PoseFileError, raise_all
-from posecal.skeleton import canonical_name
-from posecal.units import millimetres_per
-from posecal.writing import written_whole
 from posecal_models.data.keypoint_set import Flags, Floats, KeypointSet, Text
 from posecal_models.data.npz import Members, flags_of, joint_names, labels, read_npz, stored_poses, word
 from posecal_models.data.sizes import check_millimetres
@@ -178,7 +178,7 @@ class LiftingSet:
             "keypoints_observed": seen.observed,
             **{name: getattr(self, name) for name in ("frame_id", "sequence", "subject", "action", "camera")},
         }
-        written_whole(path, lambda file: np.savez(file, **members))
+        write_file(path, lambda file: np.savez(file, **members))
 
     @classmethod
     def load(cls, path: str | Path) -> LiftingSet:

@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from posecal.data.skeleton import Skeleton, canonical_name
+from posecal.data.units import millimetres_per
 from posecal.errors import PoseDataError
-from posecal.skeleton import Skeleton, canonical_name
-from posecal.units import millimetres_per
 from posecal_models.data.cameras import cameras_around
 from posecal_models.data.lifting_set import LiftingSet
 from posecal_models.data.npz import joint_names, labels, read_npz, stored_poses, word

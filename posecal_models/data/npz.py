@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from posecal.data.layout import TRUTH, Layout, MemoryArray
+from posecal.data.skeleton import canonical_name
 from posecal.errors import PoseDataError, PoseFileError, first_few
-from posecal.layout import TRUTH, Layout, MemoryArray
-from posecal.skeleton import canonical_name
 
 __all__ = [
     "BROKEN",

@@ -15,8 +15,8 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from posecal.data.skeleton import joint_set
 from posecal.errors import PoseDataError, PoseFileError
-from posecal.skeleton import joint_set
 from posecal_models.data.lifting_set import LiftingSet
 from posecal_models.data.npz import real_numbers
 from posecal_models.data.pickles import read_pickle

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from posecal.data.checks import TINY, like_metres, size_of
 from posecal.errors import PoseDataError
-from posecal.sanity import TINY, like_metres, size_of
 
 __all__ = ["check_millimetres"]
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from posecal.skeleton import Skeleton, joint_set
+from posecal.data.skeleton import Skeleton, joint_set
 
 __all__ = ["synthetic_motion"]
 

@@ -5,7 +5,7 @@ Run from a checkout: ``python -m tests.benchmarks.level --replicates 1000``. Pri
 Ranks of the truth are simulated directly. Each joint's is uniform and follows an AR(1) process from frame to frame
 (a Gaussian copula); the joints of a frame share a common factor. A spread that is wrong by a factor moves the ranks
 as it moves those of isotropic Gaussians in three dimensions. What is judged is posecal's own
-:func:`posecal.inference.sign_flips`, on sums over sequences, and beside it the tests that everybody uses and that
+:func:`posecal.stats.resampling.sign_flips`, on sums over sequences, and beside it the tests that everybody uses and that
 take every frame for a draw of its own.
 """
 
@@ -22,7 +22,7 @@ import numpy.typing as npt
 from scipy import signal, special, stats
 
 from posecal.calibration import LEVELS
-from posecal.inference import Deviation, sign_flips
+from posecal.stats.resampling import Deviation, sign_flips
 
 __all__ = ["DESIGNS", "Design", "Rates", "independent_tests", "interval", "ranks", "rejection_rates"]
 

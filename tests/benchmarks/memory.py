@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from posecal.archive import Archive
-from posecal.skeleton import JOINT_SETS, Skeleton
+from posecal.data.archive import Archive
+from posecal.data.skeleton import JOINT_SETS, Skeleton
 
 N, K = 200, 17
 KINDS = ("NMKD", "MNKD", "compressed")

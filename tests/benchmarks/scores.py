@@ -17,12 +17,12 @@ from functools import partial
 import numpy as np
 from scipy.spatial.distance import cdist, pdist
 
-from posecal.arrays import FloatArray
-from posecal.block import Block
-from posecal.blocks import blocks_of
 from posecal.calibration import LEVELS
-from posecal.inference import Deviation, sign_flips
+from posecal.data.arrays import FloatArray
+from posecal.engine.block import Block
+from posecal.engine.blocks import iter_blocks
 from posecal.metrics.proper import fair_brier, joint_crps, joint_energies, variograms
+from posecal.stats.resampling import Deviation, sign_flips
 
 SCORES: dict[str, Callable[[Block], FloatArray]] = {
     "energy score, whole pose and each joint": joint_energies,
@@ -69,11 +69,11 @@ def main() -> None:
     print(f"N=200, M={asked.poses:,}, K=16, float32; NumPy {np.__version__}, one thread\n")
     print("| | s |\n|---|---:|")
     few = slice(0, min(100, asked.poses))
-    ours = np.concatenate([joint_energies(lay_out()) for lay_out in blocks_of(x[:, few], y[few])])
+    ours = np.concatenate([joint_energies(lay_out()) for lay_out in iter_blocks(x[:, few], y[few])])
     np.testing.assert_allclose(ours, energies_by_pdist(x[:, few], y[few]), rtol=1e-4)
 
     def measure(*scores: Callable[[Block], FloatArray]) -> None:
-        for block in (lay_out() for lay_out in blocks_of(x, y)):
+        for block in (lay_out() for lay_out in iter_blocks(x, y)):
             for score in scores:
                 score(block)
 

@@ -15,20 +15,20 @@ from collections.abc import Callable
 
 import numpy as np
 
-from posecal.align import aligned_errors
-from posecal.arrays import FloatArray
-from posecal.block import Block
-from posecal.blocks import blocks_of
 from posecal.calibration import DEFINITIONS, LEVELS
 from posecal.calibration.ranks import inside
-from posecal.joining import join
-from posecal.layout import MemoryArray
+from posecal.data.arrays import FloatArray
+from posecal.data.layout import MemoryArray
+from posecal.data.match import join
+from posecal.data.pose_data import StoredPoses
+from posecal.engine.accumulate import accumulate
+from posecal.engine.block import Block
+from posecal.engine.blocks import iter_blocks
+from posecal.engine.protocol import Protocol
+from posecal.engine.threads import available_cores, run_in_order
+from posecal.geometry.procrustes import aligned_errors
 from posecal.metrics.pck import correct_joints
 from posecal.metrics.position import pose_errors
-from posecal.pairs import Poses
-from posecal.protocol import Protocol
-from posecal.summation import add_up
-from posecal.threads import available_cores, in_order
 
 
 def plain_errors(x: FloatArray, y: FloatArray) -> tuple[FloatArray, ...]:
@@ -67,7 +67,7 @@ def fast_errors(x: FloatArray, y: FloatArray, threads: int) -> tuple[FloatArray,
             *(inside(block, d).sum(axis=0) for d in DEFINITIONS),
         )
 
-    parts = list(in_order((lambda b=b: measure(b) for b in blocks_of(x, y)), threads))
+    parts = list(run_in_order((lambda b=b: measure(b) for b in iter_blocks(x, y)), threads))
     poses = [np.concatenate([part[i] for part in parts]) for i in range(2)]
     return *poses, *(sum(part[i] for part in parts) / len(y) for i in range(2, 5))
 
@@ -94,7 +94,7 @@ def fast_procrustes(x: FloatArray, y: FloatArray, threads: int) -> FloatArray:
         errors = aligned_errors(block.offsets, block.truth, block.weights(), "similarity")
         return errors.mean(axis=1).T
 
-    return np.concatenate(list(in_order((lambda b=b: measure(b) for b in blocks_of(x, y)), threads)), axis=1)
+    return np.concatenate(list(run_in_order((lambda b=b: measure(b) for b in iter_blocks(x, y)), threads)), axis=1)
 
 
 def seconds(run: Callable[[], object], times: int) -> float:
@@ -141,8 +141,8 @@ def main() -> None:
         ours = seconds(lambda threads=threads: fast_procrustes(x, y, threads), asked.times)
         row(f"Procrustes, blocks, {threads} thread(s)", ours, svd_time, "faster than SVD")
 
-    ours = Poses("hypotheses", MemoryArray(x), axes="NMKD", unit="mm")
-    pairs = join(ours, Poses("truth", MemoryArray(y), axes="MKD", unit="mm"))
+    ours = StoredPoses("hypotheses", MemoryArray(x), axes="NMKD", unit="mm")
+    pairs = join(ours, StoredPoses("truth", MemoryArray(y), axes="MKD", unit="mm"))
     families = {
         "position": "min_mpjpe, mpjpe, mean_pose_mpjpe",
         "Procrustes": "pa_min_mpjpe, cps",
@@ -154,7 +154,7 @@ def main() -> None:
     for name, metrics in families.items():
         for threads in (1,) if metrics != "default" else dict.fromkeys((1, cores)):
             protocol = Protocol(metrics=metrics)
-            time_ = seconds(lambda p=protocol, t=threads: add_up(pairs, p, threads=t), asked.times)
+            time_ = seconds(lambda p=protocol, t=threads: accumulate(pairs, p, threads=t), asked.times)
             print(
                 f"{f'{name}, {threads} thread(s)':58} {time_ * 1e3:9.1f} ms   {time_ / copy:6.1f} × the time of copying"
             )

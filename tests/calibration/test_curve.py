@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from posecal.block import Block
 from posecal.calibration import DEFINITIONS, LEVELS, CalibrationCurve, Definition, calibration_curve
 from posecal.calibration.curve import inside_table
+from posecal.engine.block import Block
 from posecal.errors import PoseDataError
-from tests import oracles
-from tests.drawn import Array, Mask, mostly, skewed
+from tests.helpers import oracles
+from tests.helpers.random_worlds import Array, Mask, mostly, skewed
 
 N, M, K = 6, 17, 4
 
@@ -64,7 +64,7 @@ def test_curves_do_not_depend_on_the_blocks(
     arrays: tuple[Array, Array], where: Mask, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = calibration_curve(*arrays, where=where)
-    monkeypatch.setattr("posecal.blocks.BLOCK_BYTES", 1)
+    monkeypatch.setattr("posecal.engine.blocks.BLOCK_BYTES", 1)
     np.testing.assert_array_equal(calibration_curve(*arrays, where=where).coverage, whole.coverage)
 
 

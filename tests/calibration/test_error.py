@@ -20,9 +20,9 @@ from posecal.calibration import (
     joint_ece,
     signed_area,
 )
-from posecal.calibration.table import curve_of, summary
+from posecal.calibration.entries import curve_of, summary
 from posecal.errors import PoseDataError
-from tests import oracles
+from tests.helpers import oracles
 
 Array = npt.NDArray[np.floating]
 
@@ -109,7 +109,9 @@ def test_where_nothing_counts_there_is_no_number(over: OverJoints) -> None:
 # --- published numbers -----------------------------------------------------------------------------------------------
 
 
-PUBLISHED = json.loads((Path(__file__).parents[1] / "data" / "published_calibration_curves.json").read_text())["curves"]
+PUBLISHED = json.loads((Path(__file__).parents[1] / "fixtures" / "published_calibration_curves.json").read_text())[
+    "curves"
+]
 
 
 @pytest.mark.parametrize(

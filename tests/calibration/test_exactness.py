@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from posecal.block import Block
 from posecal.calibration import LEVELS, CalibrationCurve, calibration_curve, ece, signed_area
 from posecal.calibration.ranks import nearness
+from posecal.engine.block import Block
 
 Array = npt.NDArray[np.floating]
 Pool = Callable[[np.random.Generator, int, int, int], Array]

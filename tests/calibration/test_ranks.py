@@ -12,12 +12,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posecal.block import Block
 from posecal.calibration import DEFINITIONS, LEVELS, Definition, calibration_curve
 from posecal.calibration.ranks import inside, known_definition, nearness
+from posecal.engine.block import Block
 from posecal.errors import PoseDataError
-from tests import oracles
-from tests.drawn import skewed
+from tests.helpers import oracles
+from tests.helpers.random_worlds import skewed
 
 Array = npt.NDArray[np.floating]
 

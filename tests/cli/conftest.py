@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import posecal
-from tests.cli.shell import gt_members, hyps_members
+from tests.helpers.shell import gt_members, hyps_members
 
 
 @pytest.fixture(scope="session")

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.cli.shell import Array, done, frame_ids, gt_members, hypotheses, hyps_members, refused
-from tests.reports import world
+from tests.helpers.reports import world
+from tests.helpers.shell import Array, done, frame_ids, gt_members, hypotheses, hyps_members, refused
 
 
 def with_hyps(**members: Any) -> None:

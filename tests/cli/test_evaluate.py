@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import posecal
-from posecal.protocol import Protocol
-from tests.cli.shell import EVALUATE, JOINTS, done, hypotheses, hyps_members, refused, rows, run
-from tests.reports import world
+from posecal.engine.protocol import Protocol
+from tests.helpers.reports import world
+from tests.helpers.shell import EVALUATE, JOINTS, done, hypotheses, hyps_members, refused, rows, run
 
 
 def test_evaluate_writes_the_report_to_stdout_and_remarks_to_stderr() -> None:
@@ -22,8 +22,8 @@ def test_evaluate_writes_the_report_to_stdout_and_remarks_to_stderr() -> None:
 
 @pytest.mark.parametrize("form", ["markdown", "csv", "json"])
 def test_other_formats_are_those_of_the_report(form: Any) -> None:
-    text = done("evaluate", "hyps.npz", "gt.npz", "--format", form, "--by", "action", "--by", "sight")
-    assert text == posecal.evaluate("hyps.npz", "gt.npz", by=["action", "sight"]).render(form) + "\n"
+    text = done("evaluate", "hyps.npz", "gt.npz", "--format", form, "--by", "action", "--by", "occlusion")
+    assert text == posecal.evaluate("hyps.npz", "gt.npz", by=["action", "occlusion"]).render(form) + "\n"
 
 
 def test_options_reach_the_protocol() -> None:
@@ -100,11 +100,11 @@ def test_files_may_have_odd_names(name: str) -> None:
     assert refused("evaluate", "--", name, "gt.npz") == f"posecal: {name}: no such file."
 
 
-@pytest.mark.parametrize("by", ["sequence", "action", "spread", "spread:2", "spread=25,30", "sight"])
+@pytest.mark.parametrize("by", ["sequence", "action", "spread", "spread:2", "spread=25,30", "occlusion"])
 def test_poses_are_grouped_by_any_label_and_by_spread_and_sight(by: str) -> None:
     text = done(*EVALUATE, "--metrics=min_mpjpe", "--format=json", "--by", by)
     groups = {group for _, group, _ in rows(text) if group is not None}
-    counts = {"sequence": 12, "action": 3, "spread": 3, "spread:2": 2, "spread=25,30": 3, "sight": 2}
+    counts = {"sequence": 12, "action": 3, "spread": 3, "spread:2": 2, "spread=25,30": 3, "occlusion": 2}
     assert len(groups) == counts[by]
     assert {group.partition("=")[0] for group in groups} == {by.replace("=", ":")}
 
@@ -117,7 +117,7 @@ def test_a_flag_that_is_given_wins_over_the_preset() -> None:
 
 
 def test_a_group_shows_metrics_that_the_whole_does_not() -> None:
-    assert "MPJPE" in done(*EVALUATE, "--metrics=mpjpe", "--by=sight")
+    assert "MPJPE" in done(*EVALUATE, "--metrics=mpjpe", "--by=occlusion")
 
 
 def test_a_saved_result_in_the_place_of_poses_is_refused_with_what_takes_it() -> None:

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import posecal
-from posecal.protocol import Protocol
-from posecal.report import Report
-from posecal.results import load_totals
-from tests.cli.shell import EVALUATE, N, done, frame_ids, gt_members, hyps_members, rows, run
+from posecal.engine.protocol import Protocol
+from posecal.engine.storage import load_totals
+from posecal.report.report import Report
+from tests.helpers.shell import EVALUATE, N, done, frame_ids, gt_members, hyps_members, rows, run
 
 
 def test_save_plot_and_html_write_these_files_and_no_others() -> None:

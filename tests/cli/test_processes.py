@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.cli.shell import EVALUATE, ROOT, done, spawned
+from tests.helpers.shell import EVALUATE, ROOT, done, spawned
 
 
 def test_the_module_is_the_command(files: Path) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 import posecal
-from tests.cli.shell import EVALUATE, done, refused, run
+from tests.helpers.shell import EVALUATE, done, refused, run
 
 
 @pytest.mark.parametrize(

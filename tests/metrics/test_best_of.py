@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from posecal.metrics.best_of import OF_ERRORS, ROUND_SIZES, OfErrors, best_of, curve_sizes, subset_weights
-from tests import oracles
+from tests.helpers import oracles
 
 
 @pytest.mark.parametrize("of", OF_ERRORS)

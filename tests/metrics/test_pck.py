@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posecal.align import Alignment
-from posecal.block import Block
+from posecal.engine.block import Block
 from posecal.errors import PoseDataError
+from posecal.geometry.procrustes import Alignment
 from posecal.metrics import auc, cps, pck
 from posecal.metrics.pck import (
     SELECTIONS,
@@ -23,8 +23,8 @@ from posecal.metrics.pck import (
     joint_score,
     pose_score,
 )
-from tests import oracles
-from tests.drawn import Array, Mask, mostly, skewed
+from tests.helpers import oracles
+from tests.helpers.random_worlds import Array, Mask, mostly, skewed
 
 N, M, K = 4, 9, 5
 

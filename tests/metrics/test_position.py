@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posecal.align import ALIGNMENTS, Alignment
-from posecal.block import Block
+from posecal.engine.block import Block
 from posecal.errors import PoseDataError
+from posecal.geometry.procrustes import ALIGNMENTS, Alignment
 from posecal.metrics import min_mpjpe, min_mpjpe_curve, mpjpe
 from posecal.metrics.position import OfPoses, joint_errors, linked, pose_errors, pose_of
-from tests import oracles
-from tests.drawn import Array, Mask, mostly, skewed
+from tests.helpers import oracles
+from tests.helpers.random_worlds import Array, Mask, mostly, skewed
 
 N, M, K = 6, 11, 5
 OF_ERRORS = ("min", "mean", "median", "worst")

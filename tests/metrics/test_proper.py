@@ -10,7 +10,7 @@ import scoringrules as sr
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posecal.block import Block
+from posecal.engine.block import Block
 from posecal.errors import PoseDataError
 from posecal.metrics.proper import (
     STRIP,
@@ -20,9 +20,9 @@ from posecal.metrics.proper import (
     joint_energies,
     variogram_score,
 )
-from posecal.metrics.score_table import reliability_of_counts
-from tests.drawn import skewed
-from tests.score_oracles import isotonic, near_median
+from posecal.metrics.proper_entries import reliability_of_counts
+from tests.helpers.random_worlds import skewed
+from tests.helpers.score_oracles import isotonic, near_median
 
 Array = np.ndarray
 SCORES: dict[str, Callable[..., Array]] = {

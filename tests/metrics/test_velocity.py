@@ -9,8 +9,8 @@ import pytest
 
 from posecal.errors import PoseDataError
 from posecal.metrics import mpjve
-from tests import oracles
-from tests.drawn import Array, Mask, mostly, skewed
+from tests.helpers import oracles
+from tests.helpers.random_worlds import Array, Mask, mostly, skewed
 
 N, M, K = 6, 11, 5
 SEQUENCE = ["a"] * 4 + ["b"] + ["c"] * 4 + ["a"] * 2
@@ -52,7 +52,7 @@ def test_velocities_do_not_depend_on_the_blocks(
     x, y = arrays
     x[:, ~where], y[~where] = np.nan, np.nan
     whole = mpjve(x, y, sequence=SEQUENCE, where=where)
-    monkeypatch.setattr("posecal.blocks.BLOCK_BYTES", length * N * K * 3 * 8)
+    monkeypatch.setattr("posecal.engine.blocks.BLOCK_BYTES", length * N * K * 3 * 8)
     np.testing.assert_allclose(mpjve(x, y, sequence=SEQUENCE, where=where), whole)
 
 

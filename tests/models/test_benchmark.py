@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import torch
 
+from posecal.engine.storage import load_totals
 from posecal.errors import PoseDataError
-from posecal.report import Report
-from posecal.results import load_totals
+from posecal.report.report import Report
 from posecal_models import benchmark
 from posecal_models.benchmark_report import run_benchmark
 from posecal_models.cgnf.flow import SIZES

@@ -1,4 +1,4 @@
-"""The cGNF against numbers of the released code, in every scenario (tests/data/reference_models/README.md)."""
+"""The cGNF against numbers of the released code, in every scenario (tests/fixtures/reference_models/README.md)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from posecal_models.data.standardizer import Standardizer
 from posecal_models.graph import human36m_graph
 from tests.models.some_flows import below_a_hip
 
-FOLDER = Path(__file__).parents[1] / "data" / "reference_models"
+FOLDER = Path(__file__).parents[1] / "fixtures" / "reference_models"
 TINY = FlowSize(blocks=2, hidden=8, context=4, embedding=16)
 SCENARIOS = ("full", "part", "none", "prior", "part_root")
 PRECISIONS = [(torch.float64, "_f64", 1e-10), (torch.float32, "", 5e-5)]

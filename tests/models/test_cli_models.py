@@ -229,7 +229,7 @@ def test_ctrl_c_exits_with_130_and_leaves_a_checkpoint_that_is_whole(folder):
 def test_converting_a_released_checkpoint_lists_what_it_holds_in_vain(tmp_path):
     import torch
 
-    with np.load(ROOT / "tests" / "data" / "reference_models" / "tiny_state.npz") as file:
+    with np.load(ROOT / "tests" / "fixtures" / "reference_models" / "tiny_state.npz") as file:
         torch.save({name: torch.from_numpy(file[name]) for name in file.files}, tmp_path / "model.pt")
     done = posecal_models("convert", "model.pt", "-o", "w.safetensors", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

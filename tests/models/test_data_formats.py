@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import torch
 
+from posecal.data.skeleton import joint_set
 from posecal.errors import PoseDataError, PoseFileError
-from posecal.skeleton import joint_set
 from posecal_models.contract import Context
 from posecal_models.data.cameras import Camera, read_cameras
 from posecal_models.data.human36m import read_human36m

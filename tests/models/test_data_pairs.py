@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
+from posecal.data.skeleton import joint_set
 from posecal.errors import PoseDataError, PoseFileError
-from posecal.skeleton import joint_set
 from posecal_models.contract import Context
 from posecal_models.data.keypoint_set import KeypointSet
 from posecal_models.data.lifting_set import LiftingSet

@@ -1,4 +1,4 @@
-"""SimpleBaseline against numbers of the public PyTorch code (tests/data/reference_models/README.md)."""
+"""SimpleBaseline against numbers of the public PyTorch code (tests/fixtures/reference_models/README.md)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from posecal_models.contract import Context, PointEstimate
 from posecal_models.objectives import SquaredError
 from posecal_models.simple_baseline import SimpleBaseline, from_public
 
-FOLDER = Path(__file__).parents[1] / "data" / "reference_models"
+FOLDER = Path(__file__).parents[1] / "fixtures" / "reference_models"
 SIXTEEN = tuple(f"joint {k}" for k in range(16))
 
 

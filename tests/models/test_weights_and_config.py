@@ -36,7 +36,7 @@ from posecal_models.simple_baseline import SimpleBaseline
 from tests.models.some_flows import below_a_hip
 
 ROOT = Path(__file__).parents[2]
-REFERENCE = Path(__file__).parents[1] / "data" / "reference_models"
+REFERENCE = Path(__file__).parents[1] / "fixtures" / "reference_models"
 
 
 def estimators():

@@ -7,10 +7,10 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from posecal.comparison import Comparison, compare
 from posecal.errors import PoseDataError
 from posecal.plot import accuracy_and_calibration, draw_comparison
-from tests.reports import report_of
+from posecal.stats.comparison import Comparison, compare
+from tests.helpers.reports import report_of
 
 NAMES = ["right", "narrow"]
 

@@ -15,8 +15,8 @@ from posecal.demo import sample
 from posecal.errors import PoseDataError
 from posecal.plot import correct, errors_by_n, reliability, signed_areas
 from posecal.plot.curves import drawn_definition
-from posecal.report import Report
-from tests.reports import N, report_of, unlabelled, world
+from posecal.report.report import Report
+from tests.helpers.reports import N, report_of, unlabelled, world
 
 DRAWERS = [reliability, errors_by_n, correct, signed_areas]
 

@@ -10,7 +10,7 @@ import posecal
 from posecal.demo import sample
 from posecal.errors import PoseDataError, PoseFileError
 from posecal.plot import check_suffix, draw, figure_bytes, save
-from tests.reports import report_of, unlabelled, world
+from tests.helpers.reports import report_of, unlabelled, world
 
 STARTS = {".svg": b"<?xml", ".png": b"\x89PNG\r\n", ".pdf": b"%PDF-"}
 KINDS = ("reliability", "joints", "errors", "correct")
@@ -94,7 +94,7 @@ def test_an_unknown_picture_is_refused_with_the_nearest() -> None:
         ("correct", r"^curve: the report has no pck_curve; it is among the default metrics\.$"),
         ("guide", r"^sparsification: the report kept no spreads and errors; they are among the default metrics\.$"),
         ("event", r"^event: the report has no Brier score\. Evaluate with --scores\.$"),
-        ("battery", r"^battery: the report has none\. Evaluate with --battery\.$"),
+        ("rank_tests", r"^battery: the report has none\. Evaluate with --rank-tests\.$"),
     ],
 )
 def test_what_a_picture_lacks_is_said_with_what_to_ask_for(kind: str, words: str) -> None:

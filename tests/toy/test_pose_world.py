@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
+from posecal.data.skeleton import JOINT_SETS, Skeleton
 from posecal.errors import PoseDataError
-from posecal.skeleton import JOINT_SETS, Skeleton
 from toy import best_of
 from toy.pose_world import PoseWorld
 

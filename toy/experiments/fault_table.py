@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.distance import pdist
 
-from posecal.calibration.battery import BATTERY
+from posecal.calibration.rank_tests import RANK_TESTS
+from posecal.data.layout import MemoryArray
+from posecal.data.match import join
+from posecal.data.pose_data import StoredPoses
+from posecal.engine.accumulate import accumulate
+from posecal.engine.protocol import Protocol
 from posecal.errors import PoseDataError
-from posecal.joining import join
-from posecal.layout import MemoryArray
-from posecal.pairs import Poses
-from posecal.protocol import Protocol
-from posecal.report import Report
-from posecal.summation import add_up
+from posecal.report.report import Report
 from toy.faults import FAULTS, Case
 from toy.pose_world import PoseWorld
 from toy.progress import bar
@@ -25,7 +25,7 @@ __all__ = ["COLUMNS", "LEVEL", "Found", "evaluate_faults", "fault_table"]
 LEVEL = 1e-3
 """p-values, each by itself, below this count as seen."""
 
-COLUMNS = ("ece", "ece_mean", *(test.name for test in BATTERY))
+COLUMNS = ("ece", "ece_mean", *(test.name for test in RANK_TESTS))
 """The columns: calibration errors, each mean |ω(q) − q|."""
 
 
@@ -98,10 +98,10 @@ def evaluate_faults(
         hypotheses, truth = fault.apply(case, N)
         labels = {"sequence": np.arange(M).astype(np.str_)}
         pairs = join(
-            Poses("hypotheses", MemoryArray(hypotheses), axes="NMKD", unit="mm", joints=world.joints),
-            Poses("truth", MemoryArray(truth), axes="MKD", unit="mm", joints=world.joints, labels=labels),
+            StoredPoses("hypotheses", MemoryArray(hypotheses), axes="NMKD", unit="mm", joints=world.joints),
+            StoredPoses("truth", MemoryArray(truth), axes="MKD", unit="mm", joints=world.joints, labels=labels),
         )
-        totals = add_up(pairs, Protocol(metrics=f"{', '.join(COLUMNS)}, energy_score"))
+        totals = accumulate(pairs, Protocol(metrics=f"{', '.join(COLUMNS)}, energy_score"))
         deviations = (truth - case.posterior.mean).reshape(M, -1)  # of one law in this world, whatever the pose
         found[fault.name] = Found(Report(totals), float(pdist(deviations).mean() / 2))
     return found

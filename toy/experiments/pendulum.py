@@ -7,7 +7,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from posecal.writing import written_whole
+from posecal.data.write import write_file
 from toy import body_pictures
 from toy.experiments.result import Result
 from toy.pendulum import simulate
@@ -39,7 +39,7 @@ def run(rng: np.random.Generator, data: Path, *, pendulums: int = 50, timesteps:
     def save(file: BinaryIO) -> None:
         np.savez(file, time=found.time, positions=found.positions, observed=found.observed, energy=found.energy)
 
-    written_whole(data, save)
+    write_file(data, save)
     noise = (found.observed - found.positions[:, :, 1:]).std()
     rods = np.linalg.norm(np.diff(found.positions, axis=2), axis=-1)
     text = [

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.calibration import calibration_curve, ece
+from posecal.data.skeleton import Skeleton, canonical_name
 from posecal.metrics import min_mpjpe
-from posecal.skeleton import Skeleton, canonical_name
 from toy import body_pictures
 from toy.experiments.result import Result
 from toy.faults import Case, Fault

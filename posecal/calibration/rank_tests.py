@@ -1,0 +1,324 @@
+"""What can the calibration curve not see? A battery of ranks, each blind to something else.
+
+A distance from the centre knows nothing of direction, side, shape or of how joints move together. Each test here
+ranks the truth among the N + 1 pooled points by another number, a *pre-rank*; if the truth and the hypotheses are
+exchangeable, its rank is uniform for every one of them, whatever the distribution. The weights are those of the
+exchangeable definition (:mod:`posecal.calibration.ranks`), so that E ω(q) = q exactly.
+
+A model that ignores the image and samples from the prior passes every calibration test; only a score or the
+sharpness tells.
+
+References
+----------
+Gneiting et al., Test 17, 211 (2008), doi:10.1007/s11749-008-0114-x (multivariate ranks); Thorarinsdottir, Scheuerer
+and Heinz, J. Comput. Graph. Stat. 25, 105 (2016), arXiv:1307.5250 (average rank, band depth); Lemos et al.,
+arXiv:2302.03026 (TARP).
+"""
+
+from __future__ import annotations
+
+import runpy
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from posecal.calibration.ranks import rank_weights, shared_ranks
+from posecal.data.arrays import BoolArray, FloatArray, squared_norms
+from posecal.engine.block import Block
+from posecal.errors import PoseDataError
+
+__all__ = [
+    "NEEDS_COORDINATE_RANGE",
+    "RANK_TESTS",
+    "PreRank",
+    "Test",
+    "coordinate_weights",
+    "load_prerank",
+    "user_weights",
+    "weights_of_ranks",
+]
+
+PreRank = Callable[[FloatArray], npt.ArrayLike]
+"""A user's own pre-rank: from a pool of poses (N + 1, K, D), the truth last, to a number each, (N + 1,)."""
+
+SHRINKAGE = 0.1
+"""Share of the pooled covariance that is shrunk to its diagonal."""
+
+
+class Pool(NamedTuple):
+    """The hypotheses of B poses and, among them, the truth.
+
+    Attributes
+    ----------
+    points : array (B, J, D, N + 1)
+        Relative to the truth, which is the last point, mm, in double; 0 for joints that don't count.
+    truth : array (B, J, D)
+        The true poses, mm; NaN for joints that don't count.
+    low, high : arrays (B, J, D)
+        The range of the true poses of the other sequences that are evaluated together, mm.
+    """
+
+    points: FloatArray
+    truth: FloatArray
+    low: FloatArray
+    high: FloatArray
+
+    @classmethod
+    def of(cls, block: Block, joints: BoolArray) -> Pool:
+        """Take some joints of a block."""
+        offsets, counted = block.offsets[:, joints], block.where[:, joints]
+        zero = np.zeros((*offsets.shape[:-1], 1))
+        truth = np.where(counted[..., None], block.truth[:, joints], np.nan)
+        low, high = (ends[:, joints].astype(np.float64) for ends in block.range_of_others)
+        points = np.concatenate([offsets, zero], axis=-1, dtype=np.float64)
+        return cls(points, truth.astype(np.float64), low, high)
+
+
+def weights_of_ranks(prerank: FloatArray) -> FloatArray:
+    """How far inside each level the truth's rank lies.
+
+    Parameters
+    ----------
+    prerank : array (..., N + 1)
+        A number of each pooled point; the last is the truth's.
+
+    Returns
+    -------
+    array (..., Q)
+        As :func:`posecal.calibration.ranks.rank_weights` gives them.
+    """
+    others, truth = prerank[..., :-1], prerank[..., -1:]
+    size = np.maximum(np.abs(others).max(axis=-1, keepdims=True), np.abs(truth))
+    tie = 64 * np.finfo(prerank.dtype).eps * size  # sums of the same numbers in another order tie
+    less, equal = (others < truth - tie).sum(axis=-1), (np.abs(others - truth) <= tie).sum(axis=-1)
+    return rank_weights(others.shape[-1], less, equal)
+
+
+def coordinate_weights(block: Block, joints: BoolArray) -> FloatArray:
+    """Weights of the rank of each coordinate of each joint, (B, K, D, Q): the probability integral transform.
+
+    NaN for joints that don't count.
+    """
+    less, equal = (block.offsets < 0).sum(axis=-1), (block.offsets == 0).sum(axis=-1)
+    weights = rank_weights(block.n_hypotheses, less, equal)
+    return np.where((block.where & joints)[:, :, None, None], weights, np.nan)
+
+
+def _ranks(points: FloatArray) -> FloatArray:
+    """Rank of each point in its pool, 0 … N, ties sharing the mean, for each coordinate: (B, J·D, N + 1)."""
+    return shared_ranks(points.reshape(len(points), -1, points.shape[-1]))
+
+
+def average_rank(pool: Pool) -> FloatArray:
+    """Mean over coordinates of the rank in the pool, (B, N + 1)."""
+    return np.asarray(_ranks(pool.points).mean(axis=1))
+
+
+def band_depth(pool: Pool) -> FloatArray:
+    """Mean over coordinates of (rank - 1)(N + 1 - rank), ranks from 1: how central a point is, (B, N + 1)."""
+    ranks = _ranks(pool.points)
+    return np.asarray((ranks * (pool.points.shape[-1] - 1 - ranks)).mean(axis=1))
+
+
+def pair_distance(pool: Pool) -> FloatArray:
+    """Sum over joint pairs of (√distance - its mean in the pool)², (B, N + 1): a pooled variogram score."""
+    poses = pool.points + pool.truth[..., None]
+    found = np.zeros((len(poses), poses.shape[-1]))
+    for joint in range(1, poses.shape[1]):
+        distances = squared_norms(poses[:, :joint] - poses[:, joint, None]) ** 0.25
+        distances -= distances.mean(axis=-1, keepdims=True)
+        distances[np.isnan(distances)] = 0  # pairs with a joint that does not count
+        found += np.einsum("bkn,bkn->bn", distances, distances)
+    return found
+
+
+def mahalanobis(pool: Pool) -> FloatArray:
+    """Squared Mahalanobis distance to the pooled mean, with the pooled covariance shrunk to its diagonal."""
+    flat = pool.points.reshape(len(pool.points), -1, pool.points.shape[-1])
+    centred = flat - flat.mean(axis=-1, keepdims=True)
+    covariance = centred @ centred.swapaxes(1, 2) / flat.shape[-1]
+    diagonal = np.einsum("bii->bi", covariance).copy()
+    covariance *= 1 - SHRINKAGE
+    np.einsum("bii->bi", covariance)[...] = np.where(diagonal > 0, diagonal, 1)  # joints left out don't move
+    return np.asarray(np.einsum("bin,bin->bn", centred, np.linalg.solve(covariance, centred)))
+
+
+def tarp_box(pool: Pool) -> FloatArray:
+    """Distance to a random point of the box of the true poses of other sequences, in units of its sides, (B, N + 1).
+
+    The point is drawn from a generator seeded by the true pose: the same in any order. The box is of the true poses
+    that are evaluated together, so that a shard which is evaluated apart has its own. The published box holds the
+    pose's own truth and its neighbours as well, not its hypotheses, which rejects perfect samplers on few sequences; of
+    many it is the same. A coordinate in which the true poses don't differ is left out, where the published code
+    divides by 1e-10.
+    """
+    points, truth, low, high = pool
+    with np.errstate(invalid="ignore"):
+        side = high - low
+    low = np.where(side > 0, low, 0)
+    share = np.stack([np.random.default_rng(zlib.crc32(pose.tobytes())).random(pose.shape) for pose in truth])
+    counted, unit = (side > 0) & ~np.isnan(truth), np.where(side > 0, side, 1)
+    from_reference = points / unit[..., None] + ((truth - low) / unit - share)[..., None]
+    from_reference[~counted] = 0
+    return np.asarray(np.sqrt(squared_norms(from_reference).sum(axis=1)))
+
+
+def tarp_hypothesis(pool: Pool) -> FloatArray:
+    """Distance to the first hypothesis, which is held out of the pool, (B, N)."""
+    left = pool.points[..., 1:] - pool.points[..., :1]
+    return np.asarray(np.sqrt(squared_norms(left).sum(axis=1)))
+
+
+@dataclass(frozen=True)
+class Test:
+    """One test of the battery.
+
+    Attributes
+    ----------
+    name : str
+        In snake case.
+    label : str
+        For people.
+    definition : str
+        The pre-rank, in words.
+    fires : str
+        What it means when the test rejects.
+    prerank : callable or None
+        From a pool to a number of each point, (B, N + 1); None for the ranks of single coordinates.
+    """
+
+    __test__ = False  # not one of pytest's
+
+    name: str
+    label: str
+    definition: str
+    fires: str
+    prerank: Callable[[Pool], FloatArray] | None = None
+
+    def weights(self, block: Block, joints: BoolArray) -> FloatArray:
+        """Weights of the truth's rank, (B, 1, Q), or (B, K, D, Q) for the coordinates."""
+        if self.prerank is None:
+            return coordinate_weights(block, joints)
+        found = weights_of_ranks(self.prerank(Pool.of(block, joints)))
+        found[~block.where[:, joints].any(axis=1)] = np.nan
+        return found[:, None]
+
+
+def user_weights(block: Block, joints: BoolArray, prerank: PreRank) -> FloatArray:
+    """Weights of the rank of a user's own pre-rank, (B, 1, Q).
+
+    Raises
+    ------
+    PoseDataError
+        Where it fails, or does not give one number per pooled pose.
+    """
+    points = Pool.of(block, joints).points + block.truth[:, joints].astype(np.float64)[..., None]
+    found = np.empty((len(points), points.shape[-1]))
+    for b, poses in enumerate(points):
+        try:
+            values = np.asarray(prerank(np.ascontiguousarray(poses.transpose(2, 0, 1))), dtype=np.float64)
+        except Exception as error:  # somebody else's code fails in any way
+            raise PoseDataError(
+                f"prerank: it fails on a pool of {found.shape[1]} poses ({type(error).__name__}: {error})."
+            ) from error
+        if values.shape != found[b].shape or not np.isfinite(values).all():
+            raise PoseDataError(
+                f"prerank: gave {values.shape} for a pool of {found.shape[1]} poses; expected one finite number each."
+            )
+        found[b] = values
+    weights = weights_of_ranks(found)
+    weights[~(block.where & joints).any(axis=1)] = np.nan
+    return weights[:, None]
+
+
+def load_prerank(entry: str) -> tuple[str, PreRank]:
+    """Load a user's own pre-rank from a Python file.
+
+    Parameters
+    ----------
+    entry : str
+        ``FILE.py:FUNCTION``.
+
+    Returns
+    -------
+    name, function
+        The function's name and the function.
+
+    Raises
+    ------
+    PoseDataError
+        Where there is no such file or function, or the file fails.
+    """
+    path, _, name = entry.rpartition(":")
+    if not path.endswith(".py") or not name.isidentifier():
+        raise PoseDataError(f"prerank: {entry!r}; expected FILE.py:FUNCTION.")
+    try:
+        found = runpy.run_path(path).get(name)
+    except OSError as error:
+        raise PoseDataError(f"prerank: {path} can't be read ({error.strerror}).") from None
+    except Exception as error:  # somebody else's code fails in any way
+        raise PoseDataError(f"prerank: {path} can't be run ({type(error).__name__}: {error}).") from error
+    if not callable(found):
+        raise PoseDataError(f"prerank: {path} has no function {name!r}; expected one that takes a pool of poses.")
+    return name, found
+
+
+RANK_TESTS: tuple[Test, ...] = (
+    Test(
+        "coordinate_pit",
+        "coordinate PIT",
+        "rank of each coordinate itself, per joint and axis",
+        "single coordinates are off to one side, or too narrow or too wide along an axis",
+    ),
+    Test(
+        "average_rank",
+        "average rank",
+        "mean over coordinates of the rank in the pool",
+        "whole poses are shifted to one side, or joints move together less or more than they should",
+        average_rank,
+    ),
+    Test(
+        "band_depth",
+        "band depth",
+        "mean over coordinates of (rank − 1)(N + 1 − rank)",
+        "the truth is more central or more extreme among the hypotheses than one of them would be",
+        band_depth,
+    ),
+    Test(
+        "pair_distance",
+        "pair distance",
+        "sum over joint pairs of (√distance − its mean in the pool)²",
+        "distances between joints are not predicted as they vary: joints move together less or more than they should",
+        pair_distance,
+    ),
+    Test(
+        "mahalanobis",
+        "Mahalanobis",
+        "squared distance to the pooled mean in units of the pooled covariance, shrunk 10 % to its diagonal",
+        "the shape of the cloud is wrong: its axes, its correlations, or the spread of some joints or poses",
+        mahalanobis,
+    ),
+    Test(
+        "tarp",
+        "TARP, hypothesis",
+        "distance of the whole pose to one hypothesis that is held out",
+        "the distances among hypotheses differ from those between hypotheses and truth",
+        tarp_hypothesis,
+    ),
+    Test(
+        "tarp_box",
+        "TARP, box",
+        "distance of the whole pose, each coordinate in units of its range over the true poses of the other sequences, "
+        "to a random point of the box of these ranges",
+        "seen from a random point, the truth lies nearer or farther than the hypotheses do",
+        tarp_box,
+    ),
+)
+"""The tests, in the order of a report."""
+
+NEEDS_COORDINATE_RANGE = frozenset({"tarp_box"})
+"""The tests whose ranks depend on which poses are evaluated together: of shards they add, but not to the same."""

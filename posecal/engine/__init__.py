@@ -1,0 +1,1 @@
+"""Blocks of poses, metrics, and sums of per-pose statistics."""

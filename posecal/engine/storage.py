@@ -1,0 +1,138 @@
+"""How are the sums of an evaluation kept in a file?
+
+A result holds sums per cell and never the hypotheses: some hundred kilobytes, in a file that can be read next year.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import zipfile
+import zlib
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from posecal.data.archive import write_members
+from posecal.data.write import write_file
+from posecal.engine.metric import DataSpec
+from posecal.engine.protocol import Protocol
+from posecal.engine.totals import Totals
+from posecal.errors import PoseFileError
+
+__all__ = ["FORMAT", "is_result", "load_totals", "save_totals"]
+
+FORMAT = 1
+"""The version of the file format."""
+
+
+def save_totals(totals: Totals, path: str | os.PathLike[str]) -> None:
+    """Write the sums into a compressed ``.npz`` file, whole or not at all.
+
+    Parameters
+    ----------
+    totals : Totals
+        The sums.
+    path : path
+        The file; one that is there is replaced.
+
+    Raises
+    ------
+    PoseFileError
+        Where the file can't be written.
+    """
+    about = {
+        "posecal": totals.version,
+        "format": FORMAT,
+        "subject": asdict(totals.spec),
+        "protocol": totals.protocol.options,
+        "remarks": totals.remarks,
+        "sequences": totals.sequences,
+    }
+    members: dict[str, npt.NDArray[np.generic]] = {"about": np.array(json.dumps(about)), "poses": totals.poses}
+    members |= {f"cell/{name}": values for name, values in totals.cells.items()}
+    for name in totals.sums:
+        members[f"sum/{name}"], members[f"count/{name}"] = totals.sums[name], totals.counts[name]
+    members |= {f"kept/{name}": values.astype(np.float32) for name, values in totals.kept.items()}
+    members["cell_of"] = totals.cell_of.astype(np.int32)
+    write_file(path, lambda file: write_members(file, members, compressed=True))
+
+
+def load_totals(path: str | os.PathLike[str]) -> Totals:
+    """Read what :func:`save_totals` wrote.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+
+    Returns
+    -------
+    Totals
+        The sums.
+
+    Raises
+    ------
+    PoseFileError
+        For files that can't be read or are no results.
+    """
+    name = Path(path).name
+    try:
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as stored:
+            members: dict[str, Any] = {key: stored[key] for key in stored.files}
+        about = json.loads(str(members.pop("about")))
+        if about["format"] != FORMAT:
+            raise PoseFileError(
+                f"{name}: format {about['format']} of posecal {about['posecal']}; expected {FORMAT}. Evaluate again."
+            )
+        return Totals(
+            spec=DataSpec(**_tuples(about["subject"])),
+            protocol=Protocol().changed(about["protocol"]),
+            version=about["posecal"],
+            cells=_part(members, "cell/"),
+            poses=members["poses"],
+            remarks=tuple(about["remarks"]),
+            sequences=about["sequences"],
+            sums=_part(members, "sum/"),
+            counts=_part(members, "count/"),
+            kept=_part(members, "kept/"),
+            cell_of=members["cell_of"],
+        )
+    except PoseFileError:
+        raise
+    except FileNotFoundError:
+        raise PoseFileError(f"{path}: no such file.") from None
+    except IsADirectoryError:
+        raise PoseFileError(f"{path}: is a folder; expected a result of posecal evaluate --save.") from None
+    except (
+        KeyError,
+        TypeError,
+        AttributeError,
+        ValueError,
+        EOFError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ):
+        raise PoseFileError(f"{name}: no result of posecal evaluate --save, or not a whole one.") from None
+    except OSError as error:
+        raise PoseFileError(f"{path}: can't be read ({error.strerror}).") from None
+
+
+def is_result(path: str | os.PathLike[str]) -> bool:
+    """Whether a file looks like a saved result, rather than an array of poses."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return "about.npy" in archive.namelist()
+    except (OSError, zipfile.BadZipFile):
+        return False
+
+
+def _part(members: dict[str, Any], prefix: str) -> dict[str, Any]:
+    return {key.removeprefix(prefix): value for key, value in members.items() if key.startswith(prefix)}
+
+
+def _tuples(spec: dict[str, Any]) -> dict[str, Any]:
+    return {key: tuple(value) if isinstance(value, list) else value for key, value in spec.items()}

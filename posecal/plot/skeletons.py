@@ -1,0 +1,263 @@
+"""What does a person show? Signed areas of joints on a skeleton, and poses with their hypotheses in 3D."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+
+from posecal.data.arrays import FloatArray
+from posecal.data.pose_data import PoseData
+from posecal.data.skeleton import Skeleton, canonical_name
+from posecal.errors import PoseDataError, did_you_mean, first_few
+from posecal.plot.style import FAINT, INK, OVER, STYLE, UNDER, given
+from posecal.report.report import Report
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from mpl_toolkits.mplot3d.axes3d import Axes3D
+
+__all__ = ["draw_poses", "frames_of", "poses", "signed_areas", "with_sign"]
+
+
+def signed_areas(report: Report, *, ax: Axes | None = None) -> Axes:
+    """Draw the signed area of every joint on a standing skeleton.
+
+    Parameters
+    ----------
+    report : Report
+        Holds the numbers.
+    ax : matplotlib Axes, optional
+        Where to draw; the current axes by default.
+
+    Returns
+    -------
+    matplotlib Axes
+        The axes: a disc per joint, its area growing with the size of the signed area, in the colour of its side.
+
+    Raises
+    ------
+    PoseDataError
+        Where the report has no signed areas, or its joints have no place on a person.
+    """
+    ax = given(ax)
+    report.value("signed_area")
+    joints = report.totals.spec.joints
+    skeleton = Skeleton(joints)
+    at = skeleton.rest_pose[:, [0, 2]] * [2.0, 1.0]  # from the front, and broad, so that the numbers have room
+    for parent, child in skeleton.bones:
+        ax.plot(*at[[parent, child]].T, color=FAINT, lw=3, solid_capstyle="round", zorder=1)
+    values = {row.joint: row.value for row in report.rows if row.metric == "signed_area" and row.joint is not None}
+    for joint, (x, y) in zip(joints, at, strict=True):
+        value = values.get(joint)
+        if value is None:
+            ax.scatter(x, y, s=14, color="white", edgecolor=INK, lw=0.8, zorder=3)
+            continue
+        area = 20 + 1800 * abs(value)
+        ax.scatter(x, y, s=area, color=OVER if value < 0 else UNDER, edgecolor="white", lw=0.8, zorder=2, gid=joint)
+        side = -1 if x < 0 else 1
+        ax.annotate(
+            with_sign(value, 3),
+            (x, y),
+            xytext=(side * (3 + np.sqrt(area / np.pi)), 5 if x == 0 else 0),  # off the shoulder bone
+            textcoords="offset points",
+            ha="left" if side > 0 else "right",
+            va="center",
+            fontsize=7,
+            zorder=4,
+        )
+    ax.set_aspect("equal")
+    ax.margins(0.2, 0.05)
+    ax.axis("off")
+    for side_name, place in (("right side", 0.08), ("left side", 0.92)):
+        ax.text(place, 0.98, side_name, transform=ax.transAxes, ha="center", fontsize=7.5, color="#666666")
+    for word, colour in (("overconfident", OVER), ("underconfident", UNDER)):
+        ax.scatter([], [], s=60, color=colour, edgecolor="white", lw=0.8, label=word)
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, 0.03), ncols=2, handletextpad=0.2, columnspacing=1.5)
+    return ax
+
+
+def with_sign(value: float, digits: int) -> str:
+    """Write a number with its sign."""
+    return f"{value:+.{digits}f}".replace("-", "−")
+
+
+def poses(
+    hypotheses: FloatArray,
+    truth: FloatArray,
+    joints: Sequence[str],
+    *,
+    cloud: str | None = None,
+    most: int = 50,
+    ax: Axes3D | None = None,
+) -> Axes3D:
+    """Draw one pose in three dimensions: its hypotheses, the truth, and the cloud of one joint.
+
+    Parameters
+    ----------
+    hypotheses : array (N, K, 3)
+        Hypotheses, mm; thin and grey.
+    truth : array (K, 3)
+        The true pose, mm; blue.
+    joints : sequence of str
+        K names; the bones follow from them.
+    cloud : str, optional
+        The joint whose hypotheses are shown as pink points.
+    most : int
+        How many hypotheses are drawn, evenly chosen.
+    ax : matplotlib Axes3D, optional
+        Where to draw; new axes by default.
+
+    Returns
+    -------
+    matplotlib Axes3D
+        The axes, with the person upright: up is where the head is.
+
+    Raises
+    ------
+    PoseDataError
+        Where no bones are known between the joints, or no coordinate is finite.
+    """
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection
+
+    skeleton = Skeleton(tuple(joints))
+    bones = list(skeleton.bones)
+    if not bones:
+        raise PoseDataError(
+            f"joints: no bones between {first_few(joints)}; expected names such as RKnee, RFoot (--joint-names)."
+        )
+    if cloud is not None and cloud not in joints:
+        raise PoseDataError(f"joint: {cloud!r} is not among the joints. {did_you_mean(cloud, joints)}")
+    turn = _upright(truth, skeleton)
+    chosen = np.linspace(0, len(hypotheses) - 1, min(most, len(hypotheses))).astype(int)
+    shown, true = (np.where(np.isfinite(points), points, np.nan) @ turn for points in (hypotheses[chosen], truth))
+    if not (np.isfinite(true).any() and np.isfinite(shown).any()):
+        raise PoseDataError("pose: no joint with finite coordinates; expected some to draw.")
+    if ax is None:
+        from matplotlib import pyplot as plt
+
+        ax = plt.figure().add_subplot(projection="3d")
+    ax.computed_zorder = False
+    grey = Line3DCollection(shown[:, bones].reshape(-1, 2, 3), colors="#8C8C8C", lw=0.4, alpha=0.35, zorder=1)
+    grey.set_gid("hypotheses")
+    ax.add_collection3d(grey)
+    if cloud is not None:
+        points = shown[:, list(joints).index(cloud)]
+        ax.scatter(*points.T, s=4, color=OVER, alpha=0.8, lw=0, zorder=3, depthshade=False, gid=f"cloud {cloud}")
+    for bone in bones:
+        ends = " ".join(joints[end] for end in bone)
+        ax.plot(*true[list(bone)].T, color=UNDER, lw=1.8, solid_capstyle="round", zorder=4, gid=f"truth {ends}")
+    _frame(ax, np.concatenate([true[None], shown]))
+    return ax
+
+
+def _frame(ax: Axes3D, points: FloatArray) -> None:
+    """Look at some poses from the side, as large as they fit; a few far ones may stick out."""
+    low, high = np.nanquantile(points.reshape(-1, 3), [0.01, 0.99], axis=0)
+    middle, reach = (low + high) / 2, np.maximum(0.55 * (high - low), 1.0)
+    reach[:2] = reach[:2].max()
+    ax.set(xlim=middle[0] + reach[0] * np.array([-1, 1]), ylim=middle[1] + reach[1] * np.array([-1, 1]))
+    ax.set_zlim(middle[2] - reach[2], middle[2] + reach[2])
+    ax.set_box_aspect(tuple(reach), zoom=0.85 * float(np.linalg.norm(reach) / reach.max()))
+    ax.view_init(elev=8, azim=-62)
+    ax.set_axis_off()
+
+
+def _upright(truth: FloatArray, skeleton: Skeleton) -> FloatArray:
+    """A rotation of the axes, (3, 3), that puts the axis from the feet to the head upwards."""
+    seen = np.asarray(np.isfinite(truth).all(axis=1))
+    at = {name: place for place, name in enumerate(skeleton.joints) if seen[place]}
+    top = next((at[name] for name in ("Head", "Neck/Nose", "Thorax") if name in at), None)
+    low = [at[name] for name in ("LFoot", "RFoot", "LKnee", "RKnee", "Hip") if name in at][:2]
+    if top is None or not low:
+        return np.eye(3)
+    upwards = truth[top] - truth[low].mean(axis=0)
+    axis = int(np.abs(upwards).argmax())
+    sign = float(np.sign(upwards[axis])) or 1.0
+    turn = np.zeros((3, 3))
+    first, second = ((axis + 1) % 3, (axis + 2) % 3)
+    turn[first, 0], turn[second, 1], turn[axis, 2] = 1.0, sign, sign
+    return turn
+
+
+def frames_of(pairs: PoseData, text: str | None, some: int = 5) -> list[int]:
+    """Give the numbers of the poses that a user names by frame id or by number; evenly spaced ones by default.
+
+    Raises
+    ------
+    PoseDataError
+        For a name that no pose has.
+    """
+    if text is None:
+        total = len(pairs.truth)
+        return sorted({total * (2 * place + 1) // (2 * some) for place in range(some)})
+    places = {name: place for place, name in enumerate(pairs.frame_id.tolist())}
+    found = []
+    for word in (part.strip() for part in text.split(",")):
+        if word not in places and not (word.isdecimal() and int(word) < len(places)):
+            raise PoseDataError(
+                f"frames: {word!r} is neither a frame id nor a number below {len(places):,}. "
+                f"The first are {first_few(list(places))}."
+            )
+        found.append(places[word] if word in places else int(word))
+    return found
+
+
+def draw_poses(
+    pairs: PoseData, frames: Sequence[int], *, cloud: str | None = None, most: int = 50, columns: int = 5
+) -> Figure:
+    """Draw some poses with their hypotheses, side by side, without a display.
+
+    Parameters
+    ----------
+    pairs : PoseData
+        Hypotheses and truth.
+    frames : sequence of int
+        The numbers of the poses.
+    cloud, most
+        As for :func:`poses`.
+    columns : int
+        Pictures in a row.
+
+    Returns
+    -------
+    matplotlib Figure
+        Ready to be saved.
+
+    Raises
+    ------
+    PoseDataError
+        For a joint that the poses don't have.
+    """
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    cloud = None if cloud is None else canonical_name(cloud)
+    across = min(columns, len(frames))
+    down = -(-len(frames) // across)
+    wide, tall, side, below = 1.7, 2.25, 2.2, 0.25  # of a picture, of its square axes and of the words, inches
+    width, height = wide * across, tall * down + below
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(width, height))
+        for place, frame in enumerate(frames):
+            row, column = divmod(place, across)
+            left, bottom = wide * (column + 0.5) - side / 2, height - tall * (row + 1)
+            corner = (left / width, bottom / height, side / width, side / height)
+            ax = cast("Axes3D", figure.add_axes(corner, projection="3d"))
+            ax.patch.set_visible(False)
+            hypotheses, truth = pairs.hypotheses.read(frame, frame + 1)[:, 0], pairs.truth[frame]
+            poses(hypotheses, truth, pairs.joints, cloud=cloud, most=most, ax=ax)
+            figure.text(
+                wide * (column + 0.5) / width,
+                (bottom + tall - 0.03) / height,
+                str(pairs.frame_id[frame]),
+                ha="center",
+                va="top",
+                fontsize=7,
+            )
+        words = f"blue: truth · grey: {min(most, pairs.shape[0])} of {pairs.shape[0]} hypotheses"
+        words += f" · pink: {cloud}" if cloud else ""
+        figure.text(0.12 / width, 0.3 * below / height, words, fontsize=6.5, color="#444444")
+    return figure

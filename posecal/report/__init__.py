@@ -1,0 +1,1 @@
+"""Reports: numbers, tables, sentences and pages."""

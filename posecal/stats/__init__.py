@@ -1,0 +1,1 @@
+"""Statistics over sequences: intervals, tests, comparison and skill."""

@@ -1,0 +1,332 @@
+"""Frames join by id and joints by name; everything that does not fit is said, all at once."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from posecal.data.match import Declarations, alone, join
+from posecal.data.pose_data import PoseData
+from posecal.errors import PoseDataError
+from tests.helpers.small_files import (
+    FRAMES,
+    JOINTS,
+    K,
+    M,
+    N,
+    coordinates,
+    hypotheses,
+    hypotheses_file,
+    ids,
+    opened,
+    ours,
+    theirs,
+    truth,
+    truth_file,
+)
+
+# --- frames ---------------------------------------------------------------------------------------------------
+
+
+def test_numbers_of_frames_that_differ_are_said_with_the_way_to_join_them() -> None:
+    with pytest.raises(PoseDataError, match=r"^hyps\.npz has M = 6 poses and gt\.npz 7; expected as many\. Store a"):
+        join(ours(hypotheses()[:, :6]), theirs())
+    with pytest.raises(PoseDataError, match=r"to join them \(hyps\.npz and gt\.npz without\)\.$"):
+        join(ours(hypotheses()[:, :6]), theirs())
+    with pytest.raises(PoseDataError, match=r"to join them \(gt\.npz without\)\.$"):
+        join(ours(hypotheses()[:, :6], frame_id=ids(*FRAMES[:6])), theirs())
+
+
+def test_a_declared_layout_that_fits_worse_than_another_is_hinted_at() -> None:
+    with pytest.raises(
+        PoseDataError, match=r"M = 5 poses and gt\.npz 7; expected as many\. The shapes fit the axes NM"
+    ):
+        join(ours(axes="MNKD"), theirs())
+
+
+def test_missing_frames_are_counted_and_the_first_are_named() -> None:
+    first = r"\(first: S9/walk/009, S9/walk/001, S9/walk/000 and 2 more\)"
+    words = rf"^hyps\.npz lacks 5 of the 7 frames of gt\.npz {first}\. Pass --missing skip to score the rest\.$"
+    with pytest.raises(PoseDataError, match=words):
+        join(ours(hypotheses()[:, :2], frame_id=ids(*FRAMES[:2])), theirs(frame_id=ids(*FRAMES)))
+
+
+def test_skipping_scores_the_frames_that_both_have_and_says_how_many_are_left_out() -> None:
+    other = ["x", *FRAMES[4:1:-1]]
+    found = join(
+        ours(hypotheses()[:, [0, 4, 3, 2]], frame_id=ids(*other)),
+        theirs(frame_id=ids(*FRAMES)),
+        Declarations(missing="skip"),
+    )
+    np.testing.assert_array_equal(coordinates(found), hypotheses()[:, 2:5])
+    np.testing.assert_array_equal(found.truth, truth()[2:5])
+    assert found.frame_id.tolist() == FRAMES[2:5]
+    assert "hyps.npz lacks 4 of the 7 frames of gt.npz: skipped." in found.remarks
+    assert "gt.npz lacks 1 of the 4 frames of hyps.npz: skipped." in found.remarks
+
+
+@pytest.mark.parametrize("missing", ["error", "skip"])
+def test_frames_of_no_name_in_common_are_refused_once_and_shown(missing: Any) -> None:
+    words = (
+        r"^hyps\.npz and gt\.npz have no frame_id in common \(0, 1, 2 and 4 more against S9/walk/005, S9/walk/003, "
+        r"S9/walk/009 and 4 more\); expected the same names\.$"
+    )
+    with pytest.raises(PoseDataError, match=words):
+        join(ours(frame_id=ids(*range(M))), theirs(frame_id=ids(*FRAMES)), Declarations(missing=missing))
+
+
+def test_ids_that_fit_another_order_of_the_axes_are_hinted_at() -> None:
+    words = r"^hyps\.npz: 7 frame_id for 5 poses; expected one each\. The shapes fit the axes NMKD\.$"
+    with pytest.raises(PoseDataError, match=words):
+        join(ours(axes="MNKD", frame_id=ids(*FRAMES)), theirs(frame_id=ids(*FRAMES)))
+
+
+@pytest.mark.parametrize("missing", ["error", "skip"])
+def test_duplicate_frames_are_counted_and_named_whatever_happens_to_missing_ones(missing: Any) -> None:
+    twice = ids(*FRAMES[:5], FRAMES[0], FRAMES[1])
+    with pytest.raises(PoseDataError, match=r"hyps\.npz has 2 of 7 frame_id more than once \(first: S9/walk/005, S9/w"):
+        join(ours(frame_id=twice), theirs(frame_id=ids(*FRAMES)), Declarations(missing=missing))
+    with pytest.raises(PoseDataError, match=r"gt\.npz has 2 of 7 frame_id more than once .*\. Store each frame once\."):
+        join(ours(frame_id=ids(*FRAMES)), theirs(frame_id=twice), Declarations(missing=missing))
+
+
+@pytest.mark.parametrize("beside", [None, ids(*FRAMES)])
+def test_ids_for_another_number_of_poses_are_refused(beside: Any) -> None:
+    with pytest.raises(PoseDataError, match=r"gt\.npz: 3 frame_id for 7 poses; expected one each\."):
+        join(ours(frame_id=beside), theirs(frame_id=ids(*FRAMES[:3])))
+
+
+def test_poses_without_ids_are_called_by_their_number() -> None:
+    assert join(ours(), theirs()).frame_id.tolist() == ["0", "1", "2", "3", "4", "5", "6"]
+
+
+# --- joints ---------------------------------------------------------------------------------------------------
+
+
+def test_numbers_of_joints_that_differ_are_said_with_the_way_out() -> None:
+    words = r"^hyps\.npz has K = 16 joints and gt\.npz 17; expected as many, or joints named in both and --joints com"
+    with pytest.raises(PoseDataError, match=words):
+        join(ours(hypotheses()[:, :, 1:]), theirs(joints=JOINTS))
+
+
+def test_joints_that_one_file_lacks_are_named_with_the_way_out() -> None:
+    kept = [k for k, name in enumerate(JOINTS) if name not in {"LElbow", "LWrist"}]
+    with pytest.raises(PoseDataError, match=r"^hyps\.npz lacks 1 of the other's joints \(Hip\)\. Pass --joints common"):
+        join(ours(hypotheses()[:, :, 1:], joints=JOINTS[1:]), theirs(joints=JOINTS))
+    with pytest.raises(PoseDataError, match=r"^gt\.npz lacks 2 of the other's joints \(LElbow, LWrist\)\. Pass --joi"):
+        join(ours(joints=JOINTS), theirs(truth()[:, kept], joints=tuple(JOINTS[k] for k in kept)))
+
+
+def test_common_joints_are_scored_in_the_truths_order_and_the_rest_is_named() -> None:
+    few = ("RWrist", "Head", "antenna", "LHip")
+    x = np.stack([hypotheses()[:, :, JOINTS.index(name) if name in JOINTS else 0] for name in few], axis=2)
+    pairs = join(ours(x, joints=few), theirs(joints=JOINTS), Declarations(joints="common"))
+    assert pairs.joints == ("LHip", "Head", "RWrist")
+    np.testing.assert_array_equal(coordinates(pairs), hypotheses()[:, :, [JOINTS.index(name) for name in pairs.joints]])
+    assert "3 joints are in both; left out: Hip, RHip, RKnee, RFoot, LKnee and 10 more." in pairs.remarks
+
+
+@pytest.mark.parametrize("joints", ["same", "common"])
+def test_no_joint_in_common_is_refused_once_and_shown(joints: Any) -> None:
+    words = (
+        r"^hyps\.npz and gt\.npz have no joint in common \(a0, a1, a2 and 14 more against b0, b1, b2 and 14 more\); "
+        r"expected the same names\.$"
+    )
+    with pytest.raises(PoseDataError, match=words):
+        join(
+            ours(joints=tuple(f"a{k}" for k in range(K))),
+            theirs(joints=tuple(f"b{k}" for k in range(K))),
+            Declarations(joints=joints),
+        )
+
+
+def test_names_for_another_number_of_joints_are_refused() -> None:
+    with pytest.raises(PoseDataError, match=r"^gt\.npz: 2 joints named for K = 17; expected one name each\.$"):
+        join(ours(), theirs(joints=("Hip", "Head")))
+
+
+def test_two_names_of_one_joint_are_refused() -> None:
+    twice = ("Hip", "pelvis", *JOINTS[2:])
+    with pytest.raises(PoseDataError, match=r"^gt\.npz names joints more than once: Hip\.$"):
+        join(ours(), theirs(joints=twice))
+
+
+def test_a_joint_set_names_unnamed_joints() -> None:
+    pairs = join(ours(hypotheses()[:, :, 1:]), theirs(truth()[:, 1:]), Declarations(joint_names="h36m-16"))
+    assert pairs.joints == JOINTS[1:]
+
+
+def test_a_joint_set_of_another_size_is_refused() -> None:
+    with pytest.raises(PoseDataError, match=r"hyps\.npz: h36m-16 has 16 joints for K = 17; expected one name each\."):
+        join(ours(), theirs(), Declarations(joint_names="h36m-16"))
+
+
+def test_names_in_one_file_name_the_joints_of_both() -> None:
+    assert join(ours(joints=JOINTS), theirs()).joints == JOINTS
+    assert join(ours(), theirs(joints=JOINTS)).joints == JOINTS
+
+
+# --- the root -------------------------------------------------------------------------------------------------
+
+
+def moved(pairs: PoseData) -> tuple[int | None, bool]:
+    return pairs.root, any("no root joint is known" in remark for remark in pairs.remarks)
+
+
+def test_the_hip_is_the_root_by_name() -> None:
+    assert moved(join(ours(), theirs(truth() + 5, joints=JOINTS))) == (0, False)
+
+
+def test_the_one_unnamed_joint_that_stays_at_zero_is_the_root() -> None:
+    order = np.r_[1:K, 0]
+    assert moved(join(ours(hypotheses()[:, :, order]), theirs(truth()[:, order]))) == (K - 1, False)
+
+
+def test_without_a_root_positions_are_taken_as_they_stand_and_that_is_said() -> None:
+    assert moved(join(ours(), theirs(truth() + 5))) == (None, True)
+    two = truth()
+    two[:, 3] = 0
+    assert moved(join(ours(), theirs(two))) == (None, True)
+
+
+@pytest.mark.parametrize(
+    ("said", "root"),
+    [("none", None), ("3", 3), ("right_ankle", 3), ("Hip", 0)],
+)
+def test_a_root_by_flag_is_a_name_an_index_or_none(said: str, root: int | None) -> None:
+    pairs = join(ours(), theirs(joints=JOINTS), Declarations(root_joint=said))
+    assert moved(pairs) == (root, False)
+
+
+@pytest.mark.parametrize("said", ["17", "-1", "antenna", ""])
+def test_a_root_that_is_no_joint_is_refused(said: str) -> None:
+    with pytest.raises(PoseDataError, match=f"^root joint: '{said}' is not among the joints"):
+        join(ours(), theirs(joints=JOINTS), Declarations(root_joint=said))
+
+
+def test_a_root_that_the_hypotheses_lack_is_subtracted_from_the_truth_alone() -> None:
+    far = truth() + np.float32([100, 200, 300])
+    pairs = join(
+        ours(hypotheses()[:, :, 1:], joints=JOINTS[1:]), theirs(far, joints=JOINTS), Declarations(joints="common")
+    )
+    np.testing.assert_array_equal(pairs.truth, truth()[:, 1:])
+    assert pairs.root is None
+    assert "hyps.npz lacks the root Hip; taken as relative to it." in pairs.remarks
+
+
+# --- labels, marks and scores ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["sequence", "subject", "action", "camera"])
+def test_a_common_label_for_another_number_of_poses_is_refused(tmp_path: Path, name: str) -> None:
+    theirs = truth_file(tmp_path, **{name: ["a"] * 8})
+    with pytest.raises(PoseDataError, match=rf"^gt\.npz: {name} has 8 values for 7 poses; expected one each\.$"):
+        opened(hypotheses_file(tmp_path), theirs)
+
+
+def test_another_list_of_words_is_no_label(tmp_path: Path) -> None:
+    assert "axis_names" not in opened(hypotheses_file(tmp_path), truth_file(tmp_path, axis_names=list("xyz"))).labels
+
+
+def test_labels_that_contradict_each_other_are_counted() -> None:
+    with pytest.raises(PoseDataError, match=r"^hyps\.npz and gt\.npz differ in action of 2 of 7 frames\. Are they in"):
+        join(ours(labels={"action": ids(*"aabbbcc")}), theirs(labels={"action": ids(*"aaabbbc")}))
+
+
+def test_labels_follow_their_frames() -> None:
+    back = slice(None, None, -1)
+    pairs = join(
+        ours(hypotheses()[:, back], frame_id=ids(*FRAMES[back]), labels={"camera": ids(*"abcdefg")}),
+        theirs(frame_id=ids(*FRAMES), labels={"action": ids(*"tuvwxyz")}),
+    )
+    assert "".join(pairs.labels["camera"]) == "gfedcba"
+    assert "".join(pairs.labels["action"]) == "tuvwxyz"
+
+
+def test_a_sequence_label_is_kept_before_the_clips_of_the_array() -> None:
+    clips = theirs(truth()[:6].reshape(2, 3, K, 3), axes="MTKD", labels={"sequence": ids(*"aabbbb")})
+    assert "".join(join(ours(hypotheses()[:, :6]), clips).labels["sequence"]) == "aabbbb"
+
+
+def test_marks_of_another_shape_are_refused() -> None:
+    with pytest.raises(PoseDataError, match=r"^gt\.npz: occluded \(7, 3\); expected \(M, K\) = \(7, 17\)\.$"):
+        join(ours(), theirs(marks={"occluded": np.zeros((M, 3), dtype=bool)}))
+
+
+def test_both_kinds_of_marks_are_refused() -> None:
+    both = {name: np.zeros((M, K), dtype=bool) for name in ("occluded", "visible")}
+    with pytest.raises(PoseDataError, match=r"^gt\.npz has both occluded and visible; expected one of them\.$"):
+        join(ours(), theirs(marks=both))
+
+
+def test_marks_of_the_hypotheses_serve_where_the_truth_has_none() -> None:
+    marks = np.arange(M * K).reshape(M, K) % 5 == 0
+    np.testing.assert_array_equal(join(ours(marks={"occluded": marks}), theirs()).occluded, marks)
+    both = join(ours(marks={"occluded": ~marks}), theirs(marks={"occluded": marks}))
+    np.testing.assert_array_equal(both.occluded, marks)
+
+
+def test_marks_follow_their_joints() -> None:
+    marks, order = np.arange(M * K).reshape(M, K) % 5 == 0, np.arange(K)[::-1]
+    pairs = join(
+        ours(hypotheses()[:, :, order], joints=tuple(JOINTS[k] for k in order), marks={"visible": ~marks[:, order]}),
+        theirs(joints=JOINTS),
+    )
+    np.testing.assert_array_equal(pairs.occluded, marks)
+
+
+def test_scores_of_another_shape_are_refused() -> None:
+    with pytest.raises(PoseDataError, match=r"^hyps\.npz: scores \(7, 5\); expected \(N, M\) = \(5, 7\)\.$"):
+        join(ours(scores=np.zeros((M, N))), theirs())
+
+
+@pytest.mark.parametrize("rate", [0.0, -25.0, np.nan, np.inf])
+def test_frames_per_second_that_can_not_be_are_refused(rate: float) -> None:
+    with pytest.raises(PoseDataError, match=r"^fps: .*; expected frames per second, above 0\.$"):
+        join(ours(), theirs(fps=rate))
+
+
+def test_the_truths_frames_per_second_come_first() -> None:
+    assert join(ours(fps=25), theirs(fps=50)).fps == 50
+    assert join(ours(fps=25), theirs()).fps == 25
+
+
+# --- all at once, and what the pairs do -----------------------------------------------------------------------
+
+
+def test_everything_that_is_wrong_is_said_at_once() -> None:
+    with pytest.raises(PoseDataError, match=r"^4 problems:") as refused:
+        join(ours(hypotheses()[:, :6, :16], unit="inch"), theirs(joints=JOINTS, unit="yard"))
+    for words in ("hyps.npz: unit: 'inch'", "gt.npz: unit: 'yard'", "M = 6 poses", "K = 16 joints"):
+        assert words in str(refused.value)
+
+
+def test_some_poses_of_the_pairs_are_those_of_everything_in_them() -> None:
+    marks, scores = np.arange(M * K).reshape(M, K) % 5 == 0, np.arange(N * M, dtype=float).reshape(N, M)
+    pairs = join(
+        ours(scores=scores), theirs(frame_id=None, labels={"action": ids(*"tuvwxyz")}, marks={"occluded": marks})
+    )
+    some = pairs.taken(np.array([5, 1]))
+    np.testing.assert_array_equal(coordinates(some), hypotheses()[:, [5, 1]])
+    np.testing.assert_array_equal(some.truth, truth()[[5, 1]])
+    np.testing.assert_array_equal(some.occluded, marks[[5, 1]])
+    np.testing.assert_array_equal(some.scores, scores[:, [5, 1]])
+    assert some.labels["action"].tolist() == ["y", "u"]
+    assert some.frame_id.tolist() == ["5", "1"]
+
+
+def test_the_first_hypotheses_are_taken_where_fewer_are_asked_for() -> None:
+    pairs = join(ours(), theirs()).with_hypotheses(2)
+    assert pairs.shape == (2, M, K, 3)
+    np.testing.assert_array_equal(coordinates(pairs), hypotheses()[:2])
+    with pytest.raises(PoseDataError, match=r"^hypotheses: 6; expected 1 to N = 5, the hypotheses of hyps\.npz\.$"):
+        join(ours(), theirs()).with_hypotheses(6)
+
+
+def test_hypotheses_alone_need_no_truth() -> None:
+    stored, joints, root = alone(ours(hypotheses() / 1000, unit="m", joints=JOINTS))
+    np.testing.assert_allclose(stored.read(0, M), hypotheses(), atol=1e-3)
+    assert (joints, root) == (JOINTS, 0)
+    with pytest.raises(PoseDataError, match=r"^hyps\.npz: nothing in it; its shape is \(5, 0, 17, 3\)\.$"):
+        alone(ours(np.ones((5, 0, 17, 3))))

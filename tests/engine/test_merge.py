@@ -1,0 +1,153 @@
+"""Do results of shards add to what one run gives?"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from posecal.calibration.rank_tests import NEEDS_COORDINATE_RANGE
+from posecal.engine.accumulate import accumulate
+from posecal.engine.merge import merge_totals
+from posecal.engine.protocol import Protocol
+from posecal.errors import PoseDataError
+from posecal.registry import known_metrics
+from posecal.stats.leave_one_out import without
+from posecal.stats.skill import climatology, with_reference
+from tests.helpers.example_totals import SUBJECT, WALK, keeping, totals
+from tests.helpers.random_worlds import World, world
+
+
+def cut(some: World, *cuts: int) -> list[World]:
+    return [some.taken(part) for part in np.split(np.arange(len(some.y)), cuts)]
+
+
+def test_a_sequence_may_be_split_over_shards() -> None:
+    some, protocol = world(6, M=23), Protocol(best="sequence")
+    whole = some.totals(protocol)
+    merged = merge_totals([part.totals(protocol) for part in cut(some, 4, 5, 17)])
+    for name, metric_ in known_metrics(protocol, whole.spec).items():
+        if (
+            "mpjve" not in name and name not in NEEDS_COORDINATE_RANGE
+        ):  # a step from one shard to the next is in none of them
+            np.testing.assert_allclose(merged.value(metric_), whole.value(metric_), rtol=1e-12, err_msg=name)
+    assert merged.poses.sum() == 23
+    assert [*merged.cells["sequence"]] == [*whole.cells["sequence"]]
+
+
+def test_shards_may_come_in_any_order() -> None:
+    some, protocol = world(6, M=23), Protocol()
+    parts = [part.totals(protocol) for part in cut(some, 9)]
+    metrics = known_metrics(protocol, parts[0].spec)
+    for name, metric_ in metrics.items():
+        found = [merge_totals(order).value(metric_) for order in (parts, parts[::-1])]
+        np.testing.assert_allclose(found[0], found[1], rtol=1e-12, err_msg=name)
+
+
+def test_merging_leaves_the_parts_as_they_were() -> None:
+    parts = [part.totals(Protocol()) for part in cut(world(6, M=23), 9)]
+    before = [{name: sums.copy() for name, sums in part.sums.items()} for part in parts]
+    merge_totals(parts).sums["errors"][:] = 0
+    for part, sums in zip(parts, before, strict=True):
+        for name, expected in sums.items():
+            np.testing.assert_array_equal(part.sums[name], expected)
+
+
+def test_one_part_merges_into_itself() -> None:
+    part = world(6).totals(Protocol())
+    merged = merge_totals([part])
+    for name, sums in part.sums.items():
+        np.testing.assert_array_equal(merged.sums[name], sums)
+        np.testing.assert_array_equal(merged.counts[name], part.counts[name])
+
+
+def test_remarks_are_said_once() -> None:
+    other = totals(cells={"sequence": np.array(["d"] * 4), "action": np.array(["sit"] * 4)}, remarks=("few", "slow"))
+    other.sums["height"] = other.sums["height"] + [1, 2, 3, 4]
+    assert merge_totals([totals(remarks=("few",)), other]).remarks == ("few", "slow")
+
+
+def test_runs_of_frames_stay_runs_of_frames_of_their_own_shard() -> None:
+    """23 frames of two shards are 23 runs of one frame, as in one go: so are their sums, and what is read off them."""
+    pairs = replace(world(6, M=23).pairs, labels={})
+    parts = [accumulate(replace(part.pairs, labels={})) for part in cut(world(6, M=23), 9)]
+    merged, whole = merge_totals(parts), accumulate(pairs)
+    assert not merged.sequences
+    assert merged.poses.tolist() == [1] * 23
+    for name, sums in whole.sums.items():
+        np.testing.assert_allclose(merged.sums[name], sums, rtol=1e-12, err_msg=name)
+    one = known_metrics(Protocol(), whole.spec)["mpjpe"]
+    np.testing.assert_allclose(sorted(without(merged, one)), sorted(without(whole, one)), rtol=1e-12)
+
+
+def test_the_same_runs_of_frames_twice_are_refused() -> None:
+    part = totals(sequences=False)
+    with pytest.raises(PoseDataError, match=r"part 1 and part 2 hold the same poses"):
+        merge_totals([part, part])
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"protocol": Protocol(root="drop")}, r"a and b were not made alike: root count against drop\."),
+        ({"protocol": Protocol(pck_threshold=99)}, r"not made alike: pck_threshold default against 99"),
+        ({"subject": replace(SUBJECT, n_hypotheses=9)}, r"not made alike: N 7 against 9\."),
+        (
+            {"subject": replace(SUBJECT, joints=("Head", "Spine"))},
+            r"not made alike: K 2\(.{8}\) against 2\(.{8}\), origin",
+        ),
+        ({"version": "2.0"}, r"not made alike: posecal 1\.0 against 2\.0\."),
+        ({"sums": {}, "counts": {}}, r"a and b differ in what they hold: height, joints\."),
+        ({"cells": {"sequence": np.array(["a", "b", "b", "c"])}}, r"a and b differ in what they hold: action\."),
+    ],
+)
+def test_results_that_were_not_made_alike_do_not_add(changes: dict[str, object], words: str) -> None:
+    with pytest.raises(PoseDataError, match=words):
+        merge_totals([totals(), totals(**changes)], ["a", "b"])
+
+
+def test_velocities_per_second_add_only_at_one_frame_rate() -> None:
+    second = Protocol(velocity="second")
+    parts = [totals(second), totals(second, spec=replace(SUBJECT, fps=50.0))]
+    with pytest.raises(PoseDataError, match=r"part 1 and part 2 have 25 and 50 frames per second; expected the same\."):
+        merge_totals(parts)
+
+
+def test_a_sequence_that_two_shards_have_in_common_is_refused() -> None:
+    some = world(6, M=23)
+    parts = [some.taken(np.flatnonzero(some.sequence != left)).totals(Protocol()) for left in ("S9/a", "S11/c")]
+    with pytest.raises(PoseDataError, match=r"part 1 and part 2 hold the same poses \(cell S9/b, sit\)"):
+        merge_totals(parts)
+
+
+def test_a_sequence_in_common_is_refused_beside_a_reference_that_is_drawn_anew() -> None:
+    some = world(6, M=23)
+    parts = [some.taken(np.flatnonzero(some.sequence != left)).pairs for left in ("S9/a", "S11/c")]
+    scores = [accumulate(with_reference(pairs, climatology(pairs)), Protocol(metrics="scores")) for pairs in parts]
+    with pytest.raises(PoseDataError, match=r"part 1 and part 2 hold the same poses \(cell S9/b, sit\)"):
+        merge_totals(scores)
+
+
+def test_the_same_poses_twice_are_refused() -> None:
+    with pytest.raises(
+        PoseDataError, match=r"one\.npz and two\.npz hold the same poses \(cell a, sit\); expected shards"
+    ):
+        merge_totals([totals(), totals()], ["one.npz", "two.npz"])
+
+
+def test_kept_values_of_shards_follow_their_cells() -> None:
+    whole, added = keeping()
+    first = replace(whole, kept={"kept": whole.kept["kept"][:3]}, cell_of=whole.cell_of[:3])
+    other = replace(
+        totals(),
+        cells={"sequence": np.array(["c"]), "action": np.array(["walk"])},
+        poses=np.array([2]),
+        sums={name: sums[3:] + 1 for name, sums in whole.sums.items()},
+        counts={name: counts[3:] for name, counts in whole.counts.items()},
+        kept={"kept": whole.kept["kept"][3:]},
+        cell_of=np.array([0, 0]),
+    )
+    merged = merge_totals([first, other])
+    assert merged.cell_of.tolist() == [0, 0, 1, 3, 3]
+    assert merged.value(added, WALK) == 19

@@ -1,0 +1,201 @@
+"""Does every option take what it should, and nothing else?"""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import pytest
+
+from posecal.data.skeleton import JOINT_SETS
+from posecal.engine.metric import DataSpec
+from posecal.engine.protocol import PRESETS, Protocol, named_joints, preset
+from posecal.errors import PoseDataError
+from posecal.registry import metrics_of
+
+EVERYTHING = DataSpec(9, JOINT_SETS["h36m-17"], 0, ("sequence", "action"), 50.0, True)
+
+CHOICES = [(o.name, choice) for o in fields(Protocol) for choice in o.metadata.get("choices", ())]
+
+
+@pytest.mark.parametrize(("option", "choice"), CHOICES)
+def test_an_option_takes_each_of_its_choices(option: str, choice: str) -> None:
+    assert getattr(Protocol().changed({option: choice}), option) == choice
+
+
+@pytest.mark.parametrize("option", sorted({option for option, _ in CHOICES}))
+def test_an_option_refuses_what_is_none_of_its_choices(option: str) -> None:
+    with pytest.raises(PoseDataError, match=rf"{option}: 'other' is not known\. (Known|Did you mean)"):
+        Protocol().changed({option: "other"})
+
+
+def test_the_default_of_an_option_is_its_first_choice() -> None:
+    for option in fields(Protocol):
+        if "choices" in option.metadata:
+            assert getattr(Protocol(), option.name) == option.metadata["choices"][0]
+
+
+def test_every_option_says_what_it_is_about() -> None:
+    for option in fields(Protocol):
+        assert option.metadata["about"]
+        assert "choices" in option.metadata or "form" in option.metadata
+
+
+@pytest.mark.parametrize("best", ["frame", "sequence", "joint", "batch:1", "batch:12"])
+def test_best_takes_its_forms(best: str) -> None:
+    assert Protocol(best=best).best == best
+
+
+@pytest.mark.parametrize(
+    "best",
+    ["", "batch", "batch:", "batch:0", "batch:-1", "batch:2.5", "batch:k", "frame:2", "frame:x", "joint:", "poses"],
+)
+def test_best_refuses_all_else(best: str) -> None:
+    with pytest.raises(PoseDataError, match=r"best: '.*'; expected frame, sequence, batch:k \(k clips\) or joint\."):
+        Protocol(best=best)
+
+
+@pytest.mark.parametrize("best", ["sequence", "batch:2", "joint"])
+def test_a_linked_alignment_needs_a_best_per_frame(best: str) -> None:
+    with pytest.raises(PoseDataError, match=rf"align_best: 'linked' with best: '{best}'; expected best: 'frame'\."):
+        Protocol(best=best, align_best="linked")
+
+
+@pytest.mark.parametrize("mode", ["score", "0", "17"])
+def test_mode_takes_score_or_an_index(mode: str) -> None:
+    assert Protocol(mode=mode).mode == mode
+
+
+@pytest.mark.parametrize("mode", ["", "-1", "1.0", "first"])
+def test_mode_refuses_all_else(mode: str) -> None:
+    with pytest.raises(PoseDataError, match=r"mode: '.*'; expected score or the index of a hypothesis\."):
+        Protocol(mode=mode)
+
+
+@pytest.mark.parametrize("threshold", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_threshold_is_a_length(threshold: float) -> None:
+    with pytest.raises(PoseDataError, match=r"pck_threshold: .*; expected a length in mm\."):
+        Protocol(pck_threshold=threshold)
+
+
+def test_a_threshold_is_read_from_text() -> None:
+    assert Protocol().changed({"pck_threshold": "75.5"}).pck_threshold == 75.5
+
+
+def test_a_threshold_that_is_no_number_is_refused() -> None:
+    with pytest.raises(PoseDataError, match=r"pck_threshold: '75 mm'; expected a length in mm\."):
+        Protocol().changed({"pck_threshold": "75 mm"})
+
+
+def test_all_wrong_values_are_said_at_once() -> None:
+    with pytest.raises(PoseDataError, match=r"(?s)3 problems:.*root: .*best: .*mode: "):
+        Protocol(root="keep", best="clip", mode="last")
+
+
+def test_an_option_that_does_not_exist_is_refused_with_the_nearest() -> None:
+    with pytest.raises(PoseDataError, match=r"option: 'jionts' is not known\. Did you mean joints\?"):
+        Protocol().changed({"jionts": "all"})
+
+
+def test_all_options_that_do_not_exist_are_said_at_once() -> None:
+    with pytest.raises(PoseDataError, match=r"(?s)2 problems:.*'a1'.*'b2'"):
+        Protocol().changed({"a1": "all", "b2": "all"})
+
+
+def test_a_changed_protocol_leaves_the_first_as_it_was() -> None:
+    before = Protocol()
+    assert before.changed({"root": "drop"}).root == "drop"
+    assert before == Protocol()
+
+
+def test_the_metrics_that_are_wanted_are_the_words_of_a_list() -> None:
+    assert Protocol(metrics=" ece,pck , all").wanted == ("ece", "pck", "all")
+
+
+def test_options_as_text_make_the_same_protocol() -> None:
+    protocol = Protocol(best="batch:3", pck_threshold=99.5, metrics="pck, auc")
+    assert Protocol().changed(protocol.options) == protocol
+
+
+def test_differences_name_the_options_that_are_not_the_defaults() -> None:
+    assert Protocol().differences == {}
+    assert Protocol(root="drop", mode="0").differences == {"root": "drop", "mode": "0"}
+
+
+@pytest.mark.parametrize(
+    ("where", "over", "summary"),
+    [
+        ("all", "auto", "median"),
+        ("occluded", "auto", "pooled"),
+        ("visible", "auto", "pooled"),
+        ("all", "pooled", "pooled"),
+        ("occluded", "median", "median"),
+    ],
+)
+def test_the_summary_over_joints_is_the_paper_s_unless_it_is_said(where: str, over: str, summary: str) -> None:
+    assert Protocol(where=where, ece_over=over).summary_over_joints == summary
+
+
+# --- joints ----------------------------------------------------------------------------------------------------------
+
+
+JOINTS = ("Head", "Hip", "LWrist", "elbow 3")
+
+
+@pytest.mark.parametrize(
+    ("text", "chosen"),
+    [
+        ("all", JOINTS),
+        ("all but Hip", ("Head", "LWrist", "elbow 3")),
+        ("all but elbow 3", ("Head", "Hip", "LWrist")),
+        ("all but Spine", JOINTS),
+        ("LWrist, Head", ("Head", "LWrist")),
+        ("h36m-16", ("Head", "LWrist")),
+        ("elbow 3", ("elbow 3",)),
+    ],
+)
+def test_joints_are_chosen_in_the_poses_order(text: str, chosen: tuple[str, ...]) -> None:
+    assert named_joints("joints", text, JOINTS) == chosen
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("Haed", r"joints: 'Haed' is not among the poses' joints\. Did you mean Head\?"),
+        ("Head, RKnee", r"joints: 'RKnee' is not among the poses' joints"),
+        ("h36m-18", r"joints: 'h36m-18' is not among the poses' joints\. Did you mean h36m-1[67]\?"),
+        ("all but Haed", r"joints: 'Haed' is no joint\. Did you mean Head\?"),
+    ],
+)
+def test_joints_that_are_not_there_are_refused(text: str, words: str) -> None:
+    with pytest.raises(PoseDataError, match=words):
+        named_joints("joints", text, JOINTS)
+
+
+def test_a_joint_set_of_which_the_poses_have_none_is_refused() -> None:
+    with pytest.raises(
+        PoseDataError, match=r"pck_joints: the poses have none of the joints of h36m-14\. They have a, b\."
+    ):
+        named_joints("pck_joints", "h36m-14", ("a", "b"))
+
+
+# --- presets ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_a_preset_s_metrics_are_there_under_its_options(name: str) -> None:
+    protocol = preset(name).protocol
+    asked = {word.strip() for word in protocol.metrics.split(",")}
+    assert set(metrics_of(protocol, EVERYTHING)) == asked
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_a_preset_sets_its_options_and_leaves_the_others(name: str) -> None:
+    found = preset(name)
+    assert found.protocol.differences == {
+        key: value for key, value in found.options.items() if value != Protocol().options[key]
+    }
+
+
+def test_an_unknown_preset_is_refused_with_the_nearest() -> None:
+    with pytest.raises(PoseDataError, match=r"preset: 'd3dp-best' is not known\. Did you mean d3dp-[jp]best\?"):
+        preset("d3dp-best")

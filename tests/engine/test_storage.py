@@ -1,0 +1,109 @@
+"""Do sums come back from a file as they were?"""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from posecal.engine.protocol import Protocol
+from posecal.engine.storage import is_result, load_totals, save_totals
+from posecal.errors import PoseFileError
+from posecal.registry import known_metrics
+from tests.helpers.example_totals import totals
+from tests.helpers.random_worlds import world
+
+
+def test_a_file_gives_back_what_was_saved(tmp_path: Path) -> None:
+    protocol = Protocol(where="visible", best="batch:2", average="action", pck_threshold=80.5)
+    before = replace(world(8).totals(protocol), remarks=("one", "two, three"))
+    save_totals(before, tmp_path / "result.npz")
+    after = load_totals(tmp_path / "result.npz")
+    assert after.spec == before.spec
+    assert after.protocol == before.protocol
+    assert (after.version, after.remarks, after.sequences) == (before.version, before.remarks, before.sequences)
+    assert list(after.cells) == list(before.cells)
+    assert after.signature == before.signature
+    for name in before.sums:
+        np.testing.assert_array_equal(after.sums[name], before.sums[name])
+        np.testing.assert_array_equal(after.counts[name], before.counts[name])
+    for name in before.kept:  # in single precision
+        np.testing.assert_allclose(after.kept[name], before.kept[name], rtol=2**-24)
+    metrics = known_metrics(after.protocol, after.spec)
+    for name, metric_ in metrics.items():
+        np.testing.assert_allclose(after.value(metric_), before.value(metric_), rtol=1e-6, err_msg=name)
+
+
+def test_a_saved_result_is_known_as_one(tmp_path: Path) -> None:
+    save_totals(totals(), tmp_path / "result.npz")
+    np.savez(tmp_path / "other.npz", hypotheses=np.zeros(3))
+    (tmp_path / "text.npz").write_text("no zip")
+    assert is_result(tmp_path / "result.npz")
+    assert not is_result(tmp_path / "other.npz")
+    assert not is_result(tmp_path / "text.npz")
+    assert not is_result(tmp_path / "nothing.npz")
+
+
+def test_what_is_missing_or_a_folder_is_said(tmp_path: Path) -> None:
+    with pytest.raises(PoseFileError, match=r"nothing\.npz: no such file\."):
+        load_totals(tmp_path / "nothing.npz")
+    with pytest.raises(PoseFileError, match=r"is a folder; expected a result of posecal evaluate --save\."):
+        load_totals(tmp_path)
+
+
+@pytest.mark.parametrize("kind", ["empty", "text", "array", "other members", "cut", "no json", "unknown option"])
+def test_what_is_no_whole_result_is_refused(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "bad.npz"
+    save_totals(totals(), tmp_path / "good.npz")
+    whole = (tmp_path / "good.npz").read_bytes()
+    if kind == "empty":
+        path.write_bytes(b"")
+    elif kind == "text":
+        path.write_text("hello, I am no archive")
+    elif kind == "array":
+        with path.open("wb") as file:
+            np.save(file, np.zeros(3))
+    elif kind == "other members":
+        np.savez(path, hypotheses=np.zeros(3))
+    elif kind == "cut":
+        path.write_bytes(whole[: len(whole) // 2])
+    else:
+        with np.load(tmp_path / "good.npz") as stored:
+            members: dict[str, npt.NDArray[np.generic]] = dict(stored)
+        about = str(members["about"])
+        members["about"] = np.array("{" if kind == "no json" else about.replace('"root": "count"', '"root": "gone"'))
+        np.savez(path, **members)
+    with pytest.raises(PoseFileError, match=r"bad\.npz: no result of posecal evaluate --save, or not a whole one\."):
+        load_totals(path)
+
+
+def test_a_result_of_another_format_is_to_be_made_anew(tmp_path: Path) -> None:
+    save_totals(totals(), tmp_path / "result.npz")
+    with np.load(tmp_path / "result.npz") as stored:
+        members: dict[str, npt.NDArray[np.generic]] = dict(stored)
+    members["about"] = np.array(str(members["about"]).replace('"format": 1', '"format": 99'))
+    np.savez(tmp_path / "later.npz", **members)
+    with pytest.raises(PoseFileError, match=r"later\.npz: format 99 of posecal 1\.0; expected 1\. Evaluate again\."):
+        load_totals(tmp_path / "later.npz")
+
+
+def test_a_corrupted_member_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "bad.npz"
+    save_totals(totals(), path)
+    with zipfile.ZipFile(path) as archive:
+        start = archive.getinfo("sum/height.npy").header_offset
+    whole = bytearray(path.read_bytes())
+    whole[start + 60 : start + 90] = bytes(30)
+    path.write_bytes(whole)
+    with pytest.raises(PoseFileError, match=r"bad\.npz: no result"):
+        load_totals(path)
+
+
+def test_a_folder_that_is_not_there_is_said_and_nothing_is_left(tmp_path: Path) -> None:
+    with pytest.raises(PoseFileError, match=r"missing"):
+        save_totals(totals(), tmp_path / "missing" / "result.npz")
+    assert list(tmp_path.iterdir()) == []

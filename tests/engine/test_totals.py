@@ -1,0 +1,241 @@
+"""Do sums add and group, and give the numbers that they should?"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from posecal.engine.metric import Metric, Statistic, item
+from posecal.engine.protocol import Protocol
+from posecal.engine.totals import Totals, difference_of_signatures
+from posecal.errors import PoseDataError
+from posecal.registry import known_metrics
+from posecal.stats.leave_one_out import joints_without, without
+from tests.helpers.example_totals import HEIGHT, JOINTS, KEPT, SIT, SUBJECT, WALK, keeping, metric, totals
+from tests.helpers.random_worlds import world
+
+# --- adding and reading ----------------------------------------------------------------------------------------------
+
+
+def test_a_mean_is_the_sum_over_the_number_of_poses() -> None:
+    assert totals().mean(HEIGHT) == pytest.approx(52 / 10)
+    assert totals().mean(HEIGHT, SIT) == pytest.approx(38 / 4)
+
+
+def test_each_joint_has_a_number_of_poses_of_its_own() -> None:
+    np.testing.assert_allclose(totals().mean(JOINTS), [52 / 10, 4 / 2])
+    np.testing.assert_allclose(totals().mean(JOINTS, np.array([False, True, False, True])), [8 / 5, math.nan])
+
+
+def test_added_rows_of_one_cell_add_up() -> None:
+    found = totals()
+    found.add("height", np.array([1, 1]), np.array([1.0, 2.0]), np.array([1, 1]))
+    assert found.sums["height"][1] == 11
+    assert found.counts["height"][1] == 3
+
+
+def test_the_poses_that_count_are_counted_where_most_do() -> None:
+    assert totals().count(HEIGHT) == 10
+    assert totals().count(JOINTS) == 10
+    assert totals().count(JOINTS, SIT) == 4
+
+
+def test_of_no_pose_nothing_is_known() -> None:
+    nobody = np.zeros(4, dtype=bool)
+    assert math.isnan(totals().mean(HEIGHT, nobody))
+    assert math.isnan(totals().value(metric(), nobody))
+    assert totals().count(HEIGHT, nobody) == 0
+
+
+def test_groups_come_in_their_natural_order() -> None:
+    found = totals(cells={"sequence": np.array(["clip 10", "clip 9", "clip 9b", "a"])})
+    assert [name for name, _ in found.groups("sequence")] == ["a", "clip 9", "clip 9b", "clip 10"]
+
+
+def test_groups_give_the_cells_of_each_value() -> None:
+    found = {name: cells.tolist() for name, cells in totals().groups("action")}
+    assert found == {"sit": SIT.tolist(), "walk": WALK.tolist()}
+
+
+def test_a_label_that_is_not_there_is_refused_with_the_nearest() -> None:
+    with pytest.raises(PoseDataError, match=r"by: 'actoin' is not a label of these poses\. Did you mean action\?"):
+        list(totals().groups("actoin"))
+
+
+def test_runs_of_frames_are_no_sequences_to_group_by() -> None:
+    found = totals(sequences=False)
+    assert found.labels == ("action",)
+    with pytest.raises(PoseDataError, match=r"by: 'sequence' is not a label of these poses\. Known: action\."):
+        list(found.groups("sequence"))
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({}, "3 sequences"),
+        ({"sequences": False}, "3 runs of frames"),
+        ({"sequences": False, "poses": np.ones(4, dtype=int), "cells": {"sequence": np.arange(4)}}, "4 frames"),
+        ({"cells": {"sequence": np.array(["a"] * 4)}}, "1 sequence"),
+        ({"cells": {"sequence": np.array(["a"] * 4)}, "sequences": False}, "1 run of frames"),
+    ],
+)
+def test_what_is_taken_as_independent_is_said_with_its_number(changes: dict[str, object], words: str) -> None:
+    assert totals(**changes).units() == words
+
+
+def test_a_number_of_them_may_be_given() -> None:
+    assert totals().units(1) == "1 sequence"
+    assert totals().units(2) == "2 sequences"
+
+
+def test_poses_of_one_row_of_a_statistic_are_counted() -> None:
+    assert totals().count(JOINTS, row=1) == 2
+    assert totals().count(JOINTS, SIT, row=1) == 1
+
+
+# --- values ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_value_is_the_finish_of_the_mean() -> None:
+    assert totals().value(metric(finish=lambda mean: float(mean) ** 2)) == pytest.approx(5.2**2)
+
+
+def test_averaged_by_a_label_it_is_the_mean_of_the_groups_values() -> None:
+    found = totals(Protocol(average="action"))
+    assert found.value(metric()) == pytest.approx((38 / 4 + 14 / 6) / 2)
+    assert found.value(metric(), SIT) == pytest.approx(38 / 4)
+
+
+def test_groups_of_which_nothing_is_known_are_no_part_of_the_average() -> None:
+    nothing = metric(JOINTS, finish=item(1))
+    found = totals(Protocol(average="sequence"))
+    assert found.value(nothing) == pytest.approx((3 / 1 + 1 / 1) / 2)  # sequences a and b; c has none
+    assert math.isnan(found.value(nothing, np.array([False, False, False, True])))
+
+
+def test_numbers_per_joint_are_averaged_alike() -> None:
+    per_joint = metric(by_joint=(JOINTS, np.asarray))
+    np.testing.assert_allclose(totals().by_joint(per_joint), [5.2, 2])
+    found = totals(Protocol(average="action")).by_joint(per_joint)
+    np.testing.assert_allclose(found, [(38 / 4 + 14 / 6) / 2, (3 + 1) / 2])
+    np.testing.assert_allclose(totals(Protocol(average="action")).by_joint(per_joint, SIT), [38 / 4, 3])
+
+
+def test_a_metric_without_joints_has_no_numbers_per_joint() -> None:
+    assert np.isnan(totals().by_joint(metric())).tolist() == [True, True]
+
+
+PAIR = Statistic("pair", lambda block: block.truth[:, 0, :2])
+
+
+def clips(k: int, protocol: Protocol | None = None) -> tuple[Totals, Metric]:
+    """Errors of two hypotheses in the four cells of the sequences a, b, b and c."""
+    found = totals(protocol)
+    found.add("pair", np.arange(4), np.array([[3.0, 6], [1, 5], [8, 2], [4, 4]]), np.array([3, 1, 2, 4]))
+    return found, metric(PAIR, finish=lambda mean: float(mean.min()), clips=k)
+
+
+def test_a_choice_per_sequence_is_averaged_over_its_poses() -> None:
+    # a: 3/3 or 6/3; b: 9/3 or 7/3; c: 4/4. The smaller sums are 3, 7 and 4, of 10 poses.
+    found, best = clips(1)
+    assert found.value(best) == pytest.approx(14 / 10)
+
+
+def test_a_choice_per_batch_takes_sequences_in_the_order_in_which_they_come() -> None:
+    # a and b: 12 or 13; c: 4
+    found, best = clips(2)
+    assert found.value(best) == pytest.approx(16 / 10)
+    # all: 16 or 17
+    found, best = clips(3)
+    assert found.value(best) == pytest.approx(16 / 10)
+
+
+def test_a_group_s_batches_are_of_its_own_sequences() -> None:
+    # walk: b with 8 or 2, and c with 4 or 4, as one batch: 12 or 6
+    found, best = clips(2)
+    assert found.value(best, WALK) == pytest.approx(6 / 6)
+    averaged, best = clips(2, Protocol(average="action"))
+    # sit: a with 3 or 6, and b with 1 or 5: 4 or 11 of 4 poses
+    assert averaged.value(best) == pytest.approx((4 / 4 + 6 / 6) / 2)
+
+
+def test_sequences_without_a_pose_that_counts_have_no_choice() -> None:
+    found, best = clips(1)
+    found.counts["pair"][:] = [0, 1, 2, 0]
+    assert found.value(best) == pytest.approx(7 / 3)
+    found.counts["pair"][:] = 0
+    assert math.isnan(found.value(best))
+
+
+# --- kept values -----------------------------------------------------------------------------------------------------
+
+
+def test_kept_values_are_those_of_the_poses_of_the_cells() -> None:
+    found, added = keeping()
+    assert found.value(added) == 1 + 2 + 3 + 4 + 5 + 6 + 9 + 10
+    assert found.value(added, SIT) == 21
+    assert found.count(KEPT) == 4
+    assert found.count(KEPT, WALK) == 1
+
+
+# --- sequences -------------------------------------------------------------------------------------------------------
+
+
+def test_sums_of_a_sequence_are_those_of_its_cells() -> None:
+    sums, counts = totals().by_sequence(JOINTS)
+    np.testing.assert_allclose(sums, [[30, 3], [22, 1], [0, 0]])
+    np.testing.assert_array_equal(counts, [[3, 1], [3, 1], [4, 0]])
+    sums, counts = totals().by_sequence(HEIGHT, WALK)
+    np.testing.assert_allclose(sums, [14, 0])
+    np.testing.assert_array_equal(counts, [2, 4])
+
+
+@pytest.mark.parametrize("protocol", [Protocol(), Protocol(average="action"), Protocol(best="batch:2")])
+def test_left_out_in_turn_each_sequence_is_as_if_it_had_not_been_there(protocol: Protocol) -> None:
+    some = world(5, M=20)
+    found = some.totals(protocol)
+    names = np.unique(found.cells["sequence"])
+    metrics = known_metrics(found.protocol, found.spec)
+    rest = [some.taken(np.flatnonzero(some.sequence != name)).values(found.protocol) for name in names]
+    for name in ("min_mpjpe", "ece", "radius_50", "spread_error_correlation", "energy_score"):
+        expected = [values[name] for values in rest]
+        np.testing.assert_allclose(without(found, metrics[name]), expected, rtol=1e-9, err_msg=name)
+
+
+@pytest.mark.parametrize("average", ["poses", "action", "sequence"])
+def test_per_joint_each_sequence_is_left_out_as_if_it_had_not_been_there(average: str) -> None:
+    found = world(5, M=20).totals(Protocol(average=average, where="occluded"))
+    names = np.unique(found.cells["sequence"])
+    for name in ("mpjpe", "signed_area"):
+        one = known_metrics(found.protocol, found.spec)[name]
+        expected = [found.by_joint(one, found.cells["sequence"] != left) for left in names]
+        np.testing.assert_allclose(joints_without(found, one)[0], expected, rtol=1e-9, atol=1e-12, err_msg=name)
+
+
+# --- signature -------------------------------------------------------------------------------------------------------
+
+
+def test_a_signature_names_what_numbers_depend_on() -> None:
+    found = totals(Protocol(align="rigid", pck_joints="Head, Hip", metrics="pck")).signature
+    parts = dict(part.split("=", 1) for part in found.split())
+    assert parts["N"] == "7"
+    assert parts["origin"] == "Hip"
+    assert parts["align"] == "rigid"
+    assert parts["pck_joints"] == "Head,_Hip"
+    assert parts["ece"] == "exchangeable,median"
+    assert "metrics" not in parts
+    assert "cps_best" not in parts
+
+
+def test_without_a_root_the_origin_is_as_given() -> None:
+    assert "origin=as_given" in totals(spec=replace(SUBJECT, root=None)).signature
+
+
+def test_signatures_differ_exactly_where_options_do() -> None:
+    one, other = totals(), totals(Protocol(root="drop", mode="1"))
+    assert one.signature == totals().signature
+    assert difference_of_signatures(one, other) == "root count against drop, mode default against 1"
+    assert difference_of_signatures(one, one) == ""

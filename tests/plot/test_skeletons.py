@@ -1,0 +1,228 @@
+"""Signed areas on a skeleton, and poses in 3D: upright, with each joint where it belongs."""
+
+from collections.abc import Iterator
+from typing import cast
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d.art3d import Line3DCollection
+from mpl_toolkits.mplot3d.axes3d import Axes3D
+
+import posecal
+from posecal.data.layout import MemoryArray
+from posecal.data.pose_data import PoseData, StoredPoses
+from posecal.demo import sample
+from posecal.errors import PoseDataError
+from posecal.plot import draw_poses, frames_of, poses, signed_areas
+from posecal.plot.style import OVER, UNDER
+from tests.helpers.reports import report_of, unlabelled, world
+
+JOINTS = posecal.JOINT_SETS["h36m-17"]
+
+
+@pytest.fixture
+def ax() -> Axes:
+    return Figure().add_subplot()
+
+
+@pytest.fixture
+def space() -> Axes3D:
+    return cast(Axes3D, Figure().add_subplot(projection="3d"))
+
+
+@pytest.fixture(autouse=True)
+def _no_figure_is_left() -> Iterator[None]:
+    from matplotlib import pyplot as plt
+
+    yield
+    plt.close("all")
+
+
+def pairs() -> PoseData:
+    """Twelve frames of one sequence of each action, named."""
+    here = world()
+    ids = np.array([f"{name}/{number}" for number, name in enumerate(here.sequence)])
+    truth = StoredPoses("gt", MemoryArray(here.truth), axes="MKD", unit="mm", joints=JOINTS, frame_id=ids)
+    ours = StoredPoses("hyps", MemoryArray(sample(here, 8)), axes="NMKD", unit="mm", joints=JOINTS, frame_id=ids)
+    return posecal.join(ours, truth)
+
+
+# --- signed areas ---------------------------------------------------------------------------------------------
+
+
+def discs(ax: Axes) -> dict[str, tuple[float, str, np.ndarray]]:
+    """By joint: the area of its disc, its colour and its place."""
+    return {
+        str(c.get_gid()): (float(c.get_sizes()[0]), to_hex(c.get_facecolor()[0]), np.asarray(c.get_offsets())[0])
+        for c in ax.collections
+        if c.get_gid() is not None
+    }
+
+
+def test_every_joint_has_a_disc_that_grows_with_its_area_in_the_colour_of_its_side(ax: Axes) -> None:
+    report = report_of()
+    signed_areas(report, ax=ax)
+    found = discs(ax)
+    assert set(found) == set(JOINTS[1:])
+    values = {name: report.value("signed_area", joint=name) for name in found}
+    assert {np.sign(value) for value in values.values()} == {-1, 1}
+    for name, (_, colour, _) in found.items():
+        assert colour == (OVER if values[name] < 0 else UNDER).lower()
+    by_size = sorted(found, key=lambda name: found[name][0])
+    assert by_size == sorted(found, key=lambda name: abs(values[name]))
+
+
+def test_the_numbers_stand_beside_their_joints_with_their_signs(ax: Axes) -> None:
+    report = report_of()
+    signed_areas(report, ax=ax)
+    shown = {text.get_text() for text in ax.texts}
+    for name in JOINTS[1:]:
+        assert f"{report.value('signed_area', joint=name):+.3f}".replace("-", "−") in shown
+
+
+def test_the_person_stands_with_the_head_up_and_faces_the_reader(ax: Axes) -> None:
+    signed_areas(report_of(), ax=ax)
+    at = {name: place for name, (_, _, place) in discs(ax).items()}
+    assert at["Head"][1] > at["Thorax"][1] > at["LKnee"][1] > at["LFoot"][1]
+    assert at["RWrist"][0] < 0 < at["LWrist"][0]
+    sides = {text.get_text(): text.get_position()[0] for text in ax.texts if "side" in text.get_text()}
+    assert sides["right side"] < sides["left side"]
+
+
+def test_joints_without_a_place_on_a_person_are_refused(ax: Axes) -> None:
+    with pytest.raises(PoseDataError, match=r"joint"):
+        signed_areas(unlabelled(), ax=ax)
+
+
+def test_without_signed_areas_there_is_no_picture_of_them(ax: Axes) -> None:
+    with pytest.raises(PoseDataError, match=r"^signed_area is not in the report\."):
+        signed_areas(report_of(metrics="mpjpe"), ax=ax)
+
+
+# --- poses ----------------------------------------------------------------------------------------------------
+
+
+def truth_ends(space: Axes3D) -> dict[str, np.ndarray]:
+    """By bone: the ends of its blue line, (2, 3)."""
+    return {
+        str(line.get_gid()).removeprefix("truth "): np.stack(line.get_data_3d(), axis=1)  # type: ignore[attr-defined]
+        for line in space.lines
+        if str(line.get_gid()).startswith("truth ")
+    }
+
+
+@pytest.mark.parametrize("up", [(0, 0, 1), (0, -1, 0), (0, 1, 0), (1, 0, 0), (0, 0, -1), (-1, 0, 0)])
+def test_people_stand_upright_whatever_their_axes(up: tuple[int, int, int], space: Axes3D) -> None:
+    """A rotation that takes z to the axis that points up, as cameras and motion capture have it."""
+    axis = int(np.abs(up).argmax())
+    turned = np.roll(world().truth[0], axis + 1, axis=1)  # z goes to the axis
+    turned[:, axis] *= sum(up)
+    turned[:, (axis + 1) % 3] *= sum(up)
+    poses(turned[None], turned, JOINTS, ax=space)
+    bones = truth_ends(space)
+    np.testing.assert_allclose(np.linalg.norm(np.diff(bones["RHip RKnee"], axis=0)), bone_length(turned), rtol=1e-6)
+    assert bones["Neck/Nose Head"][1, 2] > bones["RHip RKnee"][0, 2] > bones["RKnee RFoot"][1, 2]
+
+
+def bone_length(pose: np.ndarray) -> float:
+    return float(np.linalg.norm(pose[JOINTS.index("RHip")] - pose[JOINTS.index("RKnee")]))
+
+
+def test_turning_upright_does_not_mirror(space: Axes3D) -> None:
+    """The triple product of three bones keeps its sign."""
+    pose = world().truth[0][:, [2, 0, 1]]  # a rotation: z, x, y
+    poses(pose[None], pose, JOINTS, ax=space)
+    ends = truth_ends(space)
+    names = ["RHip RKnee", "Thorax RShoulder", "Neck/Nose Head"]
+    drawn = np.stack([np.diff(ends[name], axis=0)[0] for name in names])
+    index = [[JOINTS.index(end) for end in name.split()] for name in names]
+    given = np.stack([pose[child] - pose[parent] for parent, child in index])
+    np.testing.assert_allclose(np.linalg.det(drawn), np.linalg.det(given), rtol=1e-6)
+
+
+def test_hypotheses_are_thin_and_grey_behind_the_truth_and_one_joint_s_are_pink(space: Axes3D) -> None:
+    here = world()
+    assert poses(sample(here, 8)[:, 0], here.truth[0], JOINTS, cloud="RWrist", most=5, ax=space) is space
+    (grey,) = (c for c in space.collections if c.get_gid() == "hypotheses")
+    assert isinstance(grey, Line3DCollection)
+    assert len(grey._segments3d) == 5 * 16  # type: ignore[attr-defined]
+    (cloud,) = (c for c in space.collections if c.get_gid() == "cloud RWrist")
+    assert to_hex(cloud.get_facecolor()[0]) == OVER.lower()
+    assert len(cloud._offsets3d[0]) == 5
+    assert len(truth_ends(space)) == 16
+    assert {to_hex(line.get_color()) for line in space.lines} == {UNDER.lower()}  # type: ignore[arg-type]
+    assert grey.get_zorder() < cloud.get_zorder() < min(line.get_zorder() for line in space.lines)
+
+
+def test_the_cloud_lies_where_the_joint_s_hypotheses_are(space: Axes3D) -> None:
+    here = world()
+    hypotheses = sample(here, 6)[:, 0]
+    poses(hypotheses, here.truth[0], JOINTS, cloud="LFoot", ax=space)
+    (cloud,) = (c for c in space.collections if c.get_gid() == "cloud LFoot")
+    drawn = np.stack(cloud._offsets3d, axis=1)
+    np.testing.assert_allclose(
+        np.linalg.norm(drawn, axis=1), np.linalg.norm(hypotheses[:, JOINTS.index("LFoot")], axis=1), rtol=1e-5
+    )
+
+
+def test_without_axes_new_ones_are_made() -> None:
+    here = world()
+    assert poses(sample(here, 3)[:, 0], here.truth[0], JOINTS).name == "3d"
+
+
+def test_a_joint_that_is_not_finite_is_left_out(space: Axes3D) -> None:
+    here = world()
+    truth = here.truth[0].copy()
+    truth[JOINTS.index("Head")] = np.nan
+    poses(sample(here, 3)[:, 0], truth, JOINTS, ax=space)
+    assert np.isnan(truth_ends(space)["Neck/Nose Head"][1]).all()
+    assert np.isfinite(space.get_xlim() + space.get_zlim()).all()
+
+
+@pytest.mark.parametrize(
+    ("joints", "cloud", "truth", "words"),
+    [
+        (JOINTS, "RWrst", 0.0, r"^joint: 'RWrst' is not among the joints\. Did you mean RWrist\?$"),
+        ([f"j{n}" for n in range(17)], None, 0.0, r"^joints: no bones between j0, j1, j2 and 14 more; expected names"),
+        (JOINTS, None, np.nan, r"^pose: no joint with finite coordinates; expected some to draw\.$"),
+    ],
+)
+def test_what_can_not_be_drawn_is_said(joints: list[str], cloud: str, truth: float, words: str, space: Axes3D) -> None:
+    here = world()
+    with pytest.raises(PoseDataError, match=words):
+        poses(sample(here, 2)[:, 0], here.truth[0] + truth, joints, cloud=cloud, ax=space)
+
+
+# --- figures of poses -----------------------------------------------------------------------------------------
+
+
+def test_frames_are_named_by_id_or_number_and_are_evenly_spaced_by_default() -> None:
+    few = pairs()
+    assert frames_of(few, "3, sequence 01/4,0") == [3, 4, 0]
+    assert frames_of(few, None) == [3, 10, 18, 25, 32]  # the middles of fifths of 36
+    assert frames_of(few, None, some=100) == list(range(36))
+
+
+@pytest.mark.parametrize("said", ["36", "-1", "nobody", "1,,2", "1.5"])
+def test_a_frame_that_is_not_there_is_refused(said: str) -> None:
+    with pytest.raises(PoseDataError, match=r"is neither a frame id nor a number below 36\. The first are sequence 00"):
+        frames_of(pairs(), said)
+
+
+def test_each_frame_has_a_picture_with_its_name_and_the_legend_says_what_is_shown() -> None:
+    figure = draw_poses(pairs(), [0, 7, 30], cloud="rwrist", most=4, columns=2)
+    assert len(figure.axes) == 3
+    said = [text.get_text() for text in figure.texts]
+    assert said == [
+        "sequence 00/0",
+        "sequence 02/7",
+        "sequence 10/30",
+        "blue: truth · grey: 4 of 8 hypotheses · pink: RWrist",
+    ]
+    left, right, below = (place.get_position() for place in figure.axes)
+    assert left.x0 < right.x0
+    assert below.y0 < left.y0
+    np.testing.assert_allclose(below.x0, left.x0)

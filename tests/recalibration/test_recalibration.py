@@ -1,0 +1,281 @@
+"""A wrong spread is found and undone; radii hold what they promise on sequences that they were not fitted on."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from posecal.engine.protocol import Protocol
+from posecal.errors import PoseDataError
+from posecal.recalibration import (
+    SpreadMap,
+    cross_fitted,
+    fit_radius,
+    fit_spread,
+    folds_of,
+    held_out_coverage,
+)
+from posecal.recalibration.dispersion import stretched
+from posecal.report.report import Report
+from tests.helpers.random_worlds import skewed
+from tests.helpers.samplers import gaussian, pairs_of, report_of, sequences
+
+Array = np.ndarray
+FEW = Protocol(metrics="ece, signed_area, min_mpjpe")
+
+
+# --- the spread -------------------------------------------------------------------------------------------------------
+
+
+STRAY = math.pi / 2
+"""Variance of the median of N Gaussian numbers, over that of one, times N."""
+
+
+def scale_error(coordinates: int) -> float:
+    """Bound of the standard error of the logarithm of a scale.
+
+    A coordinate tells 2 about it; a curve that is read at 21 levels wastes some, surely less than half.
+    """
+    return math.sqrt(1 / coordinates)
+
+
+def median_error(spread: float, N: int) -> float:
+    """Bound of how far the best factor is from 1 / spread because the median of N hypotheses is not their centre."""
+    return 0.5 * abs(spread**2 - 1) * STRAY / N
+
+
+def test_a_spread_of_0_4_is_found_and_undone_to_2_percent() -> None:
+    N, M, K = 100, 800, 8
+    x, y = gaussian(1, N, M, K, spread=0.4, dtype="f4")
+    assert 1.7 * scale_error(3 * M * K) + median_error(0.4, N) < 0.02
+    found = fit_spread(pairs_of(x, y), threads=1)
+    np.testing.assert_array_equal(found.factors, found.factors[0])
+    np.testing.assert_allclose(0.4 * found.factors[0], 1, atol=0.02)
+    assert (found.poses, found.sequences) == (M, 0)
+
+
+def test_a_map_that_was_fitted_on_others_calibrates() -> None:
+    map_ = fit_spread(pairs_of(*gaussian(1, 12, 300, 4, spread=0.4)), threads=1)
+    pairs = pairs_of(*gaussian(2, 12, 200, 4, spread=0.4), labels={"sequence": sequences(200, 40)})
+    assert report_of(pairs, "ece").null("ece").p <= 1e-3
+    assert report_of(map_.applied(pairs), "ece").null("ece").p > 0.01
+
+
+def test_each_joint_has_a_factor_of_its_own_where_it_is_asked_for() -> None:
+    N, M, spreads = 40, 300, np.array([0.4, 1.0, 2.0, 0.7])
+    x, y = gaussian(3, N, M, 4, spread=spreads)
+    found = fit_spread(pairs_of(x, y), per_joint=True, threads=1)
+    for spread, factor in zip(spreads, found.factors, strict=True):
+        assert abs(math.log(spread * factor)) < 4 * scale_error(3 * M) + median_error(spread, N)
+    assert len(set(fit_spread(pairs_of(x[:, :30], y[:30]), threads=1).factors)) == 1
+
+
+def test_held_out_sequences_are_calibrated_by_the_factor_of_the_others() -> None:
+    x, y = gaussian(4, 12, 240, 3, spread=0.5)
+    pairs = pairs_of(x, y, labels={"sequence": sequences(240, 24)})
+    before, after, factors = cross_fitted(pairs, FEW, folds=3, threads=1)
+    one, other = Report(before), Report(after)
+    assert one.null("ece").p <= 1e-3
+    assert other.null("ece").p > 0.01
+    assert one.value("signed_area") < -0.1 < other.value("signed_area") < 0.1
+    assert before.poses.sum() == after.poses.sum() == 240
+    part = folds_of(pairs, 3)
+    for fold, found in enumerate(factors):
+        rest = pairs.taken(np.flatnonzero(part != fold))
+        np.testing.assert_allclose(found, fit_spread(rest, threads=1).factors, rtol=1e-9)
+        mended = stretched(x[:, part == fold], found)
+        alone = pairs_of(mended, y[part == fold], labels={"sequence": pairs.labels["sequence"][part == fold]})
+        cells = np.isin(after.cells["sequence"], np.unique(pairs.labels["sequence"][part == fold]))
+        expected = report_of(alone, "min_mpjpe").value("min_mpjpe")
+        np.testing.assert_allclose(after.value(other.metrics["min_mpjpe"], cells), expected, rtol=1e-9)
+
+
+def test_calibrating_a_spread_that_is_too_narrow_for_the_best_of_n_costs_minmpjpe() -> None:
+    # In 3 K = 48 dimensions the best of 10 is better for a spread that is too narrow: what the paper says.
+    x, y = gaussian(5, 10, 60, 16, spread=0.4)
+    before, after, _ = cross_fitted(pairs_of(x, y, labels={"sequence": sequences(60, 12)}), FEW, folds=2, threads=1)
+    assert Report(after).value("min_mpjpe") > Report(before).value("min_mpjpe")
+
+
+@pytest.mark.parametrize("root", [None, 1])
+def test_hypotheses_are_stretched_about_their_median(root: int | None) -> None:
+    x = skewed(6, 5, 4, 3)[0]
+    factors = np.array([0.5, 1.0, 3.0])
+    found = stretched(x, factors, root)
+    for m, k in np.ndindex(4, 3):
+        origin = 0 if root is None else x[:, m, root]
+        relative = x[:, m, k] - origin
+        centre = np.median(relative, axis=0)
+        np.testing.assert_allclose(found[:, m, k], centre + factors[k] * (relative - centre) + origin, rtol=1e-12)
+    assert stretched(x.astype("f4"), factors, root).dtype == np.float32
+
+
+def test_a_map_finds_its_joints_by_name_and_says_which_it_lacks() -> None:
+    x, y = skewed(7, 4, 3, 3)
+    map_ = SpreadMap(("Head", "RKnee", "LFoot"), np.array([2.0, 3, 4]), 10, 2)
+    read = map_.applied(pairs_of(x, y, joints=["LFoot", "Head", "RKnee"])).hypotheses.read(1, 3)
+    np.testing.assert_allclose(read, stretched(x[:, 1:3], np.array([4.0, 2, 3])))
+    with pytest.raises(PoseDataError, match=r"hypotheses has joints that the map lacks: LKnee\. Fit a map on these"):
+        map_.applied(pairs_of(x, y, joints=["LFoot", "Head", "LKnee"]))
+
+
+def test_joints_that_do_not_count_keep_their_spread() -> None:
+    x, y = gaussian(8, 9, 200, 3, spread=0.5)
+    where = np.array([True, False, True]) & np.ones((200, 3), dtype=bool)
+    x[:, :, 1] = np.nan
+    found = fit_spread(pairs_of(x, y, where=where), per_joint=True, threads=1)
+    assert found.factors[1] == 1
+    assert (found.factors[[0, 2]] > 1.5).all()
+
+
+def test_the_root_keeps_its_spread() -> None:
+    x, y = gaussian(9, 9, 100, 3, spread=0.5)
+    found = fit_spread(pairs_of(x, y, root_joint="0"), threads=1)
+    assert found.factors[0] == 1
+    assert found.factors[1] == found.factors[2] > 1.2
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.02], ids=["no spread", "far too narrow"])
+def test_where_no_factor_calibrates_none_is_given(spread: float) -> None:
+    x, y = gaussian(10, 6, 40, 2, spread=spread)
+    with pytest.raises(PoseDataError, match=r"spread: no factor from 0\.1 to 10 calibrates all joints together\. Do"):
+        fit_spread(pairs_of(x, y), threads=1)
+
+
+def test_joints_that_no_factor_calibrates_are_named() -> None:
+    x, y = gaussian(10, 6, 40, 4, spread=0.8)
+    x[:, :, 1:3] = x[:1, :, 1:3]  # they agree on two joints
+    joints = ["Hip", "Head", "LFoot", "RKnee"]
+    with pytest.raises(PoseDataError, match=r"no factor from 0\.1 to 10 calibrates Head, LFoot\. Do the hypotheses"):
+        fit_spread(pairs_of(x, y, joints=joints, root_joint="none"), per_joint=True, threads=1)
+
+
+def test_one_hypothesis_has_no_spread_to_mend() -> None:
+    x, y = skewed(11, 1, 6, 2)
+    for call in (fit_spread, cross_fitted):
+        with pytest.raises(PoseDataError, match=r"hypotheses: 1 hypothesis; recalibration needs at least 2"):
+            call(pairs_of(x, y))
+
+
+def test_coordinates_that_are_not_finite_are_refused() -> None:
+    x, y = skewed(12, 4, 6, 2)
+    x[1, 2, 0, 1] = np.nan
+    with pytest.raises(PoseDataError, match="hypotheses has non-finite coordinates"):
+        fit_spread(pairs_of(x, y), threads=1)
+
+
+# --- parts of the sequences -------------------------------------------------------------------------------------------
+
+
+def test_parts_cut_between_sequences_and_are_alike_in_poses() -> None:
+    sizes = [9, 1, 4, 4, 3, 2, 7]
+    labels = np.repeat([f"s{number}" for number in range(7)], sizes)
+    x, y = skewed(13, 2, len(labels), 2)
+    part = folds_of(pairs_of(x, y, labels={"sequence": labels}), 3)
+    assert all(len(set(part[labels == name])) == 1 for name in set(labels))
+    assert sorted(np.bincount(part)) == [10, 10, 10]  # 9 + 1, 7 + 3, 4 + 4 + 2
+
+
+def test_without_sequences_parts_are_runs_of_frames() -> None:
+    np.testing.assert_array_equal(folds_of(pairs_of(*skewed(14, 2, 7, 2)), 3), [0, 0, 0, 1, 1, 2, 2])
+
+
+@pytest.mark.parametrize(
+    ("folds", "labels", "words"),
+    [
+        (4, ["a", "a", "b", "b", "c"], r"folds: 4; expected 2 to 3, the number of sequences of truth"),
+        (1, ["a", "a", "b", "b", "c"], r"folds: 1; expected 2 to 3"),
+        (6, None, r"folds: 6; expected 2 to 5, the number of poses of truth"),
+        (1, None, r"folds: 1; expected 2 to 5"),
+    ],
+)
+def test_other_numbers_of_parts_are_refused(folds: int, labels: list[str] | None, words: str) -> None:
+    pairs = pairs_of(*skewed(15, 2, 5, 2), labels=None if labels is None else {"sequence": labels})
+    with pytest.raises(PoseDataError, match=words):
+        folds_of(pairs, folds)
+
+
+# --- radii ------------------------------------------------------------------------------------------------------------
+
+
+def distances(x: Array, y: Array, *, scaled: bool) -> Array:
+    """From the median of the hypotheses to the truth, (M, K), mm or predicted standard deviations."""
+    found = np.linalg.norm(np.median(x, axis=0) - y, axis=-1)
+    return found / x.std(axis=0, ddof=1).mean(axis=-1) if scaled else found
+
+
+@pytest.mark.parametrize("scaled", [False, True])
+@pytest.mark.parametrize(("alpha", "place"), [(0.1, 18), (0.25, 15), (0.05, 19)])
+def test_the_radius_is_the_one_that_conformal_prediction_takes(scaled: bool, alpha: float, place: int) -> None:
+    x, y = skewed(16, 5, 19, 3)  # ⌈20 · 0.9⌉ = 18, ⌈20 · 0.75⌉ = 15, ⌈20 · 0.95⌉ = 19
+    found = fit_radius(pairs_of(x, y), alpha, scaled=scaled, threads=1)
+    expected = np.sort(distances(x, y, scaled=scaled), axis=0)[place - 1]
+    np.testing.assert_allclose(found.radii, expected, rtol=1e-9)
+    assert (found.alpha, found.scaled, found.poses) == (alpha, scaled, 19)
+
+
+@pytest.mark.parametrize("scaled", [False, True])
+def test_radii_hold_their_share_of_new_truths(scaled: bool) -> None:
+    M, alpha = 1000, 0.1
+    x, y = gaussian(17, 8, 2 * M, 3, spread=0.3)  # however wrong the spread is
+    radii = fit_radius(pairs_of(x[:, :M], y[:M]), alpha, scaled=scaled, threads=1).radii
+    held = (distances(x[:, M:], y[M:], scaled=scaled) <= radii).mean(axis=0)
+    # Coverage of new draws given M fitted ones is Beta distributed about 1 - α; with M new ones on top of it:
+    spread = math.sqrt(alpha * (1 - alpha) * 2 / M)
+    np.testing.assert_allclose(held, 1 - alpha, atol=3.5 * spread)
+
+
+def test_coverage_on_held_out_sequences_is_within_its_binomial_tolerance() -> None:
+    M, alpha = 1200, 0.2
+    x, y = gaussian(18, 6, M, 2)
+    found = held_out_coverage(pairs_of(x, y, labels={"sequence": sequences(M, 60)}), alpha, folds=4, threads=1)
+    low, high = stats.binom(M, 1 - alpha).interval(0.9999)
+    assert ((low / M <= found) & (found <= high / M)).all()
+
+
+def test_held_out_coverage_is_counted_part_by_part() -> None:
+    x, y = skewed(19, 4, 40, 2)
+    where = np.random.default_rng(0).random((40, 2)) < 0.8
+    pairs = pairs_of(x, y, labels={"sequence": sequences(40, 8)}, where=where)
+    found = held_out_coverage(pairs, 0.3, folds=2, threads=1)
+    part, d = folds_of(pairs, 2), distances(x, y, scaled=False)
+    for k in range(2):
+        inside = []
+        for m in np.flatnonzero(where[:, k]):
+            others = np.sort([d[o, k] for o in range(40) if part[o] != part[m] and where[o, k]])
+            inside.append(d[m, k] <= others[math.ceil((len(others) + 1) * 0.7 - 1e-9) - 1])
+        np.testing.assert_allclose(found[k], np.mean(inside))
+
+
+def test_a_joint_that_never_counts_has_no_radius() -> None:
+    x, y = skewed(20, 4, 12, 3)
+    where = np.ones((12, 3), dtype=bool)
+    where[:, 1] = False
+    pairs = pairs_of(x, y, where=where, labels={"sequence": sequences(12, 4)})
+    np.testing.assert_array_equal(np.isnan(fit_radius(pairs, 0.2, threads=1).radii), [False, True, False])
+    np.testing.assert_array_equal(np.isnan(held_out_coverage(pairs, 0.3, folds=2)), [False, True, False])
+
+
+def test_an_alpha_that_no_number_of_poses_allows_is_refused_with_the_smallest_that_is() -> None:
+    pairs = pairs_of(*skewed(21, 4, 9, 2))
+    with pytest.raises(
+        PoseDataError, match=r"alpha: 0\.05 needs more than 9 poses; the smallest possible .* is 0\.1\."
+    ):
+        fit_radius(pairs, 0.05)
+    assert np.isfinite(fit_radius(pairs, 0.1).radii).all()
+
+
+@pytest.mark.parametrize("alpha", [0.0, 1.0, -0.1, 7.0, math.nan])
+def test_an_alpha_that_is_no_share_is_refused(alpha: float) -> None:
+    with pytest.raises(PoseDataError, match=r"alpha: .*; expected between 0 and 1"):
+        fit_radius(pairs_of(*skewed(22, 4, 9, 2)), alpha)
+
+
+def test_radii_in_standard_deviations_need_two_hypotheses_and_radii_in_mm_do_not() -> None:
+    pairs = pairs_of(*skewed(23, 1, 12, 2))
+    assert np.isfinite(fit_radius(pairs, 0.2).radii).all()
+    with pytest.raises(PoseDataError, match="recalibration needs at least 2"):
+        fit_radius(pairs, 0.2, scaled=True)

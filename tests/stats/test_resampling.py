@@ -1,0 +1,363 @@
+"""How sure: the jackknife, sign-flips, Holm and the rest, against loops, enumeration and textbooks."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from posecal.calibration import LEVELS
+from posecal.stats.resampling import (
+    FEWEST,
+    Deviation,
+    Interval,
+    effective_poses,
+    holm,
+    jackknife,
+    paired_p,
+    sign_flips,
+    squared_error,
+)
+from tests.benchmarks.level import BAND, Design, rejection_rates
+
+Array = np.ndarray
+Q = LEVELS.size
+
+
+# --- intervals ------------------------------------------------------------------------------------------------------
+
+
+def left_out(sums: Array, sizes: Array) -> Array:
+    """Ratio of sums with each sequence left out, one at a time."""
+    found = []
+    for s in range(len(sums)):
+        others = [t for t in range(len(sums)) if t != s]
+        found.append(sum(sums[t] for t in others) / sum(sizes[t] for t in others))
+    return np.array(found)
+
+
+@given(means=st.lists(st.floats(-50, 50), min_size=2, max_size=12), frames=st.integers(1, 9))
+def test_a_mean_over_equal_sequences_has_the_t_interval_of_their_means(means: list[float], frames: int) -> None:
+    sums, sizes = frames * np.array(means), np.full(len(means), frames)
+    found = jackknife(sums.sum() / sizes.sum(), left_out(sums, sizes))
+    error = stats.sem(means)
+    np.testing.assert_allclose(found.error, error, rtol=1e-6, atol=1e-9)
+    low, high = stats.t.interval(0.95, len(means) - 1) if error == 0 else stats.t(len(means) - 1).interval(0.95)
+    np.testing.assert_allclose(found.low, np.mean(means) + error * low, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(found.high, np.mean(means) + error * high, rtol=1e-6, atol=1e-6)
+
+
+def test_a_ratio_over_unequal_sequences_has_the_cluster_robust_error() -> None:
+    random = np.random.default_rng(1)
+    sizes = random.integers(3, 40, 60)
+    sums = sizes * random.normal(80, 15, 60)
+    ratio, n, S = sums.sum() / sizes.sum(), sizes.sum(), len(sizes)
+    residual = sums - ratio * sizes
+    # Leaving s out moves the ratio by -residual_s / (n - n_s), so with h = max n_s / n the jackknife's variance lies
+    # between the cluster-robust one, S/(S-1) Σ residual² / n² (its S - 1 for S here), and that over (1 - h)².
+    found = jackknife(ratio, left_out(sums, sizes)).error ** 2
+    robust = (S - 1) / S * (residual**2).sum() / n**2
+    most = (S - 1) / S * (residual**2).sum() / (n - sizes.max()) ** 2
+    centring = 1 - 1 / S  # the mean of the left-out ratios is not quite the ratio
+    assert centring * robust < found < most
+    np.testing.assert_allclose(left_out(sums, sizes), ratio - residual / (n - sizes), rtol=1e-12)
+
+
+def test_intervals_cover_the_truth_as_often_as_they_say() -> None:
+    random = np.random.default_rng(2)
+    times, S = 1000, 8
+    means = random.standard_normal((times, S))  # of sequences of equal size: the interval is Student's, and exact
+    held = 0
+    for row in means:
+        found = jackknife(row.mean(), left_out(row, np.ones(S)))
+        held += found.low <= 0 <= found.high
+    low, high = stats.binom(times, 0.95).interval(0.9999)
+    assert low <= held <= high
+
+
+@pytest.mark.parametrize(
+    ("value", "without"),
+    [(1.0, [1.0]), (1.0, []), (math.nan, [1.0, 2.0]), (1.0, [1.0, math.nan, 2.0])],
+    ids=["one sequence", "none", "no value", "not defined without one"],
+)
+def test_there_is_no_interval_of(value: float, without: list[float]) -> None:
+    found = jackknife(value, np.array(without))
+    assert found.sequences == len(without)
+    assert np.isnan([found.low, found.high, found.error]).all()
+
+
+# --- sign-flips against enumeration -----------------------------------------------------------------------------------
+
+
+def statistic(mean: Array, over: str) -> float:
+    """The error of mean deviations (J, Q), by the definitions."""
+    if over == "median":
+        curve = [float(np.median([mean[j, q] for j in range(len(mean))])) for q in range(Q)]
+        return sum(abs(value) for value in curve) / Q
+    each = [sum(abs(value) for value in row) / Q for row in mean]
+    return max(each) if over == "worst" else sum(each) / len(each)
+
+
+def furthest(mean: Array, over: str) -> float:
+    """Largest weighted distance from the diagonal."""
+    curves = np.median(mean, axis=0)[None] if over == "median" else mean
+    return max(abs(curve[q]) / math.sqrt(LEVELS[q] * (1 - LEVELS[q])) for curve in curves for q in range(1, Q - 1))
+
+
+def flipped(D: Array, counts: Array, signs: tuple[int, ...], offset: Array | float = 0.0) -> Array:
+    """Mean deviations (J, Q) with each sequence's sign, by loops."""
+    mean = np.zeros(D.shape[1:])
+    for j in range(D.shape[1]):
+        for s, sign in enumerate(signs):
+            mean[j] += sign * D[s, j]
+        mean[j] /= counts[:, j].sum()
+    return mean + offset
+
+
+def some(seed: int, S: int = 7, J: int = 3) -> tuple[Array, Array]:
+    """Deviations (S, J, Q) that lean to one side, and counts."""
+    random = np.random.default_rng(seed)
+    counts = random.integers(1, 30, (S, J))
+    bridge = random.normal(0.4, 1, (S, J, 1)) * np.sqrt(LEVELS * (1 - LEVELS)) + 0.1 * random.normal(size=(S, J, Q))
+    return bridge * np.sqrt(counts)[..., None], counts
+
+
+@pytest.mark.parametrize("over", ["median", "mean", "worst"])
+@pytest.mark.parametrize("offset", [None, 0.02 * np.sin(np.arange(Q))], ids=["unbiased", "biased definition"])
+def test_few_sequences_are_flipped_in_every_way(over: str, offset: Array | None) -> None:
+    D, counts = some(3)
+    every = [
+        flipped(D, counts, signs, 0 if offset is None else offset) for signs in itertools.product((1, -1), repeat=7)
+    ]
+    if offset is None:
+        reference = every
+    else:  # a pattern and its opposite differ where the definition is biased; posecal takes those with the last sign +
+        reference = [
+            mean for mean, signs in zip(every, itertools.product((1, -1), repeat=7), strict=True) if signs[-1] > 0
+        ]
+    errors = np.array([statistic(mean, over) for mean in reference])
+    observed = statistic(every[0], over)
+    found = sign_flips(D, counts, Deviation(over=over), offset=offset)  # type: ignore[arg-type]
+    np.testing.assert_allclose(found.observed, observed, rtol=1e-5)
+    np.testing.assert_allclose(found.p, (errors >= observed * (1 - 1e-6)).mean(), rtol=1e-9)
+    np.testing.assert_allclose(found.mean, errors.mean(), rtol=1e-5)
+    half = np.sort(errors)[:: 1 if offset is not None else 2]  # each size occurs twice, once per opposite
+    np.testing.assert_allclose(found.high, np.quantile(half, 0.95), rtol=1e-5)
+    sup = np.sort([furthest(mean, over) for mean in reference])[:: 1 if offset is not None else 2]
+    np.testing.assert_allclose(found.band, np.quantile(sup, 0.95), rtol=1e-5)
+    assert found.sequences == 7
+
+
+@pytest.mark.parametrize("over", ["median", "mean", "worst"])
+def test_many_sequences_are_flipped_at_random_as_if_in_every_way(over: str) -> None:
+    D, counts, draws = *some(4, S=11, J=2), 500
+    assert draws < 2**10  # so posecal does not try all of them
+    errors = [
+        statistic(flipped(D, counts, signs), over)
+        for signs in itertools.product((1, -1), repeat=10)
+        for signs in [(*signs, 1)]
+    ]
+    p = float((np.array(errors) >= statistic(flipped(D, counts, (1,) * 11), over)).mean())
+    found = sign_flips(D, counts, Deviation(over=over), draws=draws)  # type: ignore[arg-type]
+    assert 0.01 < p < 0.9
+    assert abs(found.p - p) < 4 * math.sqrt(p * (1 - p) / draws) + 1 / draws
+    assert abs(found.mean - np.mean(errors)) < 4 * np.std(errors) / math.sqrt(draws)
+
+
+def test_a_slice_of_the_curves_is_judged_by_itself() -> None:
+    D, counts = some(5, J=4)
+    for first, last in ((None, -1), (-1, None), (1, 3)):
+        part = slice(first, last)
+        assert sign_flips(D, counts, Deviation(first, last, "worst")) == sign_flips(
+            D[:, part], counts[:, part], Deviation(over="worst")
+        )
+
+
+def test_curves_and_sequences_without_a_pose_that_counts_change_nothing() -> None:
+    D, counts = some(6)
+    plain = sign_flips(D, counts, Deviation(over="mean"))
+    wider = np.insert(np.insert(D, 1, 0.0, axis=1), [2, 5], 0.0, axis=0)
+    more = np.insert(np.insert(counts, 1, 0, axis=1), [2, 5], 0, axis=0)
+    assert sign_flips(wider, more, Deviation(over="mean")) == plain
+
+
+def test_the_order_of_the_sequences_changes_nothing_where_all_patterns_are_tried() -> None:
+    D, counts = some(7, S=9)
+    order = np.random.default_rng(0).permutation(9)
+    one, other = (sign_flips(d, c, Deviation()) for d, c in ((D, counts), (D[order], counts[order])))
+    np.testing.assert_allclose(
+        [one.p, one.mean, one.high, one.band], [other.p, other.mean, other.high, other.band], rtol=1e-5
+    )
+
+
+def test_the_same_question_has_the_same_answer() -> None:
+    D, counts = some(8, S=30)
+    assert sign_flips(D, counts, Deviation()) == sign_flips(D, counts, Deviation())
+    assert sign_flips(D, counts, Deviation(), seed=1).p != sign_flips(D, counts, Deviation()).p
+
+
+@pytest.mark.parametrize("S", [1, 2, 5])
+def test_with_fewer_than_six_sequences_there_is_no_p_value(S: int) -> None:
+    D, counts = some(9, S=S)
+    found = sign_flips(D, counts, Deviation())
+    np.testing.assert_allclose(found.observed, statistic(flipped(D, counts, (1,) * S), "mean"), rtol=1e-5)
+    assert np.isnan([found.p, found.mean, found.high, found.band]).all()
+    assert found.sequences == S
+
+
+def test_six_is_the_smallest_number_at_which_anything_can_be_rejected() -> None:
+    # All sequences deviate alike: of the 2^(S-1) patterns only one is as extreme, the observed one.
+    found = sign_flips(np.ones((FEWEST, 1, Q)), np.ones((FEWEST, 1), int), Deviation())
+    assert found.p == 1 / 2 ** (FEWEST - 1) < 0.05 < 1 / 2 ** (FEWEST - 2)
+
+
+def test_nothing_that_counts_gives_no_number() -> None:
+    found = sign_flips(np.zeros((8, 2, Q)), np.zeros((8, 2), int), Deviation())
+    assert found.sequences == 0
+    assert np.isnan([found.observed, found.p, found.mean, found.high, found.band]).all()
+
+
+# --- what is kept of the level ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def rates() -> dict[str, int]:
+    return rejection_rates(Design(20, 100), 200, draws=500).rejected
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["sign-flips, ECE (median over joints)", "sign-flips, mean of the joints' ECEs", "sign-flips, worst joint", BAND],
+)
+def test_a_perfect_sampler_on_correlated_frames_is_rejected_3_to_7_percent_of_the_time(
+    rates: dict[str, int], name: str
+) -> None:
+    low, high = stats.binom(200, 0.03).ppf(5e-4), stats.binom(200, 0.07).ppf(1 - 5e-4)
+    assert low <= rates[name] <= high
+
+
+@pytest.mark.parametrize("test", ["Kolmogorov–Smirnov", "simultaneous ECDF envelope", "χ², 20 bins"])
+def test_tests_that_believe_in_independent_frames_reject_it_80_percent_of_the_time(
+    rates: dict[str, int], test: str
+) -> None:
+    assert rates[f"{test}, all joints"] >= stats.binom(200, 0.8).ppf(5e-4)
+
+
+def test_those_tests_keep_their_level_where_frames_are_independent() -> None:
+    found = rejection_rates(Design(20, 20, frame_correlation=0.0, joint_correlation=0.0), 200, draws=20).rejected
+    low, high = stats.binom(200, 0.05).interval(0.999)
+    for test in ("Kolmogorov–Smirnov", "simultaneous ECDF envelope", "χ², 20 bins"):
+        assert low <= found[f"{test}, one joint"] <= high
+
+
+def test_a_spread_that_is_a_tenth_too_narrow_is_found_more_often_with_more_sequences() -> None:
+    few, many = (
+        rejection_rates(Design(S, 20, spread=0.9), 60, independent=False, draws=500).rejected[
+            "sign-flips, ECE (median over joints)"
+        ]
+        for S in (10, 60)
+    )
+    assert many > few
+    assert many >= stats.binom(60, 0.7).ppf(5e-4)
+
+
+# --- what chance adds, and what poses are worth -----------------------------------------------------------------------
+
+
+def test_the_squared_error_is_the_square_of_the_mean_less_its_variance() -> None:
+    D, counts = some(10)
+    S, expected = len(D), []
+    for j in range(D.shape[1]):
+        n = counts[:, j].sum()
+        for q in range(Q):
+            mean = sum(D[s, j, q] for s in range(S)) / n
+            residuals = [D[s, j, q] - counts[s, j] * mean for s in range(S)]
+            expected.append(mean**2 - S / (S - 1) * sum(r**2 for r in residuals) / n**2)
+    np.testing.assert_allclose(squared_error(D, counts), np.mean(expected), rtol=1e-9)
+
+
+def test_the_squared_error_of_a_calibrated_model_is_0_but_for_chance() -> None:
+    random = np.random.default_rng(11)
+    found = [squared_error(random.normal(size=(10, 2, Q)), np.full((10, 2), 3)) for _ in range(600)]
+    assert abs(np.mean(found)) < 4 * np.std(found) / math.sqrt(len(found))
+    assert min(found) < 0 < max(found)
+
+
+@pytest.mark.parametrize("frames", [1, 7])
+def test_sequences_of_like_frames_are_worth_one_pose_each_but_one(frames: int) -> None:
+    # W is 0 or 1 and the same in all frames of a sequence. Then the variance of ω over sequences is estimated as
+    # S/(S-1) Σ(W-ω)²/S² = ω(1-ω)/(S-1), so the poses are worth S - 1.
+    random = np.random.default_rng(12)
+    S = 40
+    inside = random.random((S, 3, 1)) <= LEVELS
+    D = frames * (inside - LEVELS)
+    np.testing.assert_allclose(effective_poses(D, np.full((S, 3), frames)), S - 1, rtol=1e-9)
+
+
+def test_poses_are_never_worth_more_than_there_are() -> None:
+    random = np.random.default_rng(13)
+    even = (np.arange(20) + random.random()) / 20  # more even than chance: hardly any variance between sequences
+    D = (even[:, None, None] <= LEVELS) - LEVELS
+    pairs = D[:10] + D[::-1][:10]
+    assert effective_poses(pairs, np.full((10, 1), 2)) == 20
+    assert effective_poses(np.zeros((4, 1, Q)), np.full((4, 1), 5)) == 20
+
+
+def test_a_sequence_without_a_pose_that_counts_changes_neither() -> None:
+    D, counts = some(14)
+    empty_D, empty = np.insert(D, 3, 0.0, axis=0), np.insert(counts, 3, 0, axis=0)
+    np.testing.assert_allclose(squared_error(empty_D, empty), squared_error(D, counts), rtol=1e-12)
+    np.testing.assert_allclose(effective_poses(empty_D, empty), effective_poses(D, counts), rtol=1e-12)
+
+
+@pytest.mark.parametrize("number", [squared_error, effective_poses])
+def test_one_sequence_or_none_that_counts_says_nothing_of_chance(number: object) -> None:
+    assert math.isnan(number(np.ones((1, 2, Q)), np.ones((1, 2), int)))  # type: ignore[operator]
+    assert math.isnan(number(np.zeros((4, 2, Q)), np.zeros((4, 2), int)))  # type: ignore[operator]
+
+
+# --- p-values ---------------------------------------------------------------------------------------------------------
+
+
+@given(differences=st.lists(st.floats(-9, 9).filter(lambda v: v == 0 or abs(v) > 1e-3), min_size=2, max_size=15))
+def test_a_paired_p_value_is_the_t_tests(differences: list[float]) -> None:
+    if np.std(differences) < 1e-6:
+        differences = [*differences, differences[0] + 1]
+    values = np.array(differences)
+    found = jackknife(values.mean(), left_out(values, np.ones(len(values))))
+    np.testing.assert_allclose(paired_p(found), stats.ttest_1samp(values, 0).pvalue, rtol=1e-6, atol=1e-9)
+
+
+def test_without_any_spread_a_difference_is_certain_and_no_difference_is_none() -> None:
+    assert paired_p(Interval(2.0, 2.0, 0.0, 5)) == 0.0
+    assert paired_p(Interval(0.0, 0.0, 0.0, 5)) == 1.0
+
+
+def test_one_sequence_gives_no_paired_p_value() -> None:
+    assert math.isnan(paired_p(jackknife(1.0, np.array([1.0]))))
+
+
+@given(p=st.lists(st.floats(0, 1), min_size=1, max_size=7))
+def test_holm_is_the_closed_test_of_bonferronis(p: list[float]) -> None:
+    everyone = range(len(p))
+    adjusted = [
+        max(
+            min(1.0, len(group) * min(p[j] for j in group))
+            for size in range(1, len(p) + 1)
+            for group in itertools.combinations(everyone, size)
+            if i in group
+        )
+        for i in everyone
+    ]
+    np.testing.assert_allclose(holm(p), adjusted, rtol=1e-12)
+
+
+def test_holm_leaves_out_what_was_not_tested() -> None:
+    assert holm([0.02, math.nan, 0.03])[::2] == [0.04, 0.04]
+    assert math.isnan(holm([0.02, math.nan, 0.03])[1])
+    assert holm([]) == []
