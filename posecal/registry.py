@@ -121,7 +121,9 @@ def check_names(protocol: Protocol, own: Collection[str] = ()) -> None:
         For the names, all at once.
     """
     joints, n = JOINT_SETS["h36m-17"], ROUND_SIZES[-1] + 1
-    anything = DataSpec(n, joints, root=0, labels=("sequence",), fps=1.0, scored=True, marked=True, reference="another")
+    anything = DataSpec(
+        n, joints, root=0, labels=("sequence",), fps=1.0, has_scores=True, has_occlusion=True, reference="another"
+    )
     known = [*known_metrics(Protocol(), anything), *GROUPS, *own]
     unknown = [word for word in protocol.wanted if word not in known]
     if unknown:
@@ -131,7 +133,7 @@ def check_names(protocol: Protocol, own: Collection[str] = ()) -> None:
 def _lacks(name: str, spec: DataSpec, known: dict[str, Metric]) -> str:
     if "mpjve" in name and "sequence" not in spec.labels:
         return "needs sequences. Store a label sequence in the truth's file."
-    if not spec.scored and ("weighted_pose" in name or "mode_mpjpe" in name):
+    if not spec.has_scores and ("weighted_pose" in name or "mode_mpjpe" in name):
         otherwise = ", or set mode to an index" if "mode_mpjpe" in name else ""
         return f"needs the model's scores. Store scores beside the hypotheses{otherwise}."
     if spec.n_hypotheses < 2 and name in {*GROUPS, *known_metrics(Protocol(), replace(spec, n_hypotheses=2))}:
@@ -177,7 +179,7 @@ def occlusion_metrics_of(protocol: Protocol, spec: DataSpec) -> dict[str, dict[s
     PoseDataError
         Where the poses don't say which joints are occluded, or there is one hypothesis.
     """
-    if not spec.marked:
+    if not spec.has_occlusion:
         raise PoseDataError(
             "by: occlusion needs to know which joints are occluded; expected a member occluded or visible, bool (M, K)."
         )

@@ -79,7 +79,7 @@ def test_against_a_reference_every_proper_score_has_a_skill() -> None:
 
 
 def test_numbers_by_sight_bear_the_names_of_those_over_all_joints() -> None:
-    marked = replace(PERSON, marked=True)
+    marked = replace(PERSON, has_occlusion=True)
     kinds_of_joints = occlusion_metrics_of(Protocol(), marked)
     assert list(kinds_of_joints) == ["occluded", "visible"]
     for occlusion, metrics in kinds_of_joints.items():
@@ -93,7 +93,7 @@ def test_numbers_by_sight_need_marks_and_two_hypotheses() -> None:
     ):
         occlusion_metrics_of(Protocol(), PERSON)
     with pytest.raises(PoseDataError, match=r"by: occlusion needs at least 2 hypotheses; there is 1\."):
-        occlusion_metrics_of(Protocol(), replace(PERSON, marked=True, n_hypotheses=1))
+        occlusion_metrics_of(Protocol(), replace(PERSON, has_occlusion=True, n_hypotheses=1))
 
 
 def test_with_one_hypothesis_there_is_no_calibration_and_no_spread() -> None:

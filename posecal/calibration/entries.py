@@ -14,9 +14,8 @@ from posecal.calibration.rank_tests import RANK_TESTS, PreRank, Test, user_weigh
 from posecal.calibration.ranks import DEFINITIONS, LEVELS, Definition
 from posecal.data.arrays import FloatArray
 from posecal.engine.block import Block
-from posecal.engine.metric import Metric, Scope, Statistic
+from posecal.engine.metric import Deviation, Metric, Scope, Statistic
 from posecal.errors import PoseDataError
-from posecal.stats.resampling import Deviation
 
 __all__ = ["calibration_metrics", "curve_of", "inside_statistic", "rank_test_metrics", "summary"]
 
@@ -209,5 +208,5 @@ def _rank_metric(scope: Scope, test: Test, weights: Callable[[Block], FloatArray
         finish=finish,
         by_joint=(statistic, by_joint) if coordinates else None,
         deviation=Deviation(),
-        fires=test.fires,
+        rejection=test.rejection,
     )

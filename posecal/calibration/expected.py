@@ -76,7 +76,7 @@ def expected_curve(n_hypotheses: int, definition: Definition = "exchangeable") -
 
     Examples
     --------
-    >>> expected_curve(7)[10].item()
+    >>> expected_curve(7)[10].entry()
     0.5
     """
     known = known_definition(definition)

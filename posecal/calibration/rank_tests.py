@@ -185,7 +185,7 @@ class Test:
         For people.
     definition : str
         The pre-rank, in words.
-    fires : str
+    rejection : str
         What it means when the test rejects.
     prerank : callable or None
         From a pool to a number of each point, (B, N + 1); None for the ranks of single coordinates.
@@ -196,7 +196,7 @@ class Test:
     name: str
     label: str
     definition: str
-    fires: str
+    rejection: str
     prerank: Callable[[Pool], FloatArray] | None = None
 
     def weights(self, block: Block, joints: BoolArray) -> FloatArray:

@@ -21,7 +21,7 @@ from posecal.engine.block import Before, Block
 from posecal.engine.blocks import block_length, iter_blocks
 from posecal.engine.cells import cells_of
 from posecal.engine.coordinate_range import coordinate_range
-from posecal.engine.metric import TRUE_POSES, DataSpec, Statistic
+from posecal.engine.metric import SUM_OF_TRUE_POSES, DataSpec, Statistic
 from posecal.engine.protocol import Protocol
 from posecal.engine.threads import run_in_order
 from posecal.engine.totals import Totals
@@ -86,9 +86,9 @@ def accumulate(
         root=pairs.root,
         labels=tuple(pairs.labels),
         fps=pairs.fps,
-        scored=pairs.scores is not None,
-        marked=pairs.occluded is not None,
-        masked=masked,
+        has_scores=pairs.scores is not None,
+        has_occlusion=pairs.occluded is not None,
+        has_mask=masked,
         preranks=tuple(preranks or ()),
         reference="" if pairs.reference is None else pairs.reference.names[0],
         n_reference=0 if pairs.reference is None else pairs.reference.shape[0],
@@ -123,19 +123,19 @@ def accumulate(
         bad_of_reference.append(found.non_finite_of_reference)
         for name, (sums, counts) in found.sums.items():
             totals.add(name, found.cells, sums, counts)
-        for name, values in found.kept.items():
+        for name, values in found.per_pose.items():
             kept.setdefault(name, []).append(values)
         done += found.poses
         if progress is not None:
             progress(done)
     _refuse_non_finite(pairs, pairs.names[0], np.concatenate(bad))
     _refuse_non_finite(pairs, spec.reference, np.concatenate(bad_of_reference))
-    totals.kept = {name: np.concatenate(parts) for name, parts in kept.items()}
+    totals.per_pose = {name: np.concatenate(parts) for name, parts in kept.items()}
     return totals
 
 
 def _statistics(protocol: Protocol, spec: DataSpec, preranks: Mapping[str, PreRank] | None) -> dict[str, Statistic]:
-    found = {TRUE_POSES.name: TRUE_POSES}
+    found = {SUM_OF_TRUE_POSES.name: SUM_OF_TRUE_POSES}
     found |= {s.name: s for metric in metrics_of(protocol, spec, preranks).values() for s in metric.statistics}
     if {"default", "all"}.intersection(protocol.wanted):
         found |= {curve.statistic.name: curve.statistic for curve in curves_of(protocol, spec).values()}
@@ -186,7 +186,7 @@ class _Measured:
     poses: int
     cells: npt.NDArray[np.intp]
     sums: dict[str, tuple[FloatArray, npt.NDArray[np.int64]]]
-    kept: dict[str, FloatArray]
+    per_pose: dict[str, FloatArray]
     non_finite: npt.NDArray[np.intp]
     non_finite_of_reference: npt.NDArray[np.intp]
 
@@ -208,7 +208,7 @@ def _measure(
             ("statistic", statistic.name), partial(statistic.compute, block)
         )  # skills ask for them again
         values = np.asarray(values, dtype=np.float64)
-        if statistic.kept:
+        if statistic.per_pose:
             kept_values[statistic.name] = values
             continue
         kept = 2 if statistic.per_joint else 1

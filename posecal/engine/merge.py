@@ -64,7 +64,7 @@ def merge_totals(parts: Sequence[Totals], names: Sequence[str] | None = None) ->
         np.add.at(whole.poses, cells_of, part.poses)
         for statistic in first.sums:
             whole.add(statistic, cells_of, part.sums[statistic], part.counts[statistic])
-    whole.kept = {name: np.concatenate([part.kept[name] for part in parts]) for name in first.kept}
+    whole.per_pose = {name: np.concatenate([part.per_pose[name] for part in parts]) for name in first.per_pose}
     whole.cell_of = np.concatenate([of[part.cell_of] for part, of in zip(parts, where, strict=True)])
     return whole
 
@@ -91,7 +91,7 @@ def _refuse_unlike(parts: Sequence[Totals], names: Sequence[str]) -> None:
         if first.protocol.velocity == "second" and part.spec.fps != first.spec.fps:
             rates = f"{first.spec.fps:g} and {part.spec.fps:g}"
             problems.append(f"{names[0]} and {name} have {rates} frames per second; expected the same.")
-        held, ours = ({*t.cells, *t.sums, *t.kept} for t in (first, part))
+        held, ours = ({*t.cells, *t.sums, *t.per_pose} for t in (first, part))
         if held != ours:
             problems.append(f"{names[0]} and {name} differ in what they hold: {', '.join(sorted(held ^ ours))}.")
     raise_all(problems)

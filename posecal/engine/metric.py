@@ -1,35 +1,52 @@
-"""What is a reported number? A statistic of every pose, and the way in which its mean becomes the number.
+"""Metrics: a per-pose statistic, and the function that turns its mean into the reported number.
 
-``finish(sum over poses of a per-pose statistic)``: nothing else is needed for files larger than memory, groups of
-poses, shards on several machines, or resampling by sequence, because sums add. Each number carries its
-definition, written out for the :class:`Protocol` and the :class:`DataSpec` that it was made with.
+Every number is ``finish(mean over poses of a per-pose statistic)``. Sums add, so files larger than memory, groups of
+poses, shards on several machines and resampling by sequence need nothing else. Each number carries its definition,
+written out for the :class:`Protocol` and the :class:`DataSpec` that it was made with.
 """
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray
 from posecal.data.skeleton import JOINT_SETS
 from posecal.engine.block import Block
 from posecal.engine.protocol import Protocol, named_joints
 from posecal.errors import PoseDataError
-from posecal.stats.resampling import Deviation
 
-__all__ = ["TRUE_POSES", "Curve", "DataSpec", "Direction", "Family", "Metric", "Scope", "Statistic", "item"]
+__all__ = [
+    "SUM_OF_TRUE_POSES",
+    "Curve",
+    "DataSpec",
+    "Deviation",
+    "Direction",
+    "Family",
+    "Metric",
+    "MetricFunction",
+    "Scope",
+    "Statistic",
+    "entry",
+    "per_joint",
+]
 
 Direction = Literal["lower", "higher", "zero", "none"]
-Family = Literal["accuracy", "calibration", "rank_tests", "scores", "spread"]
+Family = Literal["accuracy", "calibration", "rank_tests", "scores", "sharpness"]
+
+MetricFunction = Callable[..., npt.ArrayLike]
+"""``f(hypotheses, truth)``, with the keyword ``where`` where it takes one, to one value per pose, or per pose and joint."""
 
 
 @dataclass(frozen=True)
 class DataSpec:
-    """What is measured: everything about a pair of arrays that a definition depends on.
+    """Everything about the data that a definition depends on.
 
     Attributes
     ----------
@@ -43,18 +60,18 @@ class DataSpec:
         Names of the labels that every pose has.
     fps : float or None
         Frames per second.
-    scored : bool
-        Whether the model scored its hypotheses.
-    marked : bool
+    has_scores : bool
+        Whether the model gives a score for each hypothesis.
+    has_occlusion : bool
         Whether occluded joints are marked.
+    has_mask : bool
+        Whether joints of some poses are left out by the user's mask.
     preranks : tuple of str
         Names of the user's own pre-ranks.
     reference : str
-        What skills are relative to; empty without skills.
+        What skill scores are relative to; empty without skill scores.
     n_reference : int
         Its number of hypotheses.
-    masked : bool
-        Whether the user left out joints of some poses by a mask of their own.
     """
 
     n_hypotheses: int
@@ -62,12 +79,12 @@ class DataSpec:
     root: int | None = None
     labels: tuple[str, ...] = ()
     fps: float | None = None
-    scored: bool = False
-    marked: bool = False
+    has_scores: bool = False
+    has_occlusion: bool = False
+    has_mask: bool = False
     preranks: tuple[str, ...] = ()
     reference: str = ""
     n_reference: int = 0
-    masked: bool = False
 
 
 @dataclass(frozen=True)
@@ -82,53 +99,84 @@ class Statistic:
         From a block to (B, *shape); NaN where a pose (or a joint of it) does not count.
     per_joint : bool
         Whether the first axis of the shape is joints, each of which counts or not.
-    kept : bool
-        Whether the numbers are kept pose by pose, for orders over poses, which no sums give.
+    per_pose : bool
+        Whether the values of all poses are kept, for orders over poses, which no sums give.
     """
 
     name: str
     compute: Callable[[Block], FloatArray]
     per_joint: bool = False
-    kept: bool = False
+    per_pose: bool = False
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """How a calibration error is made of the mean deviations of J curves from calibration.
+
+    Attributes
+    ----------
+    first, last : int or None
+        Which of the J curves are judged: those from the first to before the last, as in a slice.
+    over : str
+        Of their mean deviations: ``median`` for the error of the median curve, ``mean`` or ``worst`` for the mean or
+        the largest of the curves' own errors.
+    """
+
+    first: int | None = None
+    last: int | None = None
+    over: Literal["median", "mean", "worst"] = "mean"
 
 
 @dataclass(frozen=True)
 class Metric:
-    """A reported number, with everything one must know to read it.
+    """A reported number, with everything that one must know to read it.
 
     Attributes
     ----------
     name : str
         In snake case, as in JSON.
     label : str
-        For people.
+        For tables.
     unit : str
         ``mm``, ``mm/s``, ``mm/frame`` or empty.
     direction : str
         ``lower`` or ``higher`` is better, ``zero`` is best, or ``none``.
     family : str
-        ``accuracy``, ``calibration``, ``battery``, ``scores`` or ``spread``.
+        ``accuracy``, ``calibration``, ``rank_tests``, ``scores`` or ``sharpness``: the table that it stands in.
     brief : str
-        The same in a few words, for a table.
+        The definition in a few words, for a table.
     definition : str
-        One line, with the numbers it was made with.
+        One line, with the numbers that it was made with.
     statistic : Statistic
         What is summed over poses.
     finish : callable
-        From the mean of the statistic over poses to the number; from its values (M, ...) where they are kept.
+        From means of the statistic, (..., *shape), to numbers, (...): leading axes are resamples or groups. Where the
+        values of all poses are kept, from those, (M, ...), to one number.
     by_joint : tuple of Statistic and callable, or None
-        What is summed, and from its mean to one number per joint, NaN for joints that don't count.
-    clips : int
-        0: the mean is over poses. k: ``finish`` is applied to the mean over each k sequences, and the mean of
-        that, weighted with their poses, is the number.
+        What is summed, and from its means (..., *shape) to one number per joint, (..., K); NaN for joints that don't
+        count.
+    leave_out : callable or None
+        Where the values of all poses are kept: from those, (M, ...), and the sequence of each pose, (M,) of 0 … S - 1,
+        to the number without each sequence, (S,).
+    sequences_per_batch : int
+        0: the mean is over poses. k: ``finish`` is applied to the mean over each k sequences, and the mean of that,
+        weighted with their poses, is the number.
     headline : bool
         Whether the default report shows it.
+    in_group_table, in_joint_table : bool
+        Whether the tables by group and by joint show it.
+    range : str
+        Smallest and largest value, with what they mean.
+    reading : str
+        How to read it, and what it does not say.
+    source : str
+        Where it comes from.
     deviation : Deviation or None
-        Of calibration errors: how the error is made of mean deviations, so that sign-flips can test it.
+        Of calibration errors: how the error is made of mean deviations, so that sign flips can test it.
     offset : array (Q,) or None
         With it: what a perfect sampler's curve is off by at this N.
-    fires : str
-        Of tests: what it means when it rejects.
+    rejection : str
+        Of tests: what a rejection means.
     """
 
     name: str
@@ -139,18 +187,129 @@ class Metric:
     brief: str
     definition: str
     statistic: Statistic
-    finish: Callable[[FloatArray], float]
+    finish: Callable[[FloatArray], npt.ArrayLike]
     by_joint: tuple[Statistic, Callable[[FloatArray], FloatArray]] | None = None
+    leave_out: Callable[[FloatArray, npt.NDArray[np.intp]], FloatArray] | None = None
     sequences_per_batch: int = 0
     headline: bool = False
+    in_group_table: bool = False
+    in_joint_table: bool = False
+    range: str = ""
+    reading: str = ""
+    source: str = ""
     deviation: Deviation | None = None
     offset: FloatArray | None = None
-    fires: str = ""
+    rejection: str = ""
 
     @property
     def statistics(self) -> tuple[Statistic, ...]:
         """Every statistic that the number and its joints' numbers need."""
         return (self.statistic,) if self.by_joint is None else (self.statistic, self.by_joint[0])
+
+    @classmethod
+    def from_function(
+        cls,
+        function: MetricFunction,
+        /,
+        *,
+        name: str | None = None,
+        label: str | None = None,
+        unit: str = "mm",
+        direction: Direction = "lower",
+        family: Family = "accuracy",
+        definition: str | None = None,
+        by_joint: bool = False,
+        in_group_table: bool = True,
+        range: str = "",  # noqa: A002
+        reading: str = "",
+        source: str = "",
+    ) -> Metric:
+        """Make a metric of a function of arrays, such as those of :mod:`posecal.metrics`.
+
+        Parameters
+        ----------
+        function : callable
+            ``f(hypotheses (N, B, K, D), truth (B, K, D))`` in mm, relative to the root, to (B,) values, one per pose;
+            NaN where a pose does not count. With ``by_joint`` to (B, K). Where it takes a keyword ``where``, it gets
+            the bool array (B, K) of the joints that count; else poses that lack a joint don't count.
+        name, label : str, optional
+            The name in snake case and the one for tables; the function's name by default.
+        unit, direction, family, range, reading, source
+            As the attributes of :class:`Metric`.
+        definition : str, optional
+            One line; the first line of the function's docstring by default.
+        by_joint : bool
+            Whether the function gives a value per joint; the number is then the mean over joints.
+        in_group_table : bool
+            Whether the tables by group show it.
+
+        Returns
+        -------
+        Metric
+            For :func:`posecal.register`; its number is the mean over poses.
+
+        Raises
+        ------
+        PoseDataError
+            Where the function is not callable, or has no name.
+
+        Examples
+        --------
+        >>> def depth_error(hypotheses, truth):
+        ...     \"\"\"Mean absolute error along the third axis.\"\"\"
+        ...     return abs(hypotheses - truth)[..., 2].mean(axis=(0, 2))
+        >>> Metric.from_function(depth_error).definition
+        'Mean absolute error along the third axis.'
+        """
+        name = name or getattr(function, "__name__", "")
+        if not callable(function) or not name.isidentifier():
+            raise PoseDataError(f"metric: {function!r}; expected a function with a name, or the name beside it.")
+        text = definition or (inspect.getdoc(function) or "").partition("\n")[0] or f"mean over poses of {name}"
+        statistic = Statistic(f"own_{name}", partial(_of_arrays, function, name, by_joint=by_joint), per_joint=by_joint)
+        return cls(
+            name=name,
+            label=label or name.replace("_", " "),
+            unit=unit,
+            direction=direction,
+            family=family,
+            brief=text,
+            definition=text,
+            statistic=statistic,
+            finish=_mean_over_joints if by_joint else entry(),
+            by_joint=(statistic, np.asarray) if by_joint else None,
+            headline=True,
+            in_group_table=in_group_table,
+            in_joint_table=by_joint,
+            range=range,
+            reading=reading,
+            source=source,
+        )
+
+
+def _of_arrays(function: MetricFunction, name: str, block: Block, *, by_joint: bool) -> FloatArray:
+    """Apply a function of arrays to a block, and check what it gives."""
+    truth, where = block.truth, block.where
+    hypotheses = np.moveaxis(block.offsets + truth[..., None], -1, 0)
+    expected = where.shape if by_joint else where.shape[:1]
+    try:
+        takes_mask = "where" in inspect.signature(function).parameters
+        values = np.asarray(function(hypotheses, truth, **({"where": where} if takes_mask else {})), dtype=np.float64)
+    except PoseDataError:
+        raise
+    except Exception as error:  # the user's code fails in any way
+        raise PoseDataError(
+            f"metric: {name} fails on hypotheses {hypotheses.shape} ({type(error).__name__}: {error})."
+        ) from error
+    if values.shape != expected:
+        raise PoseDataError(f"metric: {name} gave {values.shape} for {len(truth)} poses; expected {expected}.")
+    if by_joint:
+        return np.where(where, values, np.nan)
+    return values if takes_mask else np.where(where.all(axis=1), values, np.nan)
+
+
+def _mean_over_joints(values: FloatArray) -> FloatArray:
+    number = np.isfinite(values).sum(axis=-1)
+    return np.where(number > 0, np.nansum(values, axis=-1) / np.maximum(number, 1), np.nan)
 
 
 @dataclass(frozen=True)
@@ -178,13 +337,18 @@ class Curve:
     statistic: Statistic
 
 
-TRUE_POSES = Statistic("truth", lambda block: block.truth.sum(axis=(1, 2), dtype=np.float64))
-"""Sum of a true pose's coordinates: not a metric, but what tells whether two results were held against one truth."""
+SUM_OF_TRUE_POSES = Statistic("truth", lambda block: block.truth.sum(axis=(1, 2), dtype=np.float64))
+"""Sum of a true pose's coordinates: not a metric, but the check that two results have the same truth."""
 
 
-def item(*place: int) -> Callable[[FloatArray], float]:
-    """Finish by reading one entry of the mean."""
-    return lambda mean: float(mean[place])
+def entry(*place: int) -> Callable[[FloatArray], FloatArray]:
+    """Finish by reading one entry of the means, (..., *shape) to (...)."""
+    return lambda means: np.asarray(means[(..., *place)])
+
+
+def per_joint(*place: int) -> Callable[[FloatArray], FloatArray]:
+    """Finish by reading one entry of each joint, (..., K, *shape) to (..., K)."""
+    return lambda means: np.asarray(means[(..., slice(None), *place)])
 
 
 @dataclass(frozen=True)

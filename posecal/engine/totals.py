@@ -50,7 +50,7 @@ class Totals:
         Whether the sequences were labelled; else they are runs of consecutive frames, taken as independent.
     sums, counts : dicts of arrays (C, …) and (C,) or (C, J)
         By statistic: the sum over the poses that count, and their number.
-    kept : dict of arrays (M, …)
+    per_pose : dict of arrays (M, …)
         By statistic: the values of every pose, of the few that no sums replace.
     cell_of : array of int (M,)
         With them: the cell of each pose.
@@ -65,7 +65,7 @@ class Totals:
     sequences: bool = True
     sums: dict[str, FloatArray] = field(default_factory=dict)
     counts: dict[str, npt.NDArray[np.int64]] = field(default_factory=dict)
-    kept: dict[str, FloatArray] = field(default_factory=dict)
+    per_pose: dict[str, FloatArray] = field(default_factory=dict)
     cell_of: npt.NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
     # --- adding -----------------------------------------------------------------------------------------------
@@ -178,14 +178,14 @@ class Totals:
 
     def count(self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None = None, row: int | None = None) -> int:
         """Poses that count in a statistic: in one of its rows, or at the joint where most do."""
-        if statistic.kept:
+        if statistic.per_pose:
             return len(self._kept(statistic, cells))
         chosen = slice(None) if cells is None else cells
         counted = self.counts[statistic.name][chosen].sum(axis=0)
         return int(np.max(counted, initial=0) if row is None else counted[row])
 
     def _kept(self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None) -> FloatArray:
-        values = self.kept[statistic.name]
+        values = self.per_pose[statistic.name]
         chosen = values if cells is None else values[cells[self.cell_of]]
         return chosen[~np.isnan(chosen).any(axis=1)]
 
@@ -196,7 +196,7 @@ class Totals:
         off the mean of the groups' curves.
         """
         if metric.family in CURVES:
-            return metric.finish(self.averaged(metric.statistic, cells))
+            return float(metric.finish(self.averaged(metric.statistic, cells)))
         cells = np.ones(len(self.poses), dtype=bool) if cells is None else cells
         if self.protocol.average == "poses":
             return self.pooled(metric, cells)
@@ -205,10 +205,10 @@ class Totals:
 
     def pooled(self, metric: Metric, cells: npt.NDArray[np.bool_]) -> float:
         """Give a metric over some cells, whatever is averaged."""
-        if metric.statistic.kept:
-            return metric.finish(self._kept(metric.statistic, cells))
+        if metric.statistic.per_pose:
+            return float(metric.finish(self._kept(metric.statistic, cells)))
         if not metric.sequences_per_batch:
-            return metric.finish(self.mean(metric.statistic, cells))
+            return float(metric.finish(self.mean(metric.statistic, cells)))
         sums, counts = self.sums[metric.statistic.name], self.counts[metric.statistic.name]
         names = dict.fromkeys(self.cells["sequence"][cells].tolist())
         batch = {name: place // metric.sequences_per_batch for place, name in enumerate(names)}
@@ -217,7 +217,7 @@ class Totals:
             chosen = cells & np.array([batch.get(name, -1) == wanted for name in self.cells["sequence"]])
             poses = int(counts[chosen].sum())
             if poses:
-                total += poses * metric.finish(mean_of(sums[chosen].sum(axis=0), counts[chosen].sum(axis=0)))
+                total += poses * float(metric.finish(mean_of(sums[chosen].sum(axis=0), counts[chosen].sum(axis=0))))
                 number += poses
         return total / number if number else float("nan")
 
@@ -240,7 +240,7 @@ class Totals:
             **self.protocol.options,
         }
         parts.pop("metrics")
-        parts["where"] += ",mask" if s.masked else ""
+        parts["where"] += ",mask" if s.has_mask else ""
         default = Protocol().options
         kept = ("posecal", "N", "K", "origin", "joints", "root", "where", "best", "align", "average")
         shown = {key: value for key, value in parts.items() if key in kept or value != default.get(key)}

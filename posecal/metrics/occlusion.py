@@ -14,10 +14,9 @@ from posecal.calibration.error import joint_ece, signed_area
 from posecal.calibration.ranks import LEVELS, inside
 from posecal.data.arrays import BoolArray, FloatArray
 from posecal.engine.block import Block
-from posecal.engine.metric import Metric, Scope, Statistic
+from posecal.engine.metric import Deviation, Metric, Scope, Statistic
 from posecal.metrics.position import joint_errors
 from posecal.metrics.sharpness import joint_radii
-from posecal.stats.resampling import Deviation
 
 __all__ = ["OCCLUSION", "occlusion_metrics"]
 
@@ -122,7 +121,7 @@ def occlusion_metrics(scope: Scope, occlusion: str) -> Iterator[Metric]:
         label="radius of 50 %",
         unit="mm",
         direction="none",
-        family="spread",
+        family="sharpness",
         brief=f"{occlusion} joints",
         definition=f"{of} of the radius about the median that holds 50 % of the N={n} hypotheses",
         statistic=radii,

@@ -10,7 +10,7 @@ import numpy as np
 
 from posecal.data.arrays import BoolArray, FloatArray
 from posecal.engine.block import Block
-from posecal.engine.metric import Curve, Metric, Scope, Statistic, item
+from posecal.engine.metric import Curve, Metric, Scope, Statistic, entry
 from posecal.errors import PoseDataError
 from posecal.geometry.procrustes import Alignment
 from posecal.metrics.best_of import ROUND_SIZES, curve_sizes
@@ -110,7 +110,7 @@ def _of_errors(scope: Scope, align: Alignment, prefix: str) -> Iterator[Metric]:
             brief=f"{briefs[place]}, {scope.number(body)}",
             definition=f"mean over poses of the {words[place]}; error: {error}",
             statistic=statistic,
-            finish=item(place),
+            finish=entry(place),
             by_joint=(joints, lambda mean, place=place: mean[:, place]) if place < 2 and not prefix else None,  # type: ignore[misc]
             headline=prefix + name in {"min_mpjpe", "mpjpe", "pa_min_mpjpe"},
         )
@@ -138,7 +138,7 @@ def _best_over(scope: Scope, metric: Metric, align: Alignment, prefix: str) -> M
         return replace(
             metric,
             statistic=Statistic(f"{prefix}errors_of_best_joints", per_joint),
-            finish=item(),
+            finish=entry(),
             by_joint=None if metric.by_joint is None else (joints, np.asarray),
             brief=f"best of N={n} at each joint, {scope.number(scope.body)}",
             definition=f"mean over poses of the {error}, of the best of N={n} hypotheses at each joint",
@@ -171,9 +171,9 @@ def _of_one_pose(scope: Scope, align: Alignment, prefix: str) -> Iterator[Metric
         "mean_pose": "mean of the hypotheses",
         "median_pose": "per-coordinate median of the hypotheses",
     }
-    if scope.spec.scored:
+    if scope.spec.has_scores:
         words["weighted_pose"] = "mean of the hypotheses weighted by their scores"
-    if mode != "score" or scope.spec.scored:
+    if mode != "score" or scope.spec.has_scores:
         words["mode"] = "hypothesis of the highest score" if mode == "score" else f"hypothesis of index {mode}"
     index = None if mode == "score" else int(mode)
     for of, pose in words.items():
@@ -189,7 +189,7 @@ def _of_one_pose(scope: Scope, align: Alignment, prefix: str) -> Iterator[Metric
                 f"{prefix}{of}_error",
                 lambda block, of=of: pose_errors(block, align, of, scope.body, index, scope.fit)[:, 0],  # type: ignore[misc]
             ),
-            finish=item(),
+            finish=entry(),
             headline=prefix == "" and of == "mean_pose",
         )
 
@@ -213,7 +213,7 @@ def _of_subsets(scope: Scope) -> Iterator[Metric]:
                 definition=f"mean over poses and over all subsets of {n} of the N={n_all} hypotheses of the smallest "
                 f"error; error: {_error_words(scope, 'none')}",
                 statistic=statistic,
-                finish=item(place),
+                finish=entry(place),
             )
 
 
@@ -233,7 +233,7 @@ def _correct(scope: Scope) -> Iterator[Metric]:
             "pck",
             lambda block: correct_joints(block, p.pck_threshold, best, scope.pck, scope.body, strict=strict),
         ),
-        finish=item(),
+        finish=entry(),
         headline=True,
     )
     exact = p.auc == "integral"
@@ -252,7 +252,7 @@ def _correct(scope: Scope) -> Iterator[Metric]:
                 block, lambda e: auc_share(e, exact=exact, strict=strict), best, "none", scope.pck, scope.body
             ),
         ),
-        finish=item(),
+        finish=entry(),
         headline=True,
     )
     align, taken = cast(Alignment, p.cps_align), cast(Selection, p.cps_best)
@@ -364,7 +364,7 @@ def spread_metrics(scope: Scope) -> Iterator[Metric]:
             label=f"radius of {share} %",
             unit="mm",
             direction="none",
-            family="spread",
+            family="sharpness",
             brief=f"mean radius about the median, {scope.number(scope.moving)}",
             definition=f"sharpness: radius about the per-coordinate median that holds {share} % of the N={n} "
             f"hypotheses, mean over poses, then over {joints}",
@@ -379,7 +379,7 @@ def spread_metrics(scope: Scope) -> Iterator[Metric]:
         label="diversity",
         unit="mm",
         direction="none",
-        family="spread",
+        family="sharpness",
         brief=f"standard deviation of the hypotheses ({'n' if population else 'n − 1'})",
         definition=f"standard deviation over the N={n} hypotheses ({'n' if population else 'n − 1'}), mean over axes "
         f"and poses, then over {joints}",

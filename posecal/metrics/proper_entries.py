@@ -9,7 +9,7 @@ import numpy as np
 
 from posecal.data.arrays import FloatArray
 from posecal.engine.block import Block
-from posecal.engine.metric import Metric, Scope, Statistic, item
+from posecal.engine.metric import Metric, Scope, Statistic, entry
 from posecal.metrics.position import pose_errors
 from posecal.metrics.proper import brier_counts, fair_brier, joint_crps, joint_energies, variograms
 from posecal.metrics.sharpness import mean_over_joints, predicted_spread
@@ -25,14 +25,14 @@ def guide_metrics(scope: Scope) -> Iterator[Metric]:
         error = pose_errors(block, "none", "mean_pose", scope.body)[:, 0]
         return np.stack([predicted_spread(block, scope.moving), error], axis=1, dtype=np.float64)
 
-    statistic = Statistic("spread_and_error", spread_and_error, kept=True)
+    statistic = Statistic("spread_and_error", spread_and_error, per_pose=True)
     about = f"predicted spread (mean standard deviation of {scope.counted(scope.moving)}) and error of the mean pose"
     yield Metric(
         name="spread_error_correlation",
         label="spread against error",
         unit="",
         direction="higher",
-        family="spread",
+        family="sharpness",
         brief="rank correlation over poses: is a wide spread a sign of error?",
         definition=f"Spearman's rank correlation over poses of {about}",
         statistic=statistic,
@@ -44,7 +44,7 @@ def guide_metrics(scope: Scope) -> Iterator[Metric]:
         label="sparsification area",
         unit="",
         direction="lower",
-        family="spread",
+        family="sharpness",
         brief="of the error left when the most uncertain poses are dropped",
         definition="mean over dropped shares 0 … 0.95 of the error left when poses are dropped by spread, minus by "
         f"error, over the mean error; {about}",
@@ -67,7 +67,7 @@ def score_metrics(scope: Scope) -> Iterator[Metric]:
         brief=f"fair, whole pose of {scope.number(scope.moving)}",
         definition=f"mean over poses of mean ‖x − y‖ − ½ mean ‖x − x′‖, norm over {joints}; fair in N={n}",
         statistic=statistic,
-        finish=item(-1),
+        finish=entry(-1),
         by_joint=(statistic, lambda mean: mean[:-1]),
     )
     yield Metric(
@@ -105,7 +105,7 @@ def score_metrics(scope: Scope) -> Iterator[Metric]:
         definition=f"mean over poses and pairs of {joints} of (√d(y) − mean √d(x))² − var √d(x) / N, d: distance of "
         f"the pair, N={n}",
         statistic=Statistic("variogram", lambda block: variograms(block, scope.moving)),
-        finish=item(),
+        finish=entry(),
     )
     threshold = scope.protocol.pck_threshold
     event = (
@@ -121,7 +121,7 @@ def score_metrics(scope: Scope) -> Iterator[Metric]:
         brief=f"of: own median right to {threshold:g} mm at every joint; no ranking, the event is the model's own",
         definition=f"mean over poses of (p − o)² − p (1 − p) / (N − 1); o, p: {event}",
         statistic=Statistic("brier", lambda block: fair_brier(block, scope.moving, threshold)),
-        finish=item(),
+        finish=entry(),
     )
     counts = Statistic("brier_counts", lambda block: brier_counts(block, scope.moving, threshold))
     for name, place, words in (

@@ -222,7 +222,13 @@ def explain(name: str, protocol: Protocol | None = None, spec: DataSpec | None =
     signed_area: signed area
     """
     everything = DataSpec(
-        200, JOINT_SETS["h36m-17"], root=0, labels=("sequence",), scored=True, marked=True, reference="climatology"
+        200,
+        JOINT_SETS["h36m-17"],
+        root=0,
+        labels=("sequence",),
+        has_scores=True,
+        has_occlusion=True,
+        reference="climatology",
     )
     known = known_metrics(protocol or Protocol(), spec or everything)
     pages: dict[str, tuple[Metric | Beside, Page]] = {key: (metric, page(metric)) for key, metric in known.items()}
@@ -241,6 +247,6 @@ def explain(name: str, protocol: Protocol | None = None, spec: DataSpec | None =
         f"direction   {_DIRECTIONS[number.direction]}",
         f"how to read {about.reading}",
     ]
-    if metric and metric.fires:
-        lines.append(f"if it fires {metric.fires}")
+    if metric and metric.rejection:
+        lines.append(f"if it fires {metric.rejection}")
     return "\n".join([*lines, f"source      {about.source}"])

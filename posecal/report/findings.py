@@ -299,11 +299,11 @@ class Findings:
         PoseDataError
             Where the report kept no spreads and errors.
         """
-        if "spread_and_error" not in self.totals.kept:
+        if "spread_and_error" not in self.totals.per_pose:
             raise PoseDataError(
                 "sparsification: the report kept no spreads and errors; they are among the default metrics."
             )
-        kept = self.totals.kept["spread_and_error"]
+        kept = self.totals.per_pose["spread_and_error"]
         return sparsification(kept[:, 0], kept[:, 1])
 
     def event_reliability(self) -> Reliability:

@@ -93,7 +93,7 @@ def _battery(report: Findings) -> Iterator[str]:
     if fired and report.null("ece").p < LEVEL:
         yield f"The battery fires as well: {labels}. Mend the spread first, and look again."
     elif fired:
-        meanings = dict.fromkeys(report.metrics[name].fires for name in fired)
+        meanings = dict.fromkeys(report.metrics[name].rejection for name in fired)
         yield f"What the ECE does not see, the battery does ({labels}): {'; '.join(meanings)}."
     elif tests and not any(math.isnan(p) for _, p in tests.values()):
         yield "The battery finds nothing more. A model that ignores the image would pass it too: look at a score."

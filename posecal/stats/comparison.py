@@ -17,7 +17,7 @@ from itertools import combinations
 
 import numpy as np
 
-from posecal.engine.metric import TRUE_POSES, Metric
+from posecal.engine.metric import SUM_OF_TRUE_POSES, Metric
 from posecal.engine.totals import Totals, difference_of_signatures
 from posecal.errors import PoseDataError
 from posecal.registry import metrics_of
@@ -201,7 +201,7 @@ def _check_same_poses(first: Totals, other: Totals, name: str, other_name: str) 
     PoseDataError
         Where sequences, numbers of poses, or the true poses differ.
     """
-    counts = [t.by_sequence(TRUE_POSES) for t in (first, other)]
+    counts = [t.by_sequence(SUM_OF_TRUE_POSES) for t in (first, other)]
     labels = [sorted(set(t.cells["sequence"].tolist())) for t in (first, other)]
     if labels[0] != labels[1] or not np.array_equal(counts[0][1], counts[1][1]):
         poses = [int(t.poses.sum()) for t in (first, other)]

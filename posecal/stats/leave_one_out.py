@@ -26,7 +26,7 @@ def without(totals: Totals, metric: Metric, cells: npt.NDArray[np.bool_] | None 
         return np.array(
             [mean_of_known(_left_out(totals, metric, groups, whole, names == n)) for n in np.unique(names[chosen])]
         )
-    if metric.sequences_per_batch or metric.statistic.kept:
+    if metric.sequences_per_batch or metric.statistic.per_pose:
         return np.array([totals.value(metric, chosen & (names != name)) for name in np.unique(names[chosen])])
     sums, counts = totals.by_sequence(metric.statistic, chosen)
     rest, number = sums.sum(axis=0) - sums, counts.sum(axis=0) - counts

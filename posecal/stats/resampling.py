@@ -17,7 +17,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -25,10 +24,10 @@ import numpy.typing as npt
 from posecal.calibration.curve import joint_median
 from posecal.calibration.ranks import LEVELS
 from posecal.data.arrays import FloatArray
+from posecal.engine.metric import Deviation
 
 __all__ = [
     "FEWEST",
-    "Deviation",
     "Interval",
     "Null",
     "effective_poses",
@@ -157,31 +156,15 @@ def _signs(sequences: int, draws: int, seed: int) -> npt.NDArray[np.float32]:
     return signs.astype(np.float32)
 
 
-@dataclass(frozen=True)
-class Deviation:
-    """How a calibration error is made of mean deviations from calibration.
+def judged_curves(deviation: Deviation, mean: FloatArray) -> FloatArray:
+    """Curves whose distance from the diagonal counts, (P, R, Q), of mean deviations (P, J, Q)."""
+    return joint_median(mean)[:, None] if deviation.over == "median" else mean
 
-    Attributes
-    ----------
-    first, last : int or None
-        Which of the J curves are judged: those from the first to before the last, as in a slice.
-    over : str
-        Of their mean deviations: ``median`` for the error of the median curve, ``mean`` or ``worst`` for the mean or
-        the largest of the curves' own errors.
-    """
 
-    first: int | None = None
-    last: int | None = None
-    over: Literal["median", "mean", "worst"] = "mean"
-
-    def curves(self, mean: FloatArray) -> FloatArray:
-        """Give the curves whose distance from the diagonal counts, (P, R, Q), of mean deviations (P, J, Q)."""
-        return joint_median(mean)[:, None] if self.over == "median" else mean
-
-    def error(self, curves: FloatArray) -> FloatArray:
-        """Reduce the curves (P, R, Q) to the error, (P,)."""
-        each = np.abs(curves).mean(axis=-1)
-        return np.asarray(each.max(axis=-1) if self.over == "worst" else each.mean(axis=-1))
+def error_of_curves(deviation: Deviation, curves: FloatArray) -> FloatArray:
+    """Reduce the curves (P, R, Q) to the error, (P,)."""
+    each = np.abs(curves).mean(axis=-1)
+    return np.asarray(each.max(axis=-1) if deviation.over == "worst" else each.mean(axis=-1))
 
 
 def sign_flips(
@@ -248,8 +231,8 @@ def sign_flips(
     mean = (signs @ D.reshape(sequences, -1)).reshape(len(signs), *D.shape[1:]) / total[:, None].astype(np.float32)
     if offset is not None:
         mean += offset.astype(np.float32)
-    curves = deviation.curves(mean)
-    found = deviation.error(curves).astype(np.float64)
+    curves = judged_curves(deviation, mean)
+    found = error_of_curves(deviation, curves).astype(np.float64)
     if sequences < FEWEST:
         return Null(float(found[0]), np.nan, np.nan, np.nan, np.nan, sequences)
     inner = slice(1, LEVELS.size - 1)

@@ -7,10 +7,10 @@ import numpy.typing as npt
 
 from posecal.calibration.ranks import LEVELS
 from posecal.data.arrays import FloatArray
-from posecal.engine.metric import Metric, Statistic
+from posecal.engine.metric import Deviation, Metric, Statistic
 from posecal.engine.totals import Totals
 from posecal.stats.leave_one_out import joints_without, without
-from posecal.stats.resampling import Deviation, Interval, Null, effective_poses, jackknife, sign_flips, squared_error
+from posecal.stats.resampling import Interval, Null, effective_poses, jackknife, sign_flips, squared_error
 
 __all__ = [
     "deviations",

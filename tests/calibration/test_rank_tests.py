@@ -275,7 +275,7 @@ def test_a_prerank_of_ones_own_is_reported_with_its_p_value_among_the_others() -
     assert len(report.rank_tests()) == len(RANK_TESTS) + 1
     assert null.p < 0.01
     assert adjusted >= null.p
-    assert report.metrics["height"].fires == "the truth does not rank as one of the hypotheses would"
+    assert report.metrics["height"].rejection == "the truth does not rank as one of the hypotheses would"
 
 
 @pytest.mark.parametrize(

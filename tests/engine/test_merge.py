@@ -138,14 +138,14 @@ def test_the_same_poses_twice_are_refused() -> None:
 
 def test_kept_values_of_shards_follow_their_cells() -> None:
     whole, added = keeping()
-    first = replace(whole, kept={"kept": whole.kept["kept"][:3]}, cell_of=whole.cell_of[:3])
+    first = replace(whole, per_pose={"kept": whole.per_pose["kept"][:3]}, cell_of=whole.cell_of[:3])
     other = replace(
         totals(),
         cells={"sequence": np.array(["c"]), "action": np.array(["walk"])},
         poses=np.array([2]),
         sums={name: sums[3:] + 1 for name, sums in whole.sums.items()},
         counts={name: counts[3:] for name, counts in whole.counts.items()},
-        kept={"kept": whole.kept["kept"][3:]},
+        per_pose={"kept": whole.per_pose["kept"][3:]},
         cell_of=np.array([0, 0]),
     )
     merged = merge_totals([first, other])

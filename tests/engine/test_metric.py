@@ -9,7 +9,7 @@ import pytest
 
 from posecal.data.skeleton import JOINT_SETS
 from posecal.engine.block import Block
-from posecal.engine.metric import DataSpec, Direction, Family, Metric, Scope, Statistic, item
+from posecal.engine.metric import DataSpec, Direction, Family, Metric, Scope, Statistic, entry
 from posecal.engine.protocol import Protocol
 from posecal.errors import PoseDataError
 from posecal.registry import known_metrics
@@ -126,9 +126,9 @@ def test_words_count_the_joints_and_say_what_becomes_of_the_root(
 
 
 def test_an_item_finishes_by_reading_one_entry() -> None:
-    assert item()(np.array(2.5)) == 2.5
-    assert item(1)(np.array([2.5, 3.5])) == 3.5
-    assert type(item(0, 1)(np.array([[1.0, 2.0]]))) is float
+    assert entry()(np.array(2.5)) == 2.5
+    assert entry(1)(np.array([2.5, 3.5])) == 3.5
+    assert type(entry(0, 1)(np.array([[1.0, 2.0]]))) is float
 
 
 def test_a_metric_s_statistics_are_those_of_its_number_and_of_its_joints() -> None:
@@ -137,10 +137,10 @@ def test_a_metric_s_statistics_are_those_of_its_number_and_of_its_joints() -> No
 
     one, two = Statistic("one", first), Statistic("two", first, per_joint=True)
     words = dict.fromkeys(("name", "label", "unit", "brief", "definition"), "")
-    metric = Metric(**words, direction="none", family="spread", statistic=one, finish=item())
+    metric = Metric(**words, direction="none", family="spread", statistic=one, finish=entry())
     assert metric.statistics == (one,)
     metric = Metric(
-        **words, direction="none", family="spread", statistic=one, finish=item(), by_joint=(two, np.asarray)
+        **words, direction="none", family="spread", statistic=one, finish=entry(), by_joint=(two, np.asarray)
     )
     assert metric.statistics == (one, two)
 

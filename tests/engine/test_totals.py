@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from posecal.engine.metric import Metric, Statistic, item
+from posecal.engine.metric import Metric, Statistic, entry
 from posecal.engine.protocol import Protocol
 from posecal.engine.totals import Totals, difference_of_signatures
 from posecal.errors import PoseDataError
@@ -110,7 +110,7 @@ def test_averaged_by_a_label_it_is_the_mean_of_the_groups_values() -> None:
 
 
 def test_groups_of_which_nothing_is_known_are_no_part_of_the_average() -> None:
-    nothing = metric(JOINTS, finish=item(1))
+    nothing = metric(JOINTS, finish=entry(1))
     found = totals(Protocol(average="sequence"))
     assert found.value(nothing) == pytest.approx((3 / 1 + 1 / 1) / 2)  # sequences a and b; c has none
     assert math.isnan(found.value(nothing, np.array([False, False, False, True])))

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from posecal.engine.metric import DataSpec, Metric, Statistic, item
+from posecal.engine.metric import DataSpec, Metric, Statistic, entry
 from posecal.engine.protocol import Protocol
 from posecal.engine.totals import Totals
 
@@ -20,7 +20,7 @@ JOINTS = Statistic("joints", lambda block: block.truth[..., 0], per_joint=True)
 def metric(statistic: Statistic = HEIGHT, **changes: object) -> Metric:
     """A metric of which only the parts matter that are tested."""
     words = dict.fromkeys(("name", "label", "unit", "brief", "definition"), "")
-    whole = Metric(**words, direction="none", family="spread", statistic=statistic, finish=item())
+    whole = Metric(**words, direction="none", family="spread", statistic=statistic, finish=entry())
     return replace(whole, **changes)  # type: ignore[arg-type]
 
 
@@ -45,11 +45,11 @@ def totals(protocol: Protocol | None = None, **changes: object) -> Totals:
 SIT, WALK = np.array([True, True, False, False]), np.array([False, False, True, True])
 
 
-KEPT = Statistic("kept", lambda block: block.truth[:, 0, :2], kept=True)
+KEPT = Statistic("kept", lambda block: block.truth[:, 0, :2], per_pose=True)
 
 
 def keeping() -> tuple[Totals, Metric]:
     """Two values of five poses in cells 0, 0, 1, 3 and 3, of which one is not known."""
     values = np.array([[1.0, 2], [3, 4], [5, 6], [7, math.nan], [9, 10]])
-    found = totals(kept={"kept": values}, cell_of=np.array([0, 0, 1, 3, 3]))
+    found = totals(per_pose={"kept": values}, cell_of=np.array([0, 0, 1, 3, 3]))
     return found, metric(KEPT, finish=lambda kept: float(kept.sum()))

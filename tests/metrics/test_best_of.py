@@ -39,7 +39,7 @@ def test_the_expected_best_is_the_mean_over_all_subsets(n_all: int) -> None:
     errors = np.sort(np.random.default_rng(0).gamma(2, 30, n_all))
     for n in range(1, n_all + 1):
         np.testing.assert_allclose(
-            (subset_weights(n_all, [n]) @ errors).item(), oracles.best_of_subsets(list(errors), n)
+            (subset_weights(n_all, [n]) @ errors).entry(), oracles.best_of_subsets(list(errors), n)
         )
 
 

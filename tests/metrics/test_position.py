@@ -111,7 +111,7 @@ def test_a_triangle_of_three_four_five() -> None:
     x = np.zeros((2, 1, 2, 3))
     x[0, 0, 0], x[1, 0, 1] = [3, 4, 0], [0, 0, 1]
     y = np.zeros((1, 2, 3))
-    assert [mpjpe(x, y, of=of).item() for of in ("mean", "min", "worst")] == [1.5, 0.5, 2.5]  # type: ignore[arg-type]
+    assert [mpjpe(x, y, of=of).entry() for of in ("mean", "min", "worst")] == [1.5, 0.5, 2.5]  # type: ignore[arg-type]
 
 
 def test_a_pose_without_a_joint_that_counts_has_no_error(arrays: tuple[Array, Array], where: Mask) -> None:

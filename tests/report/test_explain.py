@@ -18,8 +18,8 @@ SUBJECT = DataSpec(
     JOINT_SETS["h36m-17"],
     root=0,
     labels=("sequence",),
-    scored=True,
-    marked=True,
+    has_scores=True,
+    has_occlusion=True,
     preranks=("span",),
     reference="climatology",
 )
@@ -44,7 +44,7 @@ def test_it_can_be_explained_without_data(name: str) -> None:
 
 @pytest.mark.parametrize("test", RANK_TESTS, ids=lambda test: test.name)
 def test_a_test_says_what_it_means_when_it_fires(test: object) -> None:
-    assert f"if it fires {test.fires}" in explain(test.name)  # type: ignore[attr-defined]
+    assert f"if it fires {test.rejection}" in explain(test.name)  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(

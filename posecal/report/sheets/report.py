@@ -23,7 +23,7 @@ FAMILIES = {
     "calibration": "Calibration",
     "rank_tests": "Rank tests",
     "scores": "Proper scores",
-    "spread": "Spread",
+    "sharpness": "Sharpness",
 }
 ARROWS = {"lower": "↓", "higher": "↑", "zero": "0", "none": ""}
 BY_GROUP = ("min_mpjpe", "mpjpe", "pa_min_mpjpe", "pck", "ece", "signed_area", "coverage_90", "radius_50")
