@@ -1,11 +1,12 @@
-"""posecal: can the uncertainty of a multi-hypothesis 3D human pose model be trusted?
+"""Evaluation of multi-hypothesis 3D human pose models: accuracy, calibration, sharpness and proper scores.
 
 ::
 
     import posecal
 
-    report = posecal.evaluate(hypotheses, truth)  # (N, M, K, 3) and (M, K, 3), mm
+    report = posecal.evaluate(hypotheses, truth, unit="mm")  # (N, M, K, 3) and (M, K, 3)
     print(report)
+    report["ece"]
     posecal.metrics.min_mpjpe(hypotheses, truth)  # one value per pose
 
 Importing posecal imports nothing else; each name is loaded when it is first used.
@@ -17,53 +18,59 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from posecal import calibration, metrics, plot
-    from posecal.calibration import CalibrationCurve, calibration_curve, ece, perfect_sampler, signed_area
-    from posecal.data.match import Declarations, join
-    from posecal.data.read import read_poses
+    from posecal import calibration, metrics, plot, recalibration
+    from posecal.calibration import CalibrationCurve, calibration_curve, ece, perfect_sampler
+    from posecal.data.pose_data import PoseData
     from posecal.data.skeleton import JOINT_SETS, Skeleton
-    from posecal.engine.accumulate import accumulate
     from posecal.engine.merge import merge_totals
-    from posecal.engine.protocol import PRESETS, Protocol
+    from posecal.engine.metric import Metric
+    from posecal.engine.prepare import prepare
+    from posecal.engine.presets import PRESETS
+    from posecal.engine.protocol import Protocol
     from posecal.engine.storage import load_totals, save_totals
     from posecal.engine.totals import Totals
     from posecal.errors import PosecalError, PoseDataError, PoseFileError
-    from posecal.evaluation import evaluate
+    from posecal.evaluation import Evaluation, compare, evaluate
     from posecal.recalibration import cross_fitted, fit_radius, fit_spread
+    from posecal.registry import register, unregister
+    from posecal.report.explain import explain
     from posecal.report.report import Report
-    from posecal.report.summary import summarize
-    from posecal.stats.comparison import Comparison, compare
-    from posecal.stats.skill import climatology, with_reference
+    from posecal.stats.comparison import Comparison
+    from posecal.stats.skill import climatology
 
 __version__ = "0.1.0"
 
-_HOMES = {
-    "posecal.calibration": ("CalibrationCurve", "calibration_curve", "ece", "perfect_sampler", "signed_area"),
-    "posecal.stats.comparison": ("Comparison", "compare"),
-    "posecal.report.summary": ("summarize",),
-    "posecal.errors": ("PoseDataError", "PoseFileError", "PosecalError"),
-    "posecal.evaluation": ("evaluate",),
-    "posecal.data.read": ("read_poses",),
-    "posecal.data.match": ("Declarations", "join"),
-    "posecal.engine.protocol": ("PRESETS", "Protocol"),
-    "posecal.recalibration": ("cross_fitted", "fit_radius", "fit_spread"),
-    "posecal.stats.skill": ("climatology", "with_reference"),
-    "posecal.report.report": ("Report",),
-    "posecal.engine.storage": ("load_totals", "save_totals"),
-    "posecal.engine.merge": ("merge_totals",),
+_MODULES = {
+    "posecal.calibration": ("CalibrationCurve", "calibration_curve", "ece", "perfect_sampler"),
+    "posecal.data.pose_data": ("PoseData",),
     "posecal.data.skeleton": ("JOINT_SETS", "Skeleton"),
-    "posecal.engine.accumulate": ("accumulate",),
+    "posecal.engine.merge": ("merge_totals",),
+    "posecal.engine.metric": ("Metric",),
+    "posecal.engine.prepare": ("prepare",),
+    "posecal.engine.presets": ("PRESETS",),
+    "posecal.engine.protocol": ("Protocol",),
+    "posecal.engine.storage": ("load_totals", "save_totals"),
     "posecal.engine.totals": ("Totals",),
+    "posecal.errors": ("PoseDataError", "PoseFileError", "PosecalError"),
+    "posecal.evaluation": ("Evaluation", "compare", "evaluate"),
+    "posecal.recalibration": ("cross_fitted", "fit_radius", "fit_spread"),
+    "posecal.registry": ("register", "unregister"),
+    "posecal.report.explain": ("explain",),
+    "posecal.report.report": ("Report",),
+    "posecal.stats.comparison": ("Comparison",),
+    "posecal.stats.skill": ("climatology",),
 }
-_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
-_ROOMS = ("calibration", "metrics", "plot")
+_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
+_PACKAGES = ("calibration", "metrics", "plot", "recalibration")
 
 __all__ = [
     "JOINT_SETS",
     "PRESETS",
     "CalibrationCurve",
     "Comparison",
-    "Declarations",
+    "Evaluation",
+    "Metric",
+    "PoseData",
     "PoseDataError",
     "PoseFileError",
     "PosecalError",
@@ -71,7 +78,6 @@ __all__ = [
     "Report",
     "Skeleton",
     "Totals",
-    "accumulate",
     "calibration",
     "calibration_curve",
     "climatology",
@@ -79,29 +85,29 @@ __all__ = [
     "cross_fitted",
     "ece",
     "evaluate",
+    "explain",
     "fit_radius",
     "fit_spread",
-    "join",
     "load_totals",
     "merge_totals",
     "metrics",
     "perfect_sampler",
     "plot",
-    "read_poses",
+    "prepare",
+    "recalibration",
+    "register",
     "save_totals",
-    "signed_area",
-    "summarize",
-    "with_reference",
+    "unregister",
 ]
 
 
 def __getattr__(name: str) -> object:
-    if name in _ROOMS:
+    if name in _PACKAGES:
         return import_module(f"posecal.{name}")
-    if name in _HOME_OF:
-        found = getattr(import_module(_HOME_OF[name]), name)
-        globals()[name] = found
-        return found
+    if name in _MODULE_OF:
+        value = getattr(import_module(_MODULE_OF[name]), name)
+        globals()[name] = value
+        return value
     raise AttributeError(f"module 'posecal' has no attribute {name!r}")
 
 

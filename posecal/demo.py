@@ -1,4 +1,4 @@
-"""What does posecal show of models that are right, too sure and not sure enough? A world where one knows.
+"""A demonstration: a synthetic world with known distributions, and three samplers that differ in their spread.
 
 A Gaussian world of poses on the Human3.6M skeleton: each joint is its parent plus a bone with Gaussian error, the
 error larger in depth and for joints that are not seen. The truth is one draw around a frame's mean pose, correlated
@@ -16,19 +16,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.archive import write_members
 from posecal.data.arrays import FloatArray
 from posecal.data.skeleton import JOINT_SETS, Skeleton
-from posecal.data.write import write_file
+from posecal.data.write import write_file, write_members
 from posecal.errors import PoseFileError
+from posecal.evaluation import evaluate
+from posecal.report.html import write_html
 from posecal.report.report import Report
-from posecal.report.summary import summarize
-from posecal.report.tables import Sheet, Table
+from posecal.report.sheet import Sheet, Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["SAMPLERS", "World", "make_world", "run_demo", "sample", "write_demo"]
 
 SAMPLERS = {"calibrated": 1.0, "overconfident": 0.5, "underconfident": 1.5}
 """The spread of each sampler, relative to the true one."""
@@ -162,11 +161,11 @@ def sample(world: World, n_hypotheses: int = 200, spread: float = 1.0, seed: int
     (5, 6, 17, 3)
     """
     random = np.random.default_rng(seed)
-    found = np.empty((n_hypotheses, *world.mean.shape), dtype=np.float32)
-    for hypothesis in found:
+    hypotheses = np.empty((n_hypotheses, *world.mean.shape), dtype=np.float32)
+    for hypothesis in hypotheses:
         errors = spread * world.spread * random.standard_normal(world.mean.shape)
         hypothesis[...] = world.mean + _along_the_tree(errors, world.skeleton)
-    return found
+    return hypotheses
 
 
 def write_demo(folder: Path, world: World | None = None, n_hypotheses: int = 200) -> Iterator[Path]:
@@ -214,14 +213,14 @@ def write_demo(folder: Path, world: World | None = None, n_hypotheses: int = 200
         yield write(f"{name}.npz", {"hypotheses": hypotheses, "axes": np.array("NMKD")})
 
 
-def run_demo(folder: Path, say: Callable[[str], object]) -> None:
-    """Write the demonstration, evaluate each sampler as a user would, and say what to notice.
+def run_demo(folder: Path, write_line: Callable[[str], object]) -> None:
+    """Write the demonstration, evaluate each sampler as a user would, and point out what to notice.
 
     Parameters
     ----------
     folder : Path
         Made where it does not exist.
-    say : callable
+    write_line : callable
         Takes each line.
 
     Raises
@@ -229,31 +228,31 @@ def run_demo(folder: Path, say: Callable[[str], object]) -> None:
     PoseFileError
         Where the folder or a file can't be written.
     """
-    from posecal.evaluation import evaluate
     from posecal.plot import draw, save
-    from posecal.report.html import write_html
 
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise PoseFileError(f"{folder}: can't be made ({error.strerror}).") from None
     world = make_world()
-    say(
+    write_line(
         f"A world where the truth is known: M = {len(world.truth)} poses, and N = 200 hypotheses from each of three\n"
         "samplers that know the mean of every pose exactly and differ in nothing but their spread.\n"
     )
     files = {path.stem: path for path in write_demo(folder, world)}
     reports = {}
     for name in SAMPLERS:
-        say(f"$ posecal evaluate {name}.npz gt.npz --plot {name}.png --html {name}.html --save {name}-result.npz")
+        write_line(
+            f"$ posecal evaluate {name}.npz gt.npz --plot {name}.png --html {name}.html --save {name}-result.npz"
+        )
         reports[name] = evaluate(files[name], files["gt"])
         save(draw(reports[name], title=f"{name} sampler"), folder / f"{name}.png")
         write_html(reports[name], folder / f"{name}.html", f"{name} sampler")
         reports[name].save(folder / f"{name}-result.npz")
     save(_together(reports), folder / "samplers.svg")
-    say(f"\n{reports['calibrated']}\n")
-    say(_lesson(reports).text())
-    say(f"\nIn {folder}: the files, a page (.html), a reliability diagram (.png) and a result for each sampler.")
+    write_line(f"\n{reports['calibrated']}\n")
+    write_line(_summary_of(reports).text())
+    write_line(f"\nIn {folder}: the files, a page (.html), a reliability diagram (.png) and a result for each sampler.")
 
 
 def _together(reports: Mapping[str, Report]) -> Figure:
@@ -266,34 +265,34 @@ def _together(reports: Mapping[str, Report]) -> Figure:
 
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(9.2, 3.5))
-        for place, (name, report) in enumerate(reports.items()):
-            ax = figure.add_subplot(1, len(reports), place + 1)
+        for column, (name, report) in enumerate(reports.items()):
+            ax = figure.add_subplot(1, len(reports), column + 1)
             reliability(report, ax=ax)
-            minimum, ece = report.value("min_mpjpe"), report.value("ece")
+            minimum, ece = report["min_mpjpe"], report["ece"]
             ax.set_title(f"{name}: minMPJPE {minimum:.1f} mm, ECE {ece:.3f}", fontsize=8.5)
         figure.subplots_adjust(left=0.06, right=0.99, top=0.92, bottom=0.14, wspace=0.28)
     return figure
 
 
-def _lesson(reports: Mapping[str, Report]) -> Sheet:
+def _summary_of(reports: Mapping[str, Report]) -> Sheet:
     """What to notice about the three samplers."""
     names = ("min_mpjpe", "mpjpe", "ece", "signed_area", "coverage_90", "radius_50")
     some = reports["calibrated"].metrics
     rows = []
     for name, report in reports.items():
-        values = ((report.value(metric), some[metric].unit) for metric in names)
+        values = ((report[metric], some[metric].unit) for metric in names)
         rows.append((name, *(f"{value:.1f} {unit}" if unit else f"{value:.3f}" for value, unit in values)))
-    best = min(reports, key=lambda name: reports[name].value("min_mpjpe"))
+    best = min(reports, key=lambda name: reports[name]["min_mpjpe"])
     columns = (("sampler", False), *((some[metric].label, True) for metric in names))
     return Sheet(
         "That was the calibrated sampler. All three, and what posecal says of them",
-        sentences=[f"{name}: {summarize(report)[0]}" for name, report in reports.items()],
+        sentences=[f"{name}: {report.summary[0]}" for name, report in reports.items()],
         tables=[Table("Samplers", columns, [*rows])],
         definitions=[
             (
                 "Notice",
                 f"the {best} sampler has the best minMPJPE. A benchmark that ranks by minMPJPE prefers a model whose "
-                f"balls for 9 truths in 10 hold {10 * reports[best].value('coverage_90'):.1f} in 10.",
+                f"balls for 9 truths in 10 hold {10 * reports[best]['coverage_90']:.1f} in 10.",
             )
         ],
     )

@@ -1,32 +1,106 @@
-"""Which numbers are there, and which are asked for?"""
+"""All metrics: those of posecal, those that the user registers, and the choice among them."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from dataclasses import replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace as changed
+from functools import cache
 
-from posecal.calibration.entries import calibration_metrics, rank_test_metrics
-from posecal.calibration.rank_tests import PreRank
+from posecal.calibration.error import calibration_metrics
+from posecal.calibration.rank_tests import PreRank, rank_test_metrics
 from posecal.data.skeleton import JOINT_SETS
-from posecal.engine.metric import Curve, DataSpec, Metric, Scope
+from posecal.engine.metric import SUM_OF_TRUE_POSES, Curve, DataSpec, Metric, Scope, Statistic
 from posecal.engine.protocol import Protocol
 from posecal.errors import PoseDataError, did_you_mean, raise_all
-from posecal.metrics.best_of import ROUND_SIZES
+from posecal.metrics.best_of import ROUND_SIZES, subset_curve, subset_metrics
+from posecal.metrics.brier import brier_metrics
+from posecal.metrics.cps import cps_curve, cps_metrics
+from posecal.metrics.mpjpe import mpjpe_metrics
 from posecal.metrics.occlusion import OCCLUSION, occlusion_metrics
-from posecal.metrics.position_entries import accuracy_curves, accuracy_metrics, spread_metrics
-from posecal.metrics.proper_entries import guide_metrics, score_metrics, skill_metrics
-
-__all__ = ["GROUPS", "check_names", "curves_of", "known_metrics", "metrics_of", "occlusion_metrics_of"]
-
+from posecal.metrics.pck import pck_curve, pck_metrics
+from posecal.metrics.proper import score_metrics
+from posecal.metrics.sharpness import sharpness_metrics
+from posecal.metrics.skill import skill_metrics
+from posecal.metrics.uncertainty import uncertainty_metrics
+from posecal.metrics.velocity import velocity_metrics
 
 GROUPS = ("default", "rank_tests", "scores", "all")
 """Words that stand for several metrics."""
 
+_REGISTERED: dict[str, Metric] = {}
+
+
+def register(metric: Metric, /, *, replace: bool = False) -> Metric:
+    """Add a metric to every report that is made from now on.
+
+    Parameters
+    ----------
+    metric : Metric
+        Its name must be new; see :meth:`posecal.Metric.from_function`.
+    replace : bool
+        Whether a metric that was registered under this name gives way.
+
+    Returns
+    -------
+    Metric
+        The same.
+
+    Raises
+    ------
+    PoseDataError
+        For what is no metric, and for a name that one of posecal's metrics has, or another registered one.
+
+    Examples
+    --------
+    >>> import numpy as np, posecal
+    >>> def depth_error(hypotheses, truth):
+    ...     return np.abs(hypotheses - truth)[..., 2].mean(axis=(0, 2))
+    >>> metric = register(Metric.from_function(depth_error, definition="mean |z error|"))
+    >>> report = posecal.evaluate(np.ones((5, 4, 2, 3)), np.zeros((4, 2, 3)), axes="NMKD", unit="mm")
+    >>> report["depth_error"]
+    1.0
+    >>> unregister("depth_error")
+    """
+    if not isinstance(metric, Metric):
+        raise PoseDataError(f"metric: {type(metric).__name__}; expected a Metric, such as Metric.from_function gives.")
+    if metric.name in _known_anywhere():
+        raise PoseDataError(f"metric: {metric.name} is one of posecal's own names; expected another.")
+    if metric.name in _REGISTERED and not replace:
+        raise PoseDataError(f"metric: {metric.name} is registered already; pass replace=True to replace it.")
+    _REGISTERED[metric.name] = metric
+    return metric
+
+
+def unregister(name: str, /) -> None:
+    """Remove a metric that was registered.
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+
+    Raises
+    ------
+    PoseDataError
+        Where no metric of this name is registered.
+    """
+    if name not in _REGISTERED:
+        raise PoseDataError(f"metric: {name!r} is not registered. {did_you_mean(name, _REGISTERED)}")
+    del _REGISTERED[name]
+
+
+def registered_metrics() -> tuple[Metric, ...]:
+    """Give the metrics that the user registered, in that order."""
+    return tuple(_REGISTERED.values())
+
 
 def known_metrics(
-    protocol: Protocol, spec: DataSpec, preranks: Mapping[str, PreRank] | None = None
+    protocol: Protocol,
+    spec: DataSpec,
+    preranks: Mapping[str, PreRank] | None = None,
+    own: Sequence[Metric] = (),
 ) -> dict[str, Metric]:
-    """Every metric that a spec has what it takes for.
+    """Every metric whose needs the data meet.
 
     Parameters
     ----------
@@ -35,7 +109,9 @@ def known_metrics(
     spec : DataSpec
         What is measured.
     preranks : mapping of callables, optional
-        The user's own pre-ranks, where their functions are at hand.
+        The user's own pre-ranks, where their functions are available.
+    own : sequence of Metric
+        The user's own metrics.
 
     Returns
     -------
@@ -48,13 +124,15 @@ def known_metrics(
         For options that don't fit the spec.
     """
     scope = Scope(protocol, spec)
-    found = list(accuracy_metrics(scope))
+    found = [*mpjpe_metrics(scope), *subset_metrics(scope), *pck_metrics(scope), *cps_metrics(scope)]
+    found += velocity_metrics(scope)
     if spec.n_hypotheses > 1:
-        found += [*calibration_metrics(scope), *rank_test_metrics(scope, preranks), *score_metrics(scope)]
-        found += skill_metrics(scope)
-        found += [*spread_metrics(scope), *guide_metrics(scope)]
+        found += [*calibration_metrics(scope), *rank_test_metrics(scope, preranks)]
+        found += [*score_metrics(scope), *brier_metrics(scope), *skill_metrics(scope)]
+        found += [*sharpness_metrics(scope), *uncertainty_metrics(scope)]
+    found += [_REGISTERED.get(metric.name, metric) for metric in own]
     if protocol.average != "poses":
-        found = [replace(metric, definition=f"{metric.definition}; {_averaged(metric, protocol)}") for metric in found]
+        found = [changed(metric, definition=f"{metric.definition}; {_averaged(metric, protocol)}") for metric in found]
     return {metric.name: metric for metric in found}
 
 
@@ -68,7 +146,12 @@ def _averaged(metric: Metric, protocol: Protocol) -> str:
     return f"{what} for each {protocol.average}"
 
 
-def metrics_of(protocol: Protocol, spec: DataSpec, preranks: Mapping[str, PreRank] | None = None) -> dict[str, Metric]:
+def metrics_of(
+    protocol: Protocol,
+    spec: DataSpec,
+    preranks: Mapping[str, PreRank] | None = None,
+    own: Sequence[Metric] = (),
+) -> dict[str, Metric]:
     """Choose the metrics that a protocol asks for.
 
     Parameters
@@ -76,7 +159,7 @@ def metrics_of(protocol: Protocol, spec: DataSpec, preranks: Mapping[str, PreRan
     protocol : Protocol
         The options; ``metrics`` names what is reported: names, and the words of :data:`GROUPS`. ``default`` are the
         headlines, and whatever comes free with them because it shares their statistics.
-    spec, preranks
+    spec, preranks, own
         As for :func:`known_metrics`.
 
     Returns
@@ -89,7 +172,7 @@ def metrics_of(protocol: Protocol, spec: DataSpec, preranks: Mapping[str, PreRan
     PoseDataError
         For an unknown name, or a metric that needs what the spec lacks; all such names at once.
     """
-    known = known_metrics(protocol, spec, preranks)
+    known = known_metrics(protocol, spec, preranks, own)
     words = protocol.wanted
     families = {metric.family for metric in known.values()}
     possible = {*known, "default", "all", *families.intersection(GROUPS)}
@@ -120,14 +203,26 @@ def check_names(protocol: Protocol, own: Collection[str] = ()) -> None:
     PoseDataError
         For the names, all at once.
     """
-    joints, n = JOINT_SETS["h36m-17"], ROUND_SIZES[-1] + 1
-    anything = DataSpec(
-        n, joints, root=0, labels=("sequence",), fps=1.0, has_scores=True, has_occlusion=True, reference="another"
-    )
-    known = [*known_metrics(Protocol(), anything), *GROUPS, *own]
+    known = [*_known_anywhere(), *_REGISTERED, *GROUPS, *own]
     unknown = [word for word in protocol.wanted if word not in known]
     if unknown:
         raise PoseDataError(f"metrics: {', '.join(unknown)} not known. {did_you_mean(unknown[0], known)}")
+
+
+@cache
+def _known_anywhere() -> frozenset[str]:
+    """Names of the metrics of data that have everything."""
+    spec = DataSpec(
+        n_hypotheses=ROUND_SIZES[-1] + 1,
+        joints=JOINT_SETS["h36m-17"],
+        root=0,
+        labels=("sequence",),
+        fps=1.0,
+        has_scores=True,
+        has_occlusion=True,
+        reference="another",
+    )
+    return frozenset(known_metrics(Protocol(), spec))
 
 
 def _lacks(name: str, spec: DataSpec, known: dict[str, Metric]) -> str:
@@ -136,7 +231,7 @@ def _lacks(name: str, spec: DataSpec, known: dict[str, Metric]) -> str:
     if not spec.has_scores and ("weighted_pose" in name or "mode_mpjpe" in name):
         otherwise = ", or set mode to an index" if "mode_mpjpe" in name else ""
         return f"needs the model's scores. Store scores beside the hypotheses{otherwise}."
-    if spec.n_hypotheses < 2 and name in {*GROUPS, *known_metrics(Protocol(), replace(spec, n_hypotheses=2))}:
+    if spec.n_hypotheses < 2 and name in {*GROUPS, *known_metrics(Protocol(), changed(spec, n_hypotheses=2))}:
         return "needs at least 2 hypotheses; there is 1."
     return f"is not known. {did_you_mean(name, known)}"
 
@@ -156,7 +251,8 @@ def curves_of(protocol: Protocol, spec: DataSpec) -> dict[str, Curve]:
     dict
         Curves by name.
     """
-    return {curve.name: curve for curve in accuracy_curves(Scope(protocol, spec))}
+    scope = Scope(protocol, spec)
+    return {curve.name: curve for curve in (subset_curve(scope), pck_curve(scope), cps_curve(scope))}
 
 
 def occlusion_metrics_of(protocol: Protocol, spec: DataSpec) -> dict[str, dict[str, Metric]]:
@@ -189,3 +285,25 @@ def occlusion_metrics_of(protocol: Protocol, spec: DataSpec) -> dict[str, dict[s
     return {
         occlusion: {metric.name: metric for metric in occlusion_metrics(scope, occlusion)} for occlusion in OCCLUSION
     }
+
+
+def statistics_of(
+    protocol: Protocol,
+    spec: DataSpec,
+    by: Sequence[str] = (),
+    preranks: Mapping[str, PreRank] | None = None,
+    own: Sequence[Metric] = (),
+) -> tuple[Statistic, ...]:
+    """Choose the statistics that the metrics of a protocol need, each once."""
+    metrics = list(metrics_of(protocol, spec, preranks, own).values())
+    if "occlusion" in by:
+        metrics += [m for kind in occlusion_metrics_of(protocol, spec).values() for m in kind.values()]
+    statistics = [SUM_OF_TRUE_POSES, *(statistic for metric in metrics for statistic in metric.statistics)]
+    if {"default", "all"}.intersection(protocol.wanted):
+        statistics += [curve.statistic for curve in curves_of(protocol, spec).values()]
+    return tuple({statistic.name: statistic for statistic in statistics}.values())
+
+
+def wants_reference(protocol: Protocol) -> bool:
+    """Whether a number needs the reference of skill scores."""
+    return any(word in {"all", "scores"} or word.endswith("_skill") for word in protocol.wanted)

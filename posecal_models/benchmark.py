@@ -17,7 +17,8 @@ import numpy.typing as npt
 import torch
 
 import posecal.evaluation
-from posecal.engine.protocol import Protocol, preset
+from posecal.engine.presets import preset
+from posecal.engine.protocol import Protocol
 from posecal.report.report import Report
 from posecal_models.contract import Context, Estimator
 from posecal_models.data.detector import Detector

@@ -1,8 +1,25 @@
-"""Messages: one sentence, or all of them at once, and the nearest word that is known."""
+"""Messages: one sentence or all of them at once, options as parameters or flags, and the nearest word."""
+
+import pickle
+from dataclasses import fields
+from typing import Any
 
 import pytest
 
-from posecal.errors import PosecalError, PoseDataError, PoseFileError, did_you_mean, first_few, raise_all
+from posecal import errors
+from posecal.engine.protocol import Protocol
+from posecal.errors import (
+    PosecalError,
+    PoseDataError,
+    PoseFileError,
+    attempt,
+    did_you_mean,
+    first_few,
+    for_command_line,
+    for_python,
+    option,
+    raise_all,
+)
 
 
 def test_errors_are_what_python_calls_them() -> None:
@@ -24,6 +41,89 @@ def test_one_problem_is_said_as_it_is() -> None:
 def test_several_problems_are_counted_and_listed() -> None:
     with pytest.raises(PoseFileError, match=r"^2 problems:\n  - one\.\n  - two\.$"):
         raise_all(["one.", "two."], PoseFileError)
+
+
+def test_errors_are_listed_by_their_messages_and_a_file_makes_it_an_error_of_files() -> None:
+    with pytest.raises(PoseFileError, match=r"^3 problems:\n  - one\.\n  - two\.\n  - three\.$"):
+        raise_all([PoseDataError("one."), PoseFileError("two."), "three."])
+
+
+def test_a_list_of_problems_within_another_is_one_list() -> None:
+    with pytest.raises(PoseDataError) as inner:
+        raise_all(["one.", "two."])
+    with pytest.raises(PoseDataError, match=r"^3 problems:\n  - one\.\n  - two\.\n  - three\.$"):
+        raise_all([inner.value, "three."])
+
+
+def test_a_call_that_is_refused_adds_to_the_problems() -> None:
+    def halved(number: int) -> int:
+        if number % 2:
+            raise PoseDataError(f"number: {number}; expected an even one.")
+        return number // 2
+
+    problems: list[str | PosecalError] = []
+    assert [attempt(problems, halved, number) for number in (4, 5, 7)] == [2, None, None]
+    assert [str(problem) for problem in problems] == [f"number: {n}; expected an even one." for n in (5, 7)]
+    with pytest.raises(ZeroDivisionError):
+        attempt(problems, lambda: 1 / 0)
+
+
+# --- options --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "parameter", "flag"),
+    [
+        (("axes",), "axes", "--axes"),
+        (("axes", "MNKD"), 'axes="MNKD"', "--axes MNKD"),
+        (("truth_axes", "M(DK)"), 'truth_axes="M(DK)"', "--truth-axes 'M(DK)'"),
+        (("truth_unit", "1/0.0036"), 'truth_unit="1/0.0036"', "--truth-unit 1/0.0036"),
+        (("unit", 25.4), "unit=25.4", "--unit 25.4"),
+        (("root_joint", "it's"), 'root_joint="it\'s"', "--root-joint 'it'\"'\"'s'"),
+        (("missing", "skip"), 'missing="skip"', "--missing skip"),
+        (("n_hypotheses", 5), "n_hypotheses=5", "--hypotheses 5"),
+        (("shared_joints", "common"), 'shared_joints="common"', "--joints common"),
+        (("joints", "h36m-17"), 'joints="h36m-17"', "--joint-names h36m-17"),
+        (("joints",), "joints", "--joint-names"),
+        (("best", "sequence"), 'best="sequence"', "--set best=sequence"),
+        (("pck_threshold", 150.0), "pck_threshold=150.0", "--set pck_threshold=150.0"),
+        (("velocity",), "velocity", "--set velocity"),
+        (("metrics", "scores"), 'metrics="scores"', "--scores"),
+        (("metrics", "rank_tests"), 'metrics="rank_tests"', "--rank-tests"),
+        (("metrics", "ece"), 'metrics="ece"', "--metrics ece"),
+        (("where", "visible"), 'where="visible"', "--where visible"),
+        (("by", "occlusion"), 'by="occlusion"', "--by occlusion"),
+        (("reference", "climatology"), 'reference="climatology"', "--skill climatology"),
+        (("per_joint", True), "per_joint=True", "--per-joint"),
+    ],
+)
+def test_an_option_is_a_parameter_in_python_and_a_flag_on_the_command_line(
+    arguments: tuple[Any, ...], parameter: str, flag: str
+) -> None:
+    message = f"h.npz: wrong. Pass {option(*arguments)}, or {option(*arguments)}."
+    assert for_python(message) == f"h.npz: wrong. Pass {parameter}, or {parameter}."
+    assert for_command_line(message) == f"h.npz: wrong. Pass {flag}, or {flag}."
+
+
+def test_text_without_options_stays_as_it_is() -> None:
+    text = "a = b; --axes 'NMKD'"
+    assert for_python(text) == for_command_line(text) == text
+
+
+def test_options_of_a_protocol_are_those_without_a_flag_of_their_own() -> None:
+    flags = {"joints", "where", "metrics"}
+    assert {field.name for field in fields(Protocol)} - flags == errors._PROTOCOL
+
+
+@pytest.mark.parametrize("kind", [PosecalError, PoseDataError, PoseFileError])
+def test_an_error_speaks_python_and_keeps_what_it_was_made_of(kind: type[PosecalError]) -> None:
+    error = kind(f"Pass {option('truth_axes', 'MDK')}.")
+    for copy in (error, pickle.loads(pickle.dumps(error))):
+        assert str(copy) == f"{copy}" == 'Pass truth_axes="MDK".'
+        assert for_command_line(copy.message) == "Pass --truth-axes MDK."
+    with pytest.raises(kind, match=r'^2 problems:\n  - Pass truth_axes="MDK"\.\n  - one\.$') as several:
+        raise_all([error, "one."], kind)
+    assert "--truth-axes MDK" in for_command_line(several.value.message)
 
 
 @pytest.mark.parametrize(

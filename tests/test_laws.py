@@ -19,7 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from posecal.engine import accumulate as summation
+from posecal.engine import chunks
 from posecal.engine.merge import merge_totals
 from posecal.engine.protocol import Protocol
 from posecal.engine.totals import Totals
@@ -146,12 +146,12 @@ QUARTER = np.array([[0.0, -1, 0], [0, 0, 1], [-1, 0, 0]])
 
 
 def frames_shuffled(some: World) -> World:
-    return some.taken(np.random.default_rng(0).permutation(len(some.y)))
+    return some.select(np.random.default_rng(0).permutation(len(some.y)))
 
 
 def sequences_reversed(some: World) -> World:
     names = list(dict.fromkeys(some.sequence.tolist()))[::-1]
-    return some.taken(np.concatenate([np.flatnonzero(some.sequence == name) for name in names]))
+    return some.select(np.concatenate([np.flatnonzero(some.sequence == name) for name in names]))
 
 
 def hypotheses_shuffled(some: World) -> World:
@@ -256,7 +256,7 @@ def test_hypotheses_that_stand_there_twice_change_only_what_depends_on_their_num
 def test_a_sequence_of_which_no_joint_counts_is_as_if_it_were_not_there(protocol: str) -> None:
     gone = WORLD.sequence == "S11/a"
     masked = replace(WORLD, where=np.tile(~gone[:, None], (1, len(WORLD.joints))))
-    expected = WORLD.taken(np.flatnonzero(~gone)).values(PROTOCOLS[protocol])
+    expected = WORLD.select(np.flatnonzero(~gone)).values(PROTOCOLS[protocol])
     hold("without a sequence", protocol, masked.values(PROTOCOLS[protocol]), expected)
 
 
@@ -298,7 +298,7 @@ def test_a_perfect_hypothesis_among_others_is_the_best(protocol: str) -> None:
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_numbers_do_not_depend_on_the_threads_to_the_last_bit(protocol: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("posecal.engine.blocks.BLOCK_BYTES", 8000)
+    monkeypatch.setattr("posecal.engine.block.BLOCK_BYTES", 8000)
     alone = WORLD.totals(PROTOCOLS[protocol])
     together = WORLD.totals(PROTOCOLS[protocol], threads=3)
     assert list(together.sums) == list(alone.sums)
@@ -313,9 +313,9 @@ def test_numbers_do_not_depend_on_how_poses_are_cut_into_blocks(
 ) -> None:
     expected = usual(protocol)
     if block is not None:
-        monkeypatch.setattr("posecal.engine.blocks.BLOCK_BYTES", block)
+        monkeypatch.setattr("posecal.engine.block.BLOCK_BYTES", block)
     if window is not None:
-        monkeypatch.setattr(summation, "WINDOW_BYTES", window)
+        monkeypatch.setattr(chunks, "WINDOW_BYTES", window)
     hold("blocks", protocol, WORLD.values(PROTOCOLS[protocol]), expected, rtol=1e-12, atol=1e-12)
 
 
@@ -323,7 +323,7 @@ def shards(some: World, cuts: list[int]) -> Iterator[World]:
     """Some sequences each."""
     names = list(dict.fromkeys(some.sequence.tolist()))
     for part in np.split(np.array(names), cuts):
-        yield some.taken(np.flatnonzero(np.isin(some.sequence, part)))
+        yield some.select(np.flatnonzero(np.isin(some.sequence, part)))
 
 
 def in_shards(protocol: str, cuts: list[int]) -> Numbers:
@@ -398,7 +398,7 @@ def test_any_world_masked_cut_and_split_anyhow_gives_the_same(
         some = replace(some, occluded=~some.occluded)
     expected = some.values(PROTOCOLS[protocol])
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("posecal.engine.blocks.BLOCK_BYTES", length * N * 8 * 3 * 8)
+        patch.setattr("posecal.engine.block.BLOCK_BYTES", length * N * 8 * 3 * 8)
         parts = [part.totals(PROTOCOLS[protocol], threads=threads) for part in shards(some, [cut])]
     hold("shards", protocol, numbers(merge_totals(parts)), expected, rtol=1e-12, atol=1e-12)
 

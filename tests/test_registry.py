@@ -1,19 +1,22 @@
-"""Are the metrics that are asked for the ones that are given?"""
+"""The metrics that are asked for are the ones that are given, and each can be finished for many means at once."""
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 
 from posecal.data.skeleton import JOINT_SETS
 from posecal.engine.block import Block
-from posecal.engine.metric import DataSpec
+from posecal.engine.metric import DataSpec, Metric, Statistic
 from posecal.engine.protocol import Protocol
 from posecal.errors import PoseDataError
 from posecal.registry import curves_of, known_metrics, metrics_of, occlusion_metrics_of
 
+Array = np.ndarray
 H36M = JOINT_SETS["h36m-17"]
 PERSON = DataSpec(7, H36M, 0, ("sequence",), 25.0, True)
 
@@ -60,10 +63,12 @@ def test_a_user_s_pre_rank_is_a_metric_under_its_name() -> None:
     assert known["height"].family == "rank_tests"
 
 
-def test_a_pre_rank_that_is_not_at_hand_can_be_read_but_not_computed() -> None:
+def test_a_pre_rank_without_its_function_can_be_read_but_not_computed() -> None:
     metric = known_metrics(Protocol(), replace(PERSON, preranks=("height",)))["height"]
     assert metric.finish(np.full((1, 21), 0.5)) == pytest.approx(np.abs(np.arange(21) / 20 - 0.5).mean())
-    with pytest.raises(PoseDataError, match=r"prerank: 'height' is not at hand; expected its function\."):
+    with pytest.raises(
+        PoseDataError, match=r"prerank: 'height' is known from a saved result only; expected its function\."
+    ):
         metric.statistic.compute(Block(np.zeros((7, 1, 17, 3)), np.zeros((1, 17, 3))))
 
 
@@ -71,14 +76,14 @@ def test_against_a_reference_every_proper_score_has_a_skill() -> None:
     known = known_metrics(Protocol(), replace(PERSON, reference="climatology"))
     skills = {name: metric for name, metric in known.items() if name.endswith("_skill")}
     assert set(skills) == {"energy_skill", "joint_energy_skill", "crps_skill", "variogram_skill", "brier_skill"}
-    # the mean of our score is 3, of the reference's 4: a quarter better
+    # the model's mean score is 3, the reference's 4: a quarter better
     assert skills["variogram_skill"].finish(np.array([3.0, 4.0])) == pytest.approx(0.25)
     assert np.isnan(skills["variogram_skill"].finish(np.array([3.0, 0.0])))
     ranked = {name for name, metric in skills.items() if metric.direction == "higher"}
     assert ranked == set(skills) - {"brier_skill"}  # whose event is each model's own
 
 
-def test_numbers_by_sight_bear_the_names_of_those_over_all_joints() -> None:
+def test_numbers_by_occlusion_have_the_names_of_those_over_all_joints() -> None:
     marked = replace(PERSON, has_occlusion=True)
     kinds_of_joints = occlusion_metrics_of(Protocol(), marked)
     assert list(kinds_of_joints) == ["occluded", "visible"]
@@ -87,7 +92,7 @@ def test_numbers_by_sight_bear_the_names_of_those_over_all_joints() -> None:
         assert all(occlusion in metric.definition for metric in metrics.values())
 
 
-def test_numbers_by_sight_need_marks_and_two_hypotheses() -> None:
+def test_numbers_by_occlusion_need_marks_and_two_hypotheses() -> None:
     with pytest.raises(
         PoseDataError, match=r"by: occlusion needs to know which joints are occluded; expected a member"
     ):
@@ -118,7 +123,7 @@ def test_min_mpjpe_is_given_at_round_numbers_up_to_n() -> None:
 
 
 @pytest.mark.parametrize(
-    ("names", "subject", "words"),
+    ("names", "spec", "words"),
     [
         ("min_mpjep", PERSON, r"metrics: min_mpjep is not known\. Did you mean min_mpjpe\?"),
         (
@@ -135,9 +140,9 @@ def test_min_mpjpe_is_given_at_round_numbers_up_to_n() -> None:
         ("ece_paper", DataSpec(1, H36M, 0), r"metrics: ece_paper needs at least 2 hypotheses; there is 1\."),
         ("coverage_50", DataSpec(1, H36M, 0), r"coverage_50 needs at least 2 hypotheses"),
         ("radius_50", DataSpec(1, H36M, 0), r"radius_50 needs at least 2 hypotheses"),
-        ("rank_tests", DataSpec(1, H36M, 0), r"metrics: battery needs at least 2 hypotheses"),
+        ("rank_tests", DataSpec(1, H36M, 0), r"metrics: rank_tests needs at least 2 hypotheses"),
         ("a1, pck, b2", PERSON, r"(?s)2 problems:.*metrics: a1 is not known.*metrics: b2 is not known"),
-        ("", PERSON, r"metrics: ''; expected default, all, or names with commas\."),
+        ("", PERSON, r"metrics: ''; expected default, rank_tests, scores, all, or names with commas\."),
     ],
 )
 def test_metrics_that_can_t_be_given_are_refused_with_what_they_need(names: str, spec: DataSpec, words: str) -> None:
@@ -167,3 +172,97 @@ def test_the_curves_are_those_that_pictures_are_drawn_from() -> None:
     for curve in curves.values():
         assert curve.definition
         assert all(curve.axes)
+
+
+# --- many means at once ----------------------------------------------------------------------------------------------
+
+EVERYTHING = replace(PERSON, has_occlusion=True, preranks=("height",), reference="climatology", n_reference=6)
+PROTOCOLS = {
+    "default": Protocol(),
+    "occluded": Protocol(where="occluded", root="drop", cps_unit="share", velocity="second"),
+    "mean": Protocol(ece_over="mean", best="joint", mode="2"),
+    "worst": Protocol(ece_over="worst", best="sequence"),
+    "pooled": Protocol(ece_over="pooled", best="batch:2", auc="integral"),
+}
+
+
+@cache
+def metrics_and_means(protocol: str) -> list[tuple[Metric, dict[str, Array]]]:
+    """Every metric, over occluded and visible joints too, with the mean of each of its statistics over four poses."""
+    random = np.random.default_rng(0)
+    y = random.normal(0, 300, (4, 17, 3))
+    x, reference = y + random.normal(0, 60, (7, 4, 17, 3)), y + random.normal(0, 90, (6, 4, 17, 3))
+    occluded, scores = random.random((4, 17)) < 0.4, random.random((7, 4))
+    follows = np.array([False, True, True, True])
+    block = Block(x, y, root=0, scores=scores, occluded=occluded, reference=reference, follows=follows)
+    preranks = {"height": lambda pool: pool[..., 2].max(axis=1)}
+    own = Metric.from_function(lambda x, y: np.abs(x - y).mean(axis=(0, 3)), name="own", by_joint=True)
+    metrics = [*known_metrics(PROTOCOLS[protocol], EVERYTHING, preranks, own=[own]).values()]
+    metrics += [m for ms in occlusion_metrics_of(PROTOCOLS[protocol], EVERYTHING).values() for m in ms.values()]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # means of nothing, at the root
+        means = {s.name: np.nanmean(s.compute(block), axis=0) for metric in metrics for s in metric.statistics}
+    return [(metric, means) for metric in metrics if not metric.statistic.per_pose]
+
+
+def stack(statistic: Statistic, mean: Array) -> Array:
+    """Means like one mean, (2, 4, *shape); joints that don't count in all of them, in some, and once none that does."""
+    random = np.random.default_rng(1)
+    means = mean * random.uniform(0.6, 1.4, (2, 4, *mean.shape))
+    if statistic.per_joint and mean.shape[0] > 3:
+        means[:, :, 2] = np.nan
+        means[0, 1:3, 3] = means[1, 3, 5:9] = np.nan
+    means[1, 0] = np.nan
+    return means
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_stack_of_means_is_finished_as_each_of_them_is(protocol: str) -> None:
+    for metric, mean_of in metrics_and_means(protocol):
+        means = stack(metric.statistic, mean_of[metric.statistic.name])
+        numbers = np.asarray(metric.finish(means))
+        assert numbers.shape == (2, 4), metric.name
+        assert np.isnan(numbers[1, 0]), metric.name
+        assert not np.isnan(np.delete(numbers.ravel(), 4)).any(), metric.name
+        for index in np.ndindex(2, 4):
+            np.testing.assert_allclose(numbers[index], metric.finish(means[index]), rtol=1e-12, err_msg=metric.name)
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_stack_of_means_gives_each_joint_s_number_as_each_of_them_does(protocol: str) -> None:
+    tried = []
+    for metric, mean_of in metrics_and_means(protocol):
+        if metric.by_joint is not None:
+            statistic, of_joints = metric.by_joint
+            means = stack(statistic, mean_of[statistic.name])
+            numbers = np.asarray(of_joints(means))
+            assert numbers.shape == (2, 4, 17), metric.name
+            assert np.isnan(numbers[:, :, 2]).all(), metric.name
+            assert not np.isnan(numbers[0, 0, 4:]).any(), metric.name
+            for index in np.ndindex(2, 4):
+                np.testing.assert_allclose(numbers[index], of_joints(means[index]), rtol=1e-12, err_msg=metric.name)
+            tried.append(metric.name)
+    assert {"mpjpe", "ece", "ece_paper", "coverage_90", "coordinate_pit", "energy_score", "radius_90", "own"} <= {
+        *tried
+    }
+
+
+# --- what stands in which table --------------------------------------------------------------------------------------
+
+
+def test_metrics_say_which_tables_show_them() -> None:
+    known = known_metrics(Protocol(), EVERYTHING)
+    by_group = [name for name, metric in known.items() if metric.in_group_table]
+    by_joint = [name for name, metric in known.items() if metric.in_joint_table]
+    assert by_group == ["min_mpjpe", "mpjpe", "pa_min_mpjpe", "pck", "ece", "signed_area", "coverage_90", "radius_50"]
+    assert by_joint == [
+        *("min_mpjpe", "mpjpe", "ece", "signed_area", "coverage_50", "coverage_90", "radius_50", "radius_90"),
+    ]
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_only_metrics_with_a_number_per_joint_stand_in_the_table_of_joints(protocol: str) -> None:
+    known = known_metrics(PROTOCOLS[protocol], EVERYTHING)
+    assert not [name for name, metric in known.items() if metric.in_joint_table and metric.by_joint is None]
+    occlusion = occlusion_metrics_of(PROTOCOLS[protocol], EVERYTHING)["visible"]
+    assert all(metric.in_group_table and not metric.in_joint_table for metric in occlusion.values())

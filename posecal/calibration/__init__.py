@@ -1,13 +1,14 @@
-"""Can the spread of the hypotheses be trusted? Calibration of any hypothesis array, without a model.
+"""Calibration of any hypotheses, without a model: whether their spread can be trusted.
 
-``ranks``: where the truth falls among its hypotheses; ``curve``: the calibration curve; ``error``: numbers from a
-curve; ``floor``: what a perfect sampler would show.
+``curve``: calibration curves; ``error``: the expected calibration error; ``expected``: that of a perfect sampler;
+``ranks``: the three definitions; ``rank_tests``: tests of what the curve does not see.
 """
 
-from posecal.calibration.curve import CalibrationCurve, calibration_curve
-from posecal.calibration.error import OVER_JOINTS, OverJoints, coverage_at, ece, joint_ece, signed_area
+from posecal.calibration.curve import OVER_JOINTS, CalibrationCurve, calibration_curve
+from posecal.calibration.error import ece
 from posecal.calibration.expected import Floor, expected_curve, perfect_sampler
 from posecal.calibration.ranks import DEFINITIONS, LEVELS, Definition
+from posecal.engine.protocol import OverJoints
 
 __all__ = [
     "DEFINITIONS",
@@ -18,10 +19,7 @@ __all__ = [
     "Floor",
     "OverJoints",
     "calibration_curve",
-    "coverage_at",
     "ece",
     "expected_curve",
-    "joint_ece",
     "perfect_sampler",
-    "signed_area",
 ]

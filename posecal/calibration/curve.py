@@ -1,23 +1,140 @@
-"""How often does the truth lie within the ball that holds a share q of its hypotheses? The calibration curve.
+"""Calibration curves, and the numbers that are read off them.
 
-ω_k(q) of joint k is the mean over poses of how far inside its q-ball the truth lies
-(:mod:`posecal.calibration.ranks`). For a calibrated model ω_k(q) = q; below the diagonal the truth falls
-outside too often and the model is overconfident, above it is underconfident.
+ω_k(q) of joint k is the mean over poses of how far inside its q-ball the truth lies (:mod:`posecal.calibration.ranks`).
+For a calibrated model ω_k(q) = q; below the diagonal the truth falls outside too often and the model is overconfident,
+above it is underconfident.
+
+The ECE is the mean over levels of ``|ω(q) - q|``: how far the curve lies from the diagonal, on either side. The signed
+area says on which side: negative is overconfident. Coverage is the curve at one level. Over the joints the paper takes
+the median curve, in which joints that err in opposite ways cancel; the mean over joints and the worst joint show them.
+Numbers of occluded joints take the pooled curve instead.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import get_args
 
 import numpy as np
 import numpy.typing as npt
 
-from posecal.calibration.ranks import LEVELS, Definition, inside, known_definition
-from posecal.data.arrays import BoolArray, FloatArray
-from posecal.engine.block import Block
-from posecal.engine.blocks import per_pose
+from posecal.calibration.ranks import DEFINITIONS, LEVELS, Definition, inside
+from posecal.data.arrays import (
+    BoolArray,
+    FloatArray,
+    checked,
+    checked_choice,
+    checked_number,
+    checked_root,
+    real_array,
+)
+from posecal.engine.block import Block, per_pose
+from posecal.engine.metric import mean_over_joints
+from posecal.engine.protocol import OverJoints
+from posecal.errors import PoseDataError
 
-__all__ = ["CalibrationCurve", "calibration_curve", "inside_table", "joint_median"]
+OVER_JOINTS: tuple[OverJoints, ...] = get_args(OverJoints)
+"""The summaries over joints, that of the paper first."""
+
+# --- arrays of curves (..., Q) and tables (..., K + 1, Q): K joints, and their pooled curve ------------------------
+
+
+def _checked_curves(curves: npt.ArrayLike) -> FloatArray:
+    array = real_array(curves, "curves")
+    if array.shape[-1:] != LEVELS.shape:
+        raise PoseDataError(f"curves {array.shape}: expected (..., {LEVELS.size}), a share at each level.")
+    return array
+
+
+def joint_ece(curves: npt.ArrayLike) -> FloatArray:
+    """Mean over levels of the distance of each curve from the diagonal.
+
+    Parameters
+    ----------
+    curves : array (..., Q)
+        ω(q) at :data:`posecal.calibration.LEVELS`.
+
+    Returns
+    -------
+    array (...)
+        ECEs, 0 to about 0.5; lower is better; NaN for curves of NaN.
+
+    Examples
+    --------
+    >>> joint_ece(LEVELS), round(float(joint_ece(0 * LEVELS)), 3)
+    (np.float64(0.0), 0.5)
+    """
+    distances: FloatArray = np.abs(_checked_curves(curves) - LEVELS).mean(axis=-1)
+    return distances
+
+
+def signed_area(curves: npt.ArrayLike) -> FloatArray:
+    r"""Area between each curve and the diagonal, with its sign.
+
+    .. math:: \int_0^1 (\omega(q) - q)\, \mathrm{d}q
+
+    by the trapezoidal rule over the 21 levels.
+
+    Parameters
+    ----------
+    curves : array (..., Q)
+        ω(q) at :data:`posecal.calibration.LEVELS`.
+
+    Returns
+    -------
+    array (...)
+        Areas, -0.5 to 0.5; 0 is best, negative is overconfident, positive underconfident.
+
+    Examples
+    --------
+    >>> round(float(signed_area(0 * LEVELS)), 12)
+    -0.5
+    """
+    return np.asarray(np.trapezoid(_checked_curves(curves) - LEVELS, LEVELS, axis=-1))
+
+
+def coverage_at(curves: FloatArray, level: float) -> FloatArray:
+    """Curves (..., Q) read at one level from 0 to 1, (...), interpolated between two of :data:`LEVELS`."""
+    level = checked_number(level, "level", lambda level: 0 <= level <= 1, "a share from 0 to 1")
+    below = min(int(level * (LEVELS.size - 1)), LEVELS.size - 2)
+    share = level * (LEVELS.size - 1) - below
+    return np.asarray(curves[..., below] * (1 - share) + curves[..., below + 1] * share)
+
+
+def joint_median(curves: FloatArray) -> FloatArray:
+    """Median over the joints that count of curves (..., K, Q), (..., Q); by sorting, faster than NumPy's median."""
+    ordered = np.sort(curves, axis=-2)  # NaN last
+    known = (~np.isnan(ordered[..., 0])).sum(axis=-1)
+    middle, joints = np.stack([(known - 1) // 2, known // 2], axis=-1), ordered.shape[-2]
+    if (known == joints).all():
+        pair = ordered[..., [(joints - 1) // 2, joints // 2], :]
+    else:
+        pair = np.take_along_axis(ordered, np.maximum(middle, 0)[..., None], axis=-2)
+    return np.asarray((pair[..., 0, :] + pair[..., 1, :]) / 2)
+
+
+def summary_curve(table: FloatArray, over: OverJoints) -> FloatArray:
+    """Summarize each table, (..., K + 1, Q), by one curve, (..., Q); NaN where no joint counts."""
+    curves = table[..., :-1, :]
+    if over == "pooled":
+        return table[..., -1, :]
+    if over == "median":
+        return joint_median(curves)
+    if over == "mean":
+        return mean_over_joints(curves.swapaxes(-1, -2))
+    errors = joint_ece(curves)
+    worst = np.where(np.isnan(errors), -np.inf, errors).argmax(axis=-1)
+    return np.take_along_axis(curves, worst[..., None, None], axis=-2)[..., 0, :]
+
+
+def ece_over_joints(table: FloatArray, over: OverJoints) -> FloatArray:
+    """ECE of each table, (..., K + 1, Q) to (...): of its summary, or for ``mean`` the mean of the joints' ECEs."""
+    if over == "mean":
+        return mean_over_joints(joint_ece(table[..., :-1, :]))
+    return joint_ece(summary_curve(table, over))
+
+
+# --- curves of one evaluation -----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -27,16 +144,22 @@ class CalibrationCurve:
     Attributes
     ----------
     definition : str
-        One of :data:`posecal.calibration.ranks.DEFINITIONS`.
-    coverage : array (K, Q)
+        One of :data:`posecal.calibration.DEFINITIONS`.
+    joints : array (K, Q)
         ω_k(q), 0 to 1; NaN for joints that never count.
     pooled : array (Q,)
-        The curve whose statistic is, per pose, the mean over the joints that count: the one column that the
-        paper's numbers of occluded joints come from.
+        The curve whose statistic is, per pose, the mean over the joints that count: the one that the paper's numbers
+        of occluded joints come from.
+
+    Notes
+    -----
+    Where a method takes ``over``, it names the summary over joints: ``median``, of the median curve (the paper's);
+    ``mean``, of the mean curve, and for the ECE the mean of the joints' ECEs; ``worst``, of the joint with the largest
+    ECE; ``pooled``, of the pooled curve.
     """
 
     definition: Definition
-    coverage: FloatArray
+    joints: FloatArray
     pooled: FloatArray
 
     @property
@@ -47,16 +170,62 @@ class CalibrationCurve:
     @property
     def median(self) -> FloatArray:
         """ω(q), (Q,): the median over the joints that count, the curve of the paper."""
-        counted = self.coverage[~np.isnan(self.coverage).any(axis=1)]
-        return joint_median(counted) if len(counted) else np.full(LEVELS.size, np.nan)
+        return joint_median(self.joints)
+
+    def _table(self, over: OverJoints) -> FloatArray:
+        checked_choice(over, "over", OVER_JOINTS)
+        return np.concatenate([self.joints, self.pooled[None]])
+
+    def summary(self, over: OverJoints = "median") -> FloatArray:
+        """Give the one curve, (Q,), that stands for all joints."""
+        return summary_curve(self._table(over), over)
+
+    def ece(self, over: OverJoints = "median") -> float:
+        """Give the expected calibration error, 0 to about 0.5; lower is better; see :func:`posecal.ece`."""
+        return float(ece_over_joints(self._table(over), over))
+
+    def joint_ece(self) -> FloatArray:
+        """Give the ECE of each joint, (K,)."""
+        return joint_ece(self.joints)
+
+    def signed_area(self, over: OverJoints = "median") -> float:
+        """Give the area between the curve and the diagonal, -0.5 to 0.5: negative is overconfident."""
+        return float(signed_area(self.summary(over)))
+
+    def joint_signed_area(self) -> FloatArray:
+        """Give the signed area of each joint, (K,)."""
+        return signed_area(self.joints)
+
+    def coverage(self, level: float, over: OverJoints = "median") -> float:
+        """Give the share of truths inside the ball that holds a share of the hypotheses.
+
+        Parameters
+        ----------
+        level : float
+            That share, 0 to 1; between two of the levels the curve is interpolated.
+        over : str
+            The summary over joints.
+
+        Returns
+        -------
+        float
+            0 to 1; the level itself is best.
+
+        Raises
+        ------
+        PoseDataError
+            For a level that is no share, or an unknown summary.
+        """
+        return float(coverage_at(self.summary(over), level))
+
+    def joint_coverage(self, level: float) -> FloatArray:
+        """Give the coverage of each joint, (K,)."""
+        return coverage_at(self.joints, level)
 
 
-def joint_median(curves: FloatArray) -> FloatArray:
-    """Median over the joints of curves (..., K, Q) without NaN; by sorting, faster than NumPy's median."""
-    ordered = np.sort(curves, axis=-2)
-    middle = ordered.shape[-2] // 2
-    upper: FloatArray = ordered[..., middle, :]
-    return upper if ordered.shape[-2] % 2 else (ordered[..., middle - 1, :] + upper) / 2
+def curve_of(table: FloatArray, definition: Definition = "exchangeable") -> CalibrationCurve:
+    """Read a table (K + 1, Q) as calibration curves."""
+    return CalibrationCurve(definition, table[:-1], table[-1])
 
 
 def inside_table(block: Block, definition: Definition, joints: BoolArray | None = None) -> FloatArray:
@@ -67,7 +236,7 @@ def inside_table(block: Block, definition: Definition, joints: BoolArray | None 
     block : Block
         B poses.
     definition : str
-        One of :data:`posecal.calibration.ranks.DEFINITIONS`.
+        One of :data:`posecal.calibration.DEFINITIONS`.
     joints : bool array (K,), optional
         The joints that are scored.
 
@@ -76,13 +245,11 @@ def inside_table(block: Block, definition: Definition, joints: BoolArray | None 
     array (B, K + 1, Q)
         Weights; NaN for joints that don't count.
     """
-    weights = inside(block, definition)
-    if joints is not None:
-        weights[:, ~joints] = np.nan
-    counted = ~np.isnan(weights[..., 0])
-    number = counted.sum(axis=1)
-    mean = np.where(counted[..., None], weights, 0).sum(axis=1) / np.maximum(number, 1)[:, None]
-    mean[number == 0] = np.nan
+    weights, counted = inside(block, definition), block.where if joints is None else block.where & joints
+    number = counted.sum(axis=1, keepdims=True)
+    weights[~counted] = 0
+    mean = np.einsum("bk,bkq->bq", counted.astype(np.float64), weights) / np.where(number > 0, number, np.nan)
+    weights[~counted] = np.nan
     return np.concatenate([weights, mean[:, None]], axis=1)
 
 
@@ -126,6 +293,11 @@ def calibration_curve(
     -----
     Differs from the published code: the default is exact at every N; ``reference`` follows the released script.
 
+    See Also
+    --------
+    ece : Mean distance of the curve from the diagonal.
+    posecal.perfect_sampler : What a perfect sampler would show.
+
     References
     ----------
     Pierzchlewicz et al., arXiv:2210.11179, section 3.1.
@@ -138,13 +310,14 @@ def calibration_curve(
     >>> import numpy as np
     >>> hypotheses = np.array([-2.0, 0.0, 3.0]).reshape(3, 1, 1, 1)
     >>> curve = calibration_curve(hypotheses, np.full((1, 1, 1), 1.0))
-    >>> curve.coverage[0, [0, 5, 10]]
-    array([0. , 0.5, 1. ])
+    >>> curve.coverage(0), curve.coverage(0.25), curve.coverage(0.5)
+    (0.0, 0.5, 1.0)
     """
-    known = known_definition(definition)
-    n_joints = np.shape(truth)[1] if np.ndim(truth) == 3 else 0
-    joints = None if root is None else np.arange(n_joints) != root % max(n_joints, 1)
-    table = per_pose(lambda b: inside_table(b, known, joints), hypotheses, truth, where, root=root)
+    checked_choice(definition, "definition", DEFINITIONS)
+    n_joints = checked(hypotheses, truth)[1].shape[1]
+    root = checked_root(root, n_joints)
+    joints = None if root is None else np.arange(n_joints) != root
+    table = per_pose(lambda b: inside_table(b, definition, joints), hypotheses, truth, where, root=root)
     number = (~np.isnan(table[..., 0])).sum(axis=0)[:, None]
     mean = np.where(number > 0, np.nansum(table, axis=0) / np.maximum(number, 1), np.nan)
-    return CalibrationCurve(known, mean[:-1], mean[-1])
+    return curve_of(mean, definition)

@@ -1,71 +1,58 @@
-"""What numbers does a calibration curve come down to?
-
-The ECE is the mean over levels of ``|ω(q) - q|``: how far the curve lies from the diagonal, without saying on which
-side. The signed area says on which: negative is overconfident. Coverage reads the curve at one level.
-
-Over the joints the paper takes the median curve. That hides joints that err in opposite ways, so the mean over
-joints and the worst joint stand beside it. Numbers of occluded joints take one pooled column instead.
-"""
+"""Calibration errors: the ECE of arrays, and the metrics that are read off calibration curves."""
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
+import numpy.typing as npt
 
-from posecal.calibration.curve import CalibrationCurve
-from posecal.calibration.ranks import LEVELS
-from posecal.data.arrays import FloatArray
-from posecal.errors import PoseDataError, did_you_mean
-
-__all__ = ["OVER_JOINTS", "OverJoints", "coverage_at", "ece", "joint_ece", "signed_area"]
-
-OverJoints = Literal["median", "mean", "worst", "pooled"]
-OVER_JOINTS: tuple[OverJoints, ...] = get_args(OverJoints)
-
-
-def joint_ece(coverage: FloatArray) -> FloatArray:
-    """Mean over levels of the distance of each curve from the diagonal.
-
-    Parameters
-    ----------
-    coverage : array (..., Q)
-        ω(q) at :data:`posecal.calibration.ranks.LEVELS`.
-
-    Returns
-    -------
-    array (...)
-        ECEs, 0 to about 0.5; lower is better; NaN for curves of NaN.
-
-    Notes
-    -----
-    Differs from the published code: none.
-
-    References
-    ----------
-    Naeini, Cooper and Hauskrecht, AAAI 2015 (the name); Pierzchlewicz et al., arXiv:2210.11179.
-
-    Examples
-    --------
-    >>> joint_ece(LEVELS), round(float(joint_ece(0 * LEVELS)), 3)
-    (np.float64(0.0), 0.5)
-    """
-    found: FloatArray = np.abs(coverage - LEVELS).mean(axis=-1)
-    return found
+from posecal.calibration.curve import (
+    OVER_JOINTS,
+    calibration_curve,
+    ece_over_joints,
+    inside_table,
+    joint_ece,
+    signed_area,
+    summary_curve,
+)
+from posecal.calibration.expected import expected_curve
+from posecal.calibration.ranks import DEFINITIONS, LEVELS, Definition
+from posecal.data.arrays import FloatArray, checked_choice
+from posecal.engine.metric import Deviation, Metric, Scope, Statistic, per_joint
+from posecal.engine.protocol import OverJoints
 
 
-def ece(curve: CalibrationCurve, over: OverJoints = "median") -> float:
+def ece(
+    hypotheses: npt.ArrayLike,
+    truth: npt.ArrayLike,
+    /,
+    *,
+    definition: Definition = "exchangeable",
+    over: OverJoints = "median",
+    where: npt.ArrayLike | None = None,
+    root: int | None = None,
+) -> float:
     r"""Expected calibration error: mean distance of the calibration curve from the diagonal.
 
     .. math:: \mathrm{ECE} = \frac{1}{Q} \sum_q \left| \operatorname{median}_k \omega_k(q) - q \right|
 
     Parameters
     ----------
-    curve : CalibrationCurve
-        Curves of K joints.
+    hypotheses : array (N, M, K, D)
+        Hypotheses, any unit.
+    truth : array (M, K, D)
+        True poses, the same unit.
+    definition : str
+        ``exchangeable``, ``paper`` or ``reference``; see :mod:`posecal.calibration.ranks`.
     over : str
         ``median``: ECE of the median curve (the paper's); ``mean``: mean of the joints' ECEs; ``worst``: the
-        largest of them; ``pooled``: ECE of the pooled column, for occluded joints.
+        largest of them; ``pooled``: ECE of the pooled curve, for occluded joints.
+    where : bool array (M, K), optional
+        The joints that count.
+    root : int, optional
+        The joint to subtract from every pose first; it is left out.
 
     Returns
     -------
@@ -76,98 +63,170 @@ def ece(curve: CalibrationCurve, over: OverJoints = "median") -> float:
     Raises
     ------
     PoseDataError
-        For an unknown summary.
+        For shapes, dtypes, values or names that don't fit.
 
     Notes
     -----
-    A perfect sampler shows more than 0 at finite M; see :func:`posecal.calibration.expected.perfect_sampler`.
-    Differs from the published code: none, given the same curves.
+    A perfect sampler shows more than 0 at finite M; see :func:`posecal.perfect_sampler`.
+    Differs from the published code: none with ``definition="reference"``.
+
+    See Also
+    --------
+    calibration_curve : The curve itself, with its signed area and coverage.
+    posecal.perfect_sampler : The ECE that a perfect sampler would show.
 
     References
     ----------
-    Pierzchlewicz et al., arXiv:2210.11179, section 3.1.
+    Pierzchlewicz et al., arXiv:2210.11179, section 3.1; Naeini, Cooper and Hauskrecht, AAAI 2015 (the name).
 
     Examples
     --------
-    >>> from posecal.calibration import CalibrationCurve
-    >>> never = CalibrationCurve("exchangeable", np.zeros((2, 21)), np.zeros(21))
-    >>> round(ece(never), 12)
-    0.5
+    The truth lies outside all hypotheses: ω(q) = 0 below q = 1, where it is 1.
+
+    >>> import numpy as np
+    >>> round(ece(np.zeros((4, 3, 1, 3)), np.ones((3, 1, 3)), definition="paper"), 3)
+    0.452
     """
-    if over == "median":
-        return float(joint_ece(curve.median))
-    if over == "pooled":
-        return float(joint_ece(curve.pooled))
-    if over not in OVER_JOINTS:
-        raise PoseDataError(f"over: {over!r} is not known. {did_you_mean(over, OVER_JOINTS)}")
-    errors = joint_ece(curve.coverage)
-    errors = errors[~np.isnan(errors)]
-    if not len(errors):
-        return float("nan")
-    return float(errors.mean() if over == "mean" else errors.max())
+    checked_choice(over, "over", OVER_JOINTS)
+    return calibration_curve(hypotheses, truth, definition=definition, where=where, root=root).ece(over)
 
 
-def signed_area(coverage: FloatArray) -> FloatArray:
-    r"""Area between a calibration curve and the diagonal, with its sign.
+# --- metrics --------------------------------------------------------------------------------------------------
 
-    .. math:: \int_0^1 (\omega(q) - q)\, \mathrm{d}q
+_OVER: dict[OverJoints, tuple[str, str, Deviation]] = {
+    "median": ("the median over", "median of", Deviation(None, -1, "median")),
+    "mean": ("the mean over", "mean of", Deviation(None, -1, "mean")),
+    "worst": ("the worst of", "worst of", Deviation(None, -1, "worst")),
+    "pooled": ("per pose the mean over", "pooled over", Deviation(-1)),
+}
+"""Each summary over joints in words and in a few words, and how it is made of a table: K joints, and the pooled one."""
 
-    by the trapezoidal rule over the 21 levels.
+_CALIBRATION = partial(Metric, unit="", family="calibration")
+_ERROR = partial(
+    _CALIBRATION,
+    direction="lower",
+    range="0 (the diagonal) to about 0.5 (a curve that never leaves the axis)",
+    reading="Never 0 on finite data, not even for a perfect sampler: compare it with what a calibrated sampler would "
+    "show by chance (…_null, …_null_95, …_p), never with an interval around itself. It does not say on which side a "
+    "model errs (signed_area does), is blind to direction, shape and correlation (the rank tests are not), and a model "
+    "that ignores the image can have a perfect one.",
+    source="Pierzchlewicz et al., arXiv:2210.11179, section 3.1; Naeini et al., AAAI 2015",
+)
+_AREA = partial(
+    _CALIBRATION,
+    direction="zero",
+    range="−0.5 (no truth in any ball) to 0.5 (every truth in the smallest)",
+    reading="Negative: the hypotheses are too narrow or off (overconfident). Positive: wider than need be "
+    "(underconfident).",
+    source="posecal",
+)
+_COVERAGE = partial(
+    _CALIBRATION,
+    direction="none",
+    range="0 to 1; the level itself is best",
+    reading="What a user of the ball experiences: of the balls that hold 90 % of the hypotheses, so many hold the "
+    "truth.",
+    source="posecal; Kuleshov et al., arXiv:1807.00263 (the idea for regression)",
+)
 
-    Parameters
-    ----------
-    coverage : array (..., Q)
-        ω(q) at :data:`posecal.calibration.ranks.LEVELS`.
 
-    Returns
-    -------
-    array (...)
-        Areas, -0.5 to 0.5; 0 is best, negative is overconfident, positive underconfident.
-
-    Notes
-    -----
-    Differs from the published code: none; ours.
-
-    Examples
-    --------
-    >>> round(float(signed_area(0 * LEVELS)), 12)
-    -0.5
-    """
-    return np.asarray(np.trapezoid(coverage - LEVELS, LEVELS, axis=-1))
+def _inside(scope: Scope, definition: Definition) -> Statistic:
+    """How far inside each q-ball the truth lies, (K + 1, Q); the last row pools the joints of a pose."""
+    compute = partial(inside_table, definition=definition, joints=scope.moving)
+    return Statistic(f"inside_{definition}", compute, per_joint=True)
 
 
-def coverage_at(coverage: FloatArray, level: float) -> FloatArray:
-    """Share of truths within the ball of a level: the curve read at that level, interpolated between two.
+def _of_joints(function: Callable[[FloatArray], FloatArray]) -> Callable[[FloatArray], FloatArray]:
+    """Apply a function of curves to those of the joints, from tables (..., K + 1, Q) to (..., K)."""
+    return lambda table: function(table[..., :-1, :])
 
-    Parameters
-    ----------
-    coverage : array (..., Q)
-        ω(q) at :data:`posecal.calibration.ranks.LEVELS`.
-    level : float
-        q, 0 to 1.
 
-    Returns
-    -------
-    array (...)
-        Shares, 0 to 1; the level itself is best.
+def _extreme_area(curves: FloatArray, extreme: np.ufunc) -> FloatArray:
+    return np.asarray(extreme.reduce(signed_area(curves), axis=-1))
 
-    Raises
-    ------
-    PoseDataError
-        For a level that is no share.
 
-    Notes
-    -----
-    Differs from the published code: none; ours.
+def calibration_metrics(scope: Scope) -> Iterator[Metric]:
+    """The ECE in its three definitions, and signed area and coverage of the exchangeable curve."""
+    for definition in DEFINITIONS:
+        yield from _errors(scope, definition)
+    yield from _areas(scope)
+    yield from _coverages(scope)
 
-    Examples
-    --------
-    >>> float(coverage_at(LEVELS, 0.5))
-    0.5
-    """
-    if not 0 <= level <= 1:
-        raise PoseDataError(f"level: {level}; expected a share from 0 to 1.")
-    place = level * (LEVELS.size - 1)
-    below = min(int(place), LEVELS.size - 2)
-    share = place - below
-    return np.asarray(coverage[..., below] * (1 - share) + coverage[..., below + 1] * share)
+
+def _errors(scope: Scope, definition: Definition) -> Iterator[Metric]:
+    statistic, joints, n = _inside(scope, definition), scope.counted(scope.moving), scope.spec.n_hypotheses
+    over, plain = scope.protocol.summary_over_joints, definition == "exchangeable"
+    name, label = ("ece", "ECE") if plain else (f"ece_{definition}", f"ECE ({definition})")
+    summaries: tuple[tuple[str, str, OverJoints, str], ...] = (
+        ("", "", over, f"mean over q of |ω(q) − q|, ω: {_OVER[over][0]} {joints}"),
+        ("_mean", ", mean of joints", "mean", f"mean over {joints} of the mean over q of |ω_k(q) − q|"),
+        ("_worst", ", worst joint", "worst", f"largest over {joints} of the mean over q of |ω_k(q) − q|"),
+    )
+    for ending, words, how, meaning in summaries:
+        yield _ERROR(
+            name=name + ending,
+            label=label + words,
+            brief=f"{definition}; {_OVER[how][1]} {scope.number(scope.moving)}",
+            definition=f"{meaning}; {definition} definition, N={n}, {LEVELS.size} levels",
+            statistic=statistic,
+            finish=partial(ece_over_joints, over=how),
+            by_joint=None if ending else (statistic, _of_joints(joint_ece)),
+            headline=definition != "reference" and not ending,
+            in_group_table=plain and not ending,
+            in_joint_table=plain and not ending,
+            deviation=_OVER[how][2],
+            offset=None if plain else expected_curve(n, definition) - LEVELS,
+        )
+
+
+def _areas(scope: Scope) -> Iterator[Metric]:
+    statistic, joints, over = (
+        _inside(scope, "exchangeable"),
+        scope.counted(scope.moving),
+        scope.protocol.summary_over_joints,
+    )
+    yield _AREA(
+        name="signed_area",
+        label="signed area",
+        brief="− overconfident, + underconfident",
+        definition=f"∫ (ω(q) − q) dq, exchangeable, ω: {_OVER[over][0]} {joints}; negative: overconfident, positive: "
+        "underconfident",
+        statistic=statistic,
+        finish=lambda table: signed_area(summary_curve(table, over)),
+        by_joint=(statistic, _of_joints(signed_area)),
+        headline=True,
+        in_group_table=True,
+        in_joint_table=True,
+    )
+    for name, words, extreme in (("min", "smallest", np.fmin), ("max", "largest", np.fmax)):
+        yield _AREA(
+            name=f"signed_area_{name}",
+            label=f"signed area, {words} of joints",
+            brief=f"{words} of {scope.number(scope.moving)}",
+            definition=f"∫ (ω_k(q) − q) dq, exchangeable, the {words} over {joints}",
+            statistic=statistic,
+            finish=_of_joints(partial(_extreme_area, extreme=extreme)),
+        )
+
+
+def _coverages(scope: Scope) -> Iterator[Metric]:
+    statistic, joints, over = (
+        _inside(scope, "exchangeable"),
+        scope.counted(scope.moving),
+        scope.protocol.summary_over_joints,
+    )
+    for percent in (50, 80, 90, 95):
+        index = percent * (LEVELS.size - 1) // 100
+        yield _COVERAGE(
+            name=f"coverage_{percent}",
+            label=f"coverage at {percent} %",
+            brief=f"best: {percent / 100:g}",
+            definition=f"share of truths inside the ball that holds {percent} % of the hypotheses, exchangeable, "
+            f"{_OVER[over][0]} {joints}; best: {percent / 100:g}",
+            statistic=statistic,
+            finish=lambda table, index=index: summary_curve(table, over)[..., index],
+            by_joint=(statistic, _of_joints(per_joint(index))),
+            headline=True,
+            in_group_table=percent == 90,
+            in_joint_table=percent in {50, 90},
+        )

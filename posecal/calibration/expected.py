@@ -1,4 +1,4 @@
-"""What would a perfect sampler show here? The floor of each ECE at finite N and M.
+"""Finite-N floors: the ECE that a perfect sampler would show, for N hypotheses of M poses.
 
 Two things keep a perfect sampler's ECE above 0. At finite N the definitions ``paper`` and ``reference`` are
 biased: their curve is not the diagonal even for M → ∞ (their bias is tabulated for three-dimensional isotropic
@@ -17,13 +17,10 @@ from importlib.resources import files
 
 import numpy as np
 
-from posecal.calibration.curve import CalibrationCurve
-from posecal.calibration.error import OverJoints, ece
-from posecal.calibration.ranks import LEVELS, Definition, known_definition, rank_weights
-from posecal.data.arrays import FloatArray
-from posecal.errors import PoseDataError
-
-__all__ = ["Floor", "expected_curve", "perfect_sampler"]
+from posecal.calibration.curve import OVER_JOINTS, ece_over_joints
+from posecal.calibration.ranks import DEFINITIONS, LEVELS, Definition, rank_weights
+from posecal.data.arrays import FloatArray, checked_choice, checked_number
+from posecal.engine.protocol import OverJoints
 
 
 @dataclass(frozen=True)
@@ -67,7 +64,7 @@ def expected_curve(n_hypotheses: int, definition: Definition = "exchangeable") -
     Raises
     ------
     PoseDataError
-        For fewer than two hypotheses or an unknown definition.
+        For fewer than two hypotheses, or an unknown definition.
 
     Notes
     -----
@@ -76,19 +73,24 @@ def expected_curve(n_hypotheses: int, definition: Definition = "exchangeable") -
 
     Examples
     --------
-    >>> expected_curve(7)[10].entry()
+    >>> expected_curve(7)[10].item()
     0.5
     """
-    known = known_definition(definition)
-    if n_hypotheses < 2:
-        raise PoseDataError(f"hypotheses: N = {n_hypotheses}; calibration needs at least 2.")
-    if known == "exchangeable":
+    checked_choice(definition, "definition", DEFINITIONS)
+    n = _whole(n_hypotheses, "n_hypotheses", 2)
+    if definition == "exchangeable":
         return LEVELS.copy()
-    if known == "reference":
-        return LEVELS + _bias(n_hypotheses, "reference", LEVELS)
-    allowed = np.arange(LEVELS.size) * n_hypotheses // (LEVELS.size - 1)
-    rank = np.minimum((allowed + 1) / (n_hypotheses + 1), 1)
-    return rank + np.where(rank < 1, _bias(n_hypotheses, "paper", rank), 0)
+    if definition == "reference":
+        return LEVELS + _bias(n, "reference", LEVELS)
+    allowed = np.arange(LEVELS.size) * n // (LEVELS.size - 1)
+    rank = np.minimum((allowed + 1) / (n + 1), 1)
+    return rank + np.where(rank < 1, _bias(n, "paper", rank), 0)
+
+
+def _whole(value: object, name: str, least: int) -> int:
+    """Check a whole number."""
+    expected = f"a whole number of at least {least}"
+    return int(checked_number(value, name, lambda number: number >= least and number.is_integer(), expected))
 
 
 def _bias(n_hypotheses: int, definition: str, at: FloatArray) -> FloatArray:
@@ -109,7 +111,6 @@ def _bias(n_hypotheses: int, definition: str, at: FloatArray) -> FloatArray:
     return (share * scaled(below) + (1 - share) * scaled(above)) / n_hypotheses
 
 
-@cache
 def perfect_sampler(
     n_hypotheses: int,
     n_poses: int,
@@ -128,7 +129,7 @@ def perfect_sampler(
     definition : str
         One of :data:`posecal.calibration.ranks.DEFINITIONS`.
     over : str
-        The summary over joints; see :func:`posecal.calibration.error.ece`.
+        The summary over joints; see :func:`posecal.ece`.
     draws : int
         Test sets drawn, from a fixed seed.
 
@@ -147,6 +148,11 @@ def perfect_sampler(
     Frames and joints are independent here; where they are correlated, as in video, the floor is higher.
     Differs from the published code: none; ours.
 
+    See Also
+    --------
+    expected_curve : Its calibration curve for M → ∞.
+    posecal.ece : The ECE of hypotheses.
+
     Examples
     --------
     With 20 hypotheses the paper's definition is off by 0.018 however many poses there are.
@@ -154,19 +160,25 @@ def perfect_sampler(
     >>> round(perfect_sampler(20, 10**6, 16, "paper").mean, 3)
     0.018
     """
-    known = known_definition(definition)
-    mean = expected_curve(n_hypotheses, known)
-    if n_poses < 1 or n_joints < 1:
-        raise PoseDataError(f"poses: M = {n_poses}, K = {n_joints}; expected at least one of each.")
-    if known == "exchangeable":
-        chances = np.full(n_hypotheses + 1, 1 / (n_hypotheses + 1))
-        weights = rank_weights(n_hypotheses, np.arange(n_hypotheses + 1))
+    checked_choice(definition, "definition", DEFINITIONS)
+    checked_choice(over, "over", OVER_JOINTS)
+    sizes = ((n_hypotheses, "n_hypotheses", 2), (n_poses, "n_poses", 1), (n_joints, "n_joints", 1), (draws, "draws", 1))
+    N, M, K, number = (_whole(*size) for size in sizes)
+    return _floor(N, M, K, definition, over, number)
+
+
+@cache
+def _floor(N: int, M: int, K: int, definition: Definition, over: OverJoints, draws: int) -> Floor:
+    mean = expected_curve(N, definition)
+    if definition == "exchangeable":
+        chances = np.full(N + 1, 1 / (N + 1))
+        weights = rank_weights(N, np.arange(N + 1))
     else:
         edges = np.concatenate([[0.0], np.maximum.accumulate(np.clip(mean, 0, 1)), [1.0]])
         chances = np.diff(edges)
         weights = np.tri(LEVELS.size + 1, LEVELS.size, -1)[::-1, ::-1]
     random = np.random.default_rng(0)
-    counts = random.multinomial(n_poses, chances, size=(draws, n_joints))
-    curves = counts @ weights / n_poses
-    found = [ece(CalibrationCurve(known, curve, curve.mean(axis=0)), over) for curve in curves]
-    return Floor(float(np.mean(found)), float(np.quantile(found, 0.95)))
+    counts = random.multinomial(M, chances, size=(draws, K))
+    curves = counts @ weights / M
+    errors = ece_over_joints(np.concatenate([curves, curves.mean(axis=1, keepdims=True)], axis=1), over)
+    return Floor(float(np.mean(errors)), float(np.quantile(errors, 0.95)))

@@ -1,12 +1,12 @@
-"""What can the calibration curve not see? A battery of ranks, each blind to something else.
+"""Rank tests of calibration, each for what the calibration curve does not see.
 
 A distance from the centre knows nothing of direction, side, shape or of how joints move together. Each test here
 ranks the truth among the N + 1 pooled points by another number, a *pre-rank*; if the truth and the hypotheses are
 exchangeable, its rank is uniform for every one of them, whatever the distribution. The weights are those of the
 exchangeable definition (:mod:`posecal.calibration.ranks`), so that E ω(q) = q exactly.
 
-A model that ignores the image and samples from the prior passes every calibration test; only a score or the
-sharpness tells.
+A model that ignores the image and samples from the prior passes every calibration test; a score or the sharpness shows
+it.
 
 References
 ----------
@@ -17,30 +17,21 @@ arXiv:2302.03026 (TARP).
 
 from __future__ import annotations
 
-import runpy
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from posecal.calibration.curve import joint_ece
 from posecal.calibration.ranks import rank_weights, shared_ranks
 from posecal.data.arrays import BoolArray, FloatArray, squared_norms
 from posecal.engine.block import Block
+from posecal.engine.metric import Deviation, Metric, Scope, Statistic, mean_over_joints
 from posecal.errors import PoseDataError
-
-__all__ = [
-    "NEEDS_COORDINATE_RANGE",
-    "RANK_TESTS",
-    "PreRank",
-    "Test",
-    "coordinate_weights",
-    "load_prerank",
-    "user_weights",
-    "weights_of_ranks",
-]
 
 PreRank = Callable[[FloatArray], npt.ArrayLike]
 """A user's own pre-rank: from a pool of poses (N + 1, K, D), the truth last, to a number each, (N + 1,)."""
@@ -175,7 +166,7 @@ def tarp_hypothesis(pool: Pool) -> FloatArray:
 
 @dataclass(frozen=True)
 class Test:
-    """One test of the battery.
+    """A rank test.
 
     Attributes
     ----------
@@ -208,20 +199,22 @@ class Test:
         return found[:, None]
 
 
-def user_weights(block: Block, joints: BoolArray, prerank: PreRank) -> FloatArray:
+def user_weights(block: Block, joints: BoolArray, prerank: PreRank | None, name: str = "") -> FloatArray:
     """Weights of the rank of a user's own pre-rank, (B, 1, Q).
 
     Raises
     ------
     PoseDataError
-        Where it fails, or does not give one number per pooled pose.
+        Where its function is not available, fails, or does not give one number per pooled pose.
     """
+    if prerank is None:
+        raise PoseDataError(f"prerank: {name!r} is known from a saved result only; expected its function.")
     points = Pool.of(block, joints).points + block.truth[:, joints].astype(np.float64)[..., None]
     found = np.empty((len(points), points.shape[-1]))
     for b, poses in enumerate(points):
         try:
             values = np.asarray(prerank(np.ascontiguousarray(poses.transpose(2, 0, 1))), dtype=np.float64)
-        except Exception as error:  # somebody else's code fails in any way
+        except Exception as error:  # the user's code fails in any way
             raise PoseDataError(
                 f"prerank: it fails on a pool of {found.shape[1]} poses ({type(error).__name__}: {error})."
             ) from error
@@ -233,38 +226,6 @@ def user_weights(block: Block, joints: BoolArray, prerank: PreRank) -> FloatArra
     weights = weights_of_ranks(found)
     weights[~(block.where & joints).any(axis=1)] = np.nan
     return weights[:, None]
-
-
-def load_prerank(entry: str) -> tuple[str, PreRank]:
-    """Load a user's own pre-rank from a Python file.
-
-    Parameters
-    ----------
-    entry : str
-        ``FILE.py:FUNCTION``.
-
-    Returns
-    -------
-    name, function
-        The function's name and the function.
-
-    Raises
-    ------
-    PoseDataError
-        Where there is no such file or function, or the file fails.
-    """
-    path, _, name = entry.rpartition(":")
-    if not path.endswith(".py") or not name.isidentifier():
-        raise PoseDataError(f"prerank: {entry!r}; expected FILE.py:FUNCTION.")
-    try:
-        found = runpy.run_path(path).get(name)
-    except OSError as error:
-        raise PoseDataError(f"prerank: {path} can't be read ({error.strerror}).") from None
-    except Exception as error:  # somebody else's code fails in any way
-        raise PoseDataError(f"prerank: {path} can't be run ({type(error).__name__}: {error}).") from error
-    if not callable(found):
-        raise PoseDataError(f"prerank: {path} has no function {name!r}; expected one that takes a pool of poses.")
-    return name, found
 
 
 RANK_TESTS: tuple[Test, ...] = (
@@ -322,3 +283,57 @@ RANK_TESTS: tuple[Test, ...] = (
 
 NEEDS_COORDINATE_RANGE = frozenset({"tarp_box"})
 """The tests whose ranks depend on which poses are evaluated together: of shards they add, but not to the same."""
+
+# --- metrics --------------------------------------------------------------------------------------------------
+
+
+def rank_test_metrics(scope: Scope, preranks: Mapping[str, PreRank] | None = None) -> Iterator[Metric]:
+    """The rank tests, and those of the user's own pre-ranks.
+
+    Parameters
+    ----------
+    scope : Scope
+        The joints.
+    preranks : mapping of callables, optional
+        The functions of the user's pre-ranks, where they are available; a saved result has only their names.
+    """
+    for test in RANK_TESTS:
+        yield _rank_metric(scope, test, partial(test.weights, joints=scope.moving))
+    for name in scope.spec.preranks:
+        test = Test(name, name, "the user's own", "the truth does not rank as one of the hypotheses would")
+        prerank = (preranks or {}).get(name)
+        yield _rank_metric(scope, test, partial(user_weights, joints=scope.moving, prerank=prerank, name=name))
+
+
+def _rank_metric(scope: Scope, test: Test, weights: Callable[[Block], FloatArray]) -> Metric:
+    n, coordinates, joints = scope.spec.n_hypotheses, test.name == "coordinate_pit", scope.counted(scope.moving)
+    over = f", mean over axes and {joints}" if coordinates else f" of poses of {joints}"
+    statistic = Statistic(test.name, weights, per_joint=True)
+
+    def by_joint(means: FloatArray) -> FloatArray:
+        return np.asarray(joint_ece(means).mean(axis=-1))
+
+    return Metric(
+        name=test.name,
+        label=test.label,
+        unit="",
+        direction="lower",
+        family="rank_tests",
+        brief=test.definition,
+        definition=f"mean over q of |ω(q) − q|{over}, ω: exchangeable rank of the truth among N={n} hypotheses by the "
+        f"{test.definition}",
+        statistic=statistic,
+        finish=(lambda means: mean_over_joints(by_joint(means))) if coordinates else _ece_of_poses,
+        by_joint=(statistic, by_joint) if coordinates else None,
+        deviation=Deviation(),
+        rejection=test.rejection,
+        range="0 (ranks uniform) to about 0.5",
+        reading="A test, not a score: read its p-value, which is adjusted for the number of tests. Small p: the truth "
+        "does not rank among the hypotheses as one of them would.",
+        source="Gneiting et al., Test 17, 211 (2008); Thorarinsdottir et al., arXiv:1307.5250; Lemos et al., "
+        "arXiv:2302.03026",
+    )
+
+
+def _ece_of_poses(means: FloatArray) -> FloatArray:
+    return joint_ece(means[..., 0, :])

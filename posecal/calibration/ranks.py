@@ -1,8 +1,8 @@
-"""Where does the truth fall among its hypotheses?
+"""Ranks of the truth among its hypotheses, which every calibration number is made of.
 
-Every calibration number starts here: for each pose and joint, how far inside the ball that holds a share q of
-the hypotheses is the truth? Three definitions are in use, and each has its own centre and its own rule. All count
-integers; none compares a rounded Φ with a rounded q.
+For each pose and joint: how far inside the ball that holds a share q of the hypotheses the truth lies. Three
+definitions are in use, and each has its own centre and its own rule. All count integers; none compares a rounded Φ with
+a rounded q.
 
 =================  ==================================  =================================================
 definition         centre, per coordinate              the truth is inside the q-ball
@@ -29,25 +29,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Literal, get_args
+from typing import Literal, cast, get_args
 
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.arrays import BoolArray, FloatArray, squared_norms
+from posecal.data.arrays import BoolArray, FloatArray, checked_choice, squared_norms
 from posecal.engine.block import Block
-from posecal.errors import PoseDataError, did_you_mean
-
-__all__ = [
-    "DEFINITIONS",
-    "LEVELS",
-    "Definition",
-    "inside",
-    "known_definition",
-    "nearness",
-    "rank_weights",
-    "shared_ranks",
-]
 
 Counts = npt.NDArray[np.intp]
 Definition = Literal["exchangeable", "paper", "reference"]
@@ -69,10 +57,7 @@ def known_definition(definition: str) -> Definition:
     PoseDataError
         Where it is none of :data:`DEFINITIONS`.
     """
-    for known in DEFINITIONS:
-        if known == definition:
-            return known
-    raise PoseDataError(f"definition: {definition!r} is not known. {did_you_mean(definition, DEFINITIONS)}")
+    return cast(Definition, checked_choice(definition, "definition", DEFINITIONS))
 
 
 def inside(block: Block, definition: Definition = "exchangeable") -> FloatArray:
@@ -139,11 +124,11 @@ def _nearness(block: Block) -> Nearness:
     if odd:
         pooled = (pooled + np.minimum(np.maximum(above, 0), ordered[..., middle + 1])) / 2
     centres = np.stack([pooled, block.median, above if odd else below], axis=2)
-    reach = (2 * centres) @ block.offsets
-    eps = TIE * np.finfo(reach.dtype).eps
-    within = (block.squared_errors * (1 - eps))[:, :, None] <= reach
-    less = block.squared_errors * (1 + eps) < reach[:, :, 0]
-    return Nearness(centres, within, _count(within), _count(less))
+    tie = TIE * np.finfo(centres.dtype).eps
+    bounds = np.concatenate([centres * (2 / (1 - tie)), pooled[:, :, None] * (2 / (1 + tie))], axis=2)
+    reach = bounds @ block.offsets
+    within = block.squared_errors[:, :, None] <= reach[:, :, :3]
+    return Nearness(centres, within, _count(within), _count(block.squared_errors < reach[:, :, 3]))
 
 
 def _count(chosen: BoolArray) -> Counts:

@@ -1,4 +1,4 @@
-"""The command line: arguments, exit codes, and nothing else.
+"""The command line: arguments and exit codes. Everything else is done by the public functions.
 
 Exit codes: 0 done, 2 a wrong call, 3 the files can't be evaluated (one message on stderr), 130 interrupted.
 """
@@ -13,8 +13,6 @@ import typer
 
 from posecal.cli import compare, evaluate, plots, recalibrate
 from posecal.cli.running import guarded, wrong_call
-
-__all__ = ["app", "main"]
 
 app = typer.Typer(
     name="posecal",

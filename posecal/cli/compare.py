@@ -1,37 +1,30 @@
-"""``posecal compare``: which of two models is better, paired by sequence."""
+"""``posecal compare``: differences of models on the same poses, paired by sequence."""
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Any
 
 import typer
 
 from posecal.cli.options import (
     WRITING,
-    Axes,
     Form,
     Formats,
-    JointNames,
-    Missing,
-    MissingFrames,
-    Most,
-    RootJoint,
+    MetricNames,
+    OwnMetrics,
+    PresetName,
+    Scored,
+    Settings,
     Threads,
-    TruthAxes,
-    TruthUnit,
-    Unit,
-    Where,
+    describes_data,
     option,
 )
-from posecal.cli.running import check_outputs, guarded, join_of, progress, protocol_of, read_pairs, say
-
-if TYPE_CHECKING:
-    from posecal.engine.totals import Totals
-
-__all__ = ["compare"]
+from posecal.cli.running import check_outputs, guarded, own_metrics, progress, protocol_of, read_data, show
 
 
+@describes_data()
 @guarded
 def compare(
     files: Annotated[
@@ -41,65 +34,55 @@ def compare(
             show_default=False,
         ),
     ],
-    where: Annotated[Where | None, option("Which joints to score.", show_default="all")] = None,
-    metrics: Annotated[
-        str | None,
-        option("default, battery, scores, all, or names, with commas.", show_default="default and, from N = 2, scores"),
-    ] = None,
-    preset: Annotated[str | None, option("A published protocol; see posecal presets.")] = None,
-    options: Annotated[
-        list[str] | None, option("Any option that posecal presets lists. Repeatable.", "--set", metavar="OPTION=VALUE")
-    ] = None,
-    axes: Axes = None,
-    truth_axes: TruthAxes = None,
-    unit: Unit = None,
-    truth_unit: TruthUnit = None,
-    joint_names: JointNames = None,
-    root_joint: RootJoint = None,
-    missing: MissingFrames = Missing.error,
-    most: Most = None,
+    described: dict[str, Any],
+    where: Scored = None,
+    metrics: MetricNames = None,
+    metric: OwnMetrics = None,
+    preset: PresetName = None,
+    settings: Settings = None,
     form: Formats = Form.text,
     plot: Annotated[Path | None, option("Draw minMPJPE against the ECE: .svg, .png or .pdf.", panel=WRITING)] = None,
     threads: Threads = None,
 ) -> None:
     """Compare models on the same poses: differences with intervals, p-values and ranks."""
-    check_outputs(*files, plot=plot)
-    from posecal.engine.accumulate import accumulate
-    from posecal.engine.storage import is_result, load_totals
-    from posecal.report.sheets import comparison_sheet
-    from posecal.stats.comparison import compare as compare_totals
+    import posecal
+    from posecal.engine.storage import is_result
 
-    totals: list[Totals] = []
-    if all(is_result(path) for path in files):
-        names = _names(files)
-        totals = [load_totals(path) for path in files]
-    else:
-        *models, truth = files
-        if len(models) < 2:
-            raise typer.BadParameter(
-                "expected hypotheses of two or more models and, last, the truth; or two or more saved results."
-            )
-        names = _names(models)
-        how = join_of(axes, truth_axes, unit, truth_unit, joint_names, root_joint, missing)
-        protocol = protocol_of(preset, options or [], where, None, metrics)
-        models_of = [read_pairs(path, truth, how, most) for path in models]
-        if protocol.metrics == "default" and all(pairs.shape[0] > 1 for pairs in models_of):
-            protocol = protocol.changed({"metrics": "default, scores"})
-        for path, pairs in zip(models, models_of, strict=True):
-            with progress(len(pairs.truth), path.name) as advance:
-                totals.append(accumulate(pairs, protocol, threads=threads, progress=advance))
-    found = compare_totals(totals, names)
+    check_outputs(*files, plot=plot)
+    truth = None if all(map(is_result, files)) else files[-1]
+    models = files if truth is None else files[:-1]
+    if len(models) < 2:
+        raise typer.BadParameter(
+            "expected hypotheses of two or more models and, last, the truth; or two or more saved results."
+        )
+    added = own_metrics(metric or [])
+    asked = any(option is not None for option in (preset, settings, where, metrics)) or added
+    protocol = protocol_of(preset, settings or [], where, None, metrics, added) if asked else None
+    names = _names(models)
+    sources: dict[str, Any] = dict(zip(names, models, strict=True))
+    if truth is not None:
+        sources = {name: read_data(path, truth, described) for name, path in sources.items()}
+    with contextlib.ExitStack() as bars:
+        comparison = posecal.compare(
+            sources,
+            protocol=protocol,
+            threads=threads,
+            progress=lambda name: bars.enter_context(progress(len(sources[name].truth), name)),
+        )
     if plot is not None:
         from posecal.plot import draw_comparison, save
 
-        save(draw_comparison(found), plot)
-    if form is Form.text:
-        say(comparison_sheet(found))
+        save(draw_comparison(comparison), plot)
+    if form in {Form.text, Form.markdown}:
+        from posecal.report.text import comparison_sheet
+
+        show(comparison_sheet(comparison), form)
     else:
-        typer.echo(comparison_sheet(found).markdown() if form is Form.markdown else found.render(form.value))
+        typer.echo(comparison.render(form.value))
 
 
 def _names(files: list[Path]) -> list[str]:
     """Call models by their files' names, or by their paths where two files are called alike."""
     stems = [path.stem for path in files]
-    return stems if len(set(stems)) == len(stems) else [str(path.with_suffix("")) for path in files]
+    names = stems if len(set(stems)) == len(stems) else [str(path.with_suffix("")) for path in files]
+    return [name if names.index(name) == k else f"{name} #{k + 1}" for k, name in enumerate(names)]

@@ -1,77 +1,71 @@
-"""``posecal evaluate`` and what is done with its results: ``report``, ``merge``; and ``presets`` and ``demo``."""
+"""``posecal evaluate`` and what is done with its results: ``report`` and ``merge``; and ``presets`` and ``demo``."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from posecal.cli.options import (
     WRITING,
-    Axes,
     By,
     Definitions,
     Form,
     Formats,
     Html,
     Hypotheses,
-    JointNames,
-    Missing,
-    MissingFrames,
-    Most,
+    MetricNames,
     Output,
+    OwnMetrics,
     PerJoint,
     Plot,
+    PresetName,
     Result,
-    RootJoint,
+    Scored,
+    Settings,
     Threads,
     Truth,
-    TruthAxes,
-    TruthUnit,
-    Unit,
-    Where,
+    describes_data,
     option,
 )
-from posecal.cli.running import check_outputs, guarded, join_of, progress, protocol_of, read_pairs, say, write_report
+from posecal.cli.running import (
+    check_outputs,
+    guarded,
+    own_metrics,
+    progress,
+    protocol_of,
+    read_data,
+    show,
+    write_report,
+)
 
-__all__ = ["demo", "evaluate", "merge", "presets", "report"]
 
-Metrics = Annotated[str | None, option("default, battery, scores, all, or names, with commas.", show_default="default")]
-
-
+@describes_data()
 @guarded
 def evaluate(
     hypotheses: Hypotheses,
     truth: Truth,
+    described: dict[str, Any],
     by: By = None,
-    where: Annotated[Where | None, option("Which joints to score.", show_default="all")] = None,
-    joints: Annotated[
+    where: Scored = None,
+    joints_scored: Annotated[
         str | None,
-        option("all, a joint set, names with commas, or common: those in both files.", show_default="all"),
+        option("all, a joint set, names with commas, or common: those in both files.", "--joints", show_default="all"),
     ] = None,
-    metrics: Metrics = None,
-    battery: Annotated[bool, option("Add the tests for what the ECE can't see.", "--rank-tests")] = False,
+    metrics: MetricNames = None,
+    metric: OwnMetrics = None,
+    rank_tests: Annotated[bool, option("Add the rank tests, for what the ECE can't see.", "--rank-tests")] = False,
     scores: Annotated[bool, option("Add the proper scores.", "--scores")] = False,
     skill: Annotated[
         str | None,
         option("Add skill scores against climatology, or against a file of hypotheses.", metavar="REFERENCE"),
     ] = None,
     prerank: Annotated[
-        list[str] | None, option("Add a test of your own to the battery. Repeatable.", metavar="FILE.py:FUNCTION")
+        list[str] | None, option("Add a rank test of your own. Repeatable.", metavar="FILE.py:FUNCTION")
     ] = None,
-    preset: Annotated[str | None, option("A published protocol; see posecal presets.")] = None,
-    options: Annotated[
-        list[str] | None, option("Any option that posecal presets lists. Repeatable.", "--set", metavar="OPTION=VALUE")
-    ] = None,
-    axes: Axes = None,
-    truth_axes: TruthAxes = None,
-    unit: Unit = None,
-    truth_unit: TruthUnit = None,
-    joint_names: JointNames = None,
-    root_joint: RootJoint = None,
-    missing: MissingFrames = Missing.error,
-    most: Most = None,
+    preset: PresetName = None,
+    settings: Settings = None,
     form: Formats = Form.text,
     per_joint: PerJoint = False,
     definitions: Definitions = False,
@@ -80,30 +74,34 @@ def evaluate(
     html: Html = None,
     threads: Threads = None,
 ) -> None:
-    """Evaluate hypotheses against the truth: accuracy, calibration and spread, each with its definition."""
-    from posecal.calibration.rank_tests import load_prerank
-    from posecal.engine.accumulate import accumulate
-    from posecal.report.report import Report
+    """Evaluate hypotheses against the truth: accuracy, calibration and sharpness, each with its definition."""
+    import posecal
+    from posecal.engine.user_code import load_function
 
-    reference = Path(skill) if skill not in {None, "climatology"} else None
-    tests = [Path(entry.rpartition(":")[0]) for entry in prerank or []]
-    check_outputs(hypotheses, truth, *filter(None, [reference]), *tests, save=save, plot=plot, html=html)
-    groups = [word for word, asked in (("rank_tests", battery or prerank), ("scores", scores or skill)) if asked]
-    preranks = dict(load_prerank(entry) for entry in prerank or [])
-    protocol = protocol_of(preset, options or [], where, joints, metrics, preranks)
-    protocol = protocol.changed({"metrics": ", ".join([protocol.metrics, *groups])}) if groups else protocol
-    how = join_of(axes, truth_axes, unit, truth_unit, joint_names, root_joint, missing, joints)
-    pairs = read_pairs(hypotheses, truth, how, most)
-    if skill is not None:
-        from posecal.stats.skill import climatology, with_reference
-
-        pairs = with_reference(
-            pairs, climatology(pairs) if reference is None else read_pairs(reference, truth, how, most)
+    reference = None if skill in {None, "climatology"} else Path(str(skill))
+    code = [Path(entry.rpartition(":")[0]) for entry in (*(prerank or []), *(metric or []))]
+    check_outputs(hypotheses, truth, reference, *code, save=save, plot=plot, html=html)
+    preranks = dict(load_function(entry, "prerank") for entry in prerank or [])
+    added = [word for word, asked in (("rank_tests", rank_tests or prerank), ("scores", scores or skill)) if asked]
+    added += own_metrics(metric or [])
+    scored = None if joints_scored == "common" else joints_scored
+    protocol = protocol_of(preset, settings or [], where, scored, metrics, added, [*preranks])
+    if joints_scored == "common":
+        described["shared_joints"] = "common"
+    data = read_data(hypotheses, truth, described)
+    other = None if reference is None else read_data(reference, truth, described)
+    with progress(len(data.truth)) as advance:
+        report = posecal.evaluate(
+            data,
+            by=by or (),
+            reference=other or skill,
+            preranks=preranks,
+            protocol=protocol,
+            threads=threads,
+            progress=advance,
         )
-    with progress(len(pairs.truth)) as advance:
-        totals = accumulate(pairs, protocol, by=by or (), preranks=preranks, threads=threads, progress=advance)
     write_report(
-        Report(totals, by or ()),
+        report,
         form,
         joints=per_joint,
         definitions=definitions,
@@ -129,8 +127,8 @@ def report(
     from posecal.engine.storage import load_totals
     from posecal.report.report import Report
 
-    found = Report(load_totals(result), by or ())
-    write_report(found, form, joints=per_joint, definitions=definitions, plot=plot, html=html, name=result.name)
+    loaded = Report(load_totals(result), by or ())
+    write_report(loaded, form, joints=per_joint, definitions=definitions, plot=plot, html=html, name=result.name)
 
 
 @guarded
@@ -143,17 +141,17 @@ def merge(
     from posecal.engine.merge import merge_totals
     from posecal.engine.storage import load_totals, save_totals
 
-    whole = merge_totals([load_totals(path) for path in results], [path.name for path in results])
-    save_totals(whole, output)
-    typer.echo(f"{output}: {whole.poses.sum():,} poses of {len(results)} results.", err=True)
+    total = merge_totals([load_totals(path) for path in results], [path.name for path in results])
+    save_totals(total, output)
+    typer.echo(f"{output}: {total.poses.sum():,} poses of {len(results)} results.", err=True)
 
 
 @guarded
 def presets() -> None:
     """List the published protocols with every option that they set, and all options."""
-    from posecal.report.sheets import presets_sheet
+    from posecal.report.text import presets_sheet
 
-    say(presets_sheet())
+    show(presets_sheet())
 
 
 @guarded

@@ -1,4 +1,4 @@
-"""What commands have in common: turn refusals into exit codes, read pairs, show progress, write reports."""
+"""What commands have in common: exit codes, checks of outputs, protocols, progress, and the writing of reports."""
 
 from __future__ import annotations
 
@@ -8,34 +8,20 @@ import os
 import shutil
 import signal
 import sys
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, ParamSpec, TextIO, TypeVar, cast
+from typing import TYPE_CHECKING, Any, ParamSpec, TextIO, TypeVar
 
 import typer
 
-from posecal.cli.options import Form, Missing, Where
+from posecal.cli.options import Form, Where
 
 if TYPE_CHECKING:
-    from posecal.data.match import Declarations
     from posecal.data.pose_data import PoseData
     from posecal.engine.protocol import Protocol
-    from posecal.report.report import Format, Report
-    from posecal.report.tables import Sheet
-
-__all__ = [
-    "check_outputs",
-    "guarded",
-    "join_of",
-    "on_terminal",
-    "progress",
-    "protocol_of",
-    "read_pairs",
-    "say",
-    "write_report",
-    "wrong_call",
-]
+    from posecal.report.report import Report
+    from posecal.report.sheet import Sheet
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -53,10 +39,10 @@ def guarded(command: Callable[P, R]) -> Callable[P, R]:
             typer.echo("posecal: interrupted.", err=True)
             raise typer.Exit(130) from None
         except Exception as error:
-            from posecal.errors import PosecalError
+            from posecal.errors import PosecalError, for_command_line
 
             if isinstance(error, PosecalError):
-                typer.echo(f"posecal: {error}", err=True)
+                typer.echo(f"posecal: {for_command_line(error.message)}", err=True)
             elif isinstance(error, OSError) and error.errno not in {None, errno.EPIPE}:
                 typer.echo(f"posecal: {error.strerror}{f': {error.filename}' if error.filename else ''}.", err=True)
                 _drop_output()
@@ -76,22 +62,22 @@ def _drop_output() -> None:
 @contextmanager
 def wrong_call() -> Iterator[None]:
     """Turn what posecal refuses whatever the files hold into a wrong call."""
-    from posecal.errors import PosecalError
+    from posecal.errors import PosecalError, for_command_line
 
     try:
         yield
     except PosecalError as error:
-        raise typer.BadParameter(str(error)) from None
+        raise typer.BadParameter(for_command_line(error.message)) from None
 
 
-def check_outputs(*inputs: Path, **outputs: Path | None) -> None:
+def check_outputs(*inputs: Path | None, **outputs: Path | None) -> None:
     """Refuse, before any work is done, what could not be written after it, or would overwrite what is read.
 
     The output ``plot`` must be a picture.
     """
     from posecal.data.write import check_writable
 
-    taken = {path.resolve(): "read" for path in inputs}
+    used = {path.resolve(): "read" for path in inputs if path is not None}
     for kind, path in outputs.items():
         if path is None:
             continue
@@ -100,74 +86,68 @@ def check_outputs(*inputs: Path, **outputs: Path | None) -> None:
 
             with wrong_call():
                 check_suffix(path)
-        if path.resolve() in taken:
-            raise typer.BadParameter(f"{path} is {taken[path.resolve()]} already; expected another name.")
+        if path.resolve() in used:
+            raise typer.BadParameter(f"{path} is {used[path.resolve()]} already; expected another name.")
         check_writable(path)
-        taken[path.resolve()] = "written"
+        used[path.resolve()] = "written"
 
 
-def join_of(
-    axes: str | None = None,
-    truth_axes: str | None = None,
-    unit: str | None = None,
-    truth_unit: str | None = None,
-    joint_names: str | None = None,
-    root_joint: str | None = None,
-    missing: Missing = Missing.error,
-    joints: str | None = None,
-) -> Declarations:
-    """Give what the flags say of the files."""
-    from posecal.data.match import Declarations
-
-    shared: Literal["same", "common"] = "common" if joints == "common" else "same"
-    with wrong_call():
-        return Declarations(axes, truth_axes, unit, truth_unit, joint_names, root_joint, missing.value, shared)
-
-
-def read_pairs(hypotheses: Path, truth: Path, how: Declarations, most: int | None = None) -> PoseData:
-    """Open two files and join them."""
-    from posecal.data.match import join
-    from posecal.data.read import read_poses
+def read_data(hypotheses: Path, truth: Path, described: Mapping[str, Any]) -> PoseData:
+    """Open two files and match them; ``described`` are the flags that describe them."""
+    from posecal.data.declarations import Declarations
+    from posecal.data.pose_data import PoseData
     from posecal.engine.storage import is_result
     from posecal.errors import PoseFileError
 
+    with wrong_call():
+        Declarations(**{name: value for name, value in described.items() if name != "n_hypotheses"})
     for path in (hypotheses, truth):
         if is_result(path):
             raise PoseFileError(
                 f"{path.name} is a saved result and holds no poses. posecal report shows it; posecal compare takes "
                 "results alone, without a truth."
             )
-    pairs = join(read_poses(hypotheses, "hypotheses"), read_poses(truth, "truth"), how)
-    return pairs if most is None else pairs.with_hypotheses(most)
+    return PoseData(hypotheses, truth, **described)
+
+
+def own_metrics(entries: Sequence[str]) -> list[str]:
+    """Register metrics of the user's files, and give their names."""
+    from posecal.engine.metric import Metric
+    from posecal.engine.user_code import load_function
+    from posecal.registry import register
+
+    names = []
+    for entry in entries:
+        name, metric = load_function(entry, "metric", Metric)
+        names.append(register(metric if isinstance(metric, Metric) else Metric.from_function(metric, name=name)).name)
+    return names
 
 
 def protocol_of(
     preset: str | None,
-    options: list[str],
+    settings: Sequence[str],
     where: Where | None = None,
     joints: str | None = None,
     metrics: str | None = None,
-    own: Collection[str] = (),
+    groups: list[str] | None = None,
+    own: Sequence[str] = (),
 ) -> Protocol:
-    """Give the protocol of a preset, changed by options and flags; ``own`` are names of the user's own metrics."""
-    from posecal.engine.protocol import Protocol
-    from posecal.engine.protocol import preset as named
+    """Give the protocol of a preset, changed by settings and flags; ``own`` are names of the user's rank tests."""
+    from posecal.engine.presets import as_protocol
     from posecal.registry import check_names
 
-    said = {}
-    for entry in options:
-        key, equals, value = entry.partition("=")
+    changes = {}
+    for setting in settings:
+        key, equals, value = setting.partition("=")
         if not equals:
-            raise typer.BadParameter(f"{entry!r}: expected OPTION=VALUE, such as best=sequence.", param_hint="--set")
-        said[key.strip()] = value.strip()
-    if where is not None:
-        said["where"] = where.value
-    if joints not in {None, "common"}:
-        said["joints"] = joints
-    if metrics is not None:
-        said["metrics"] = metrics
+            raise typer.BadParameter(f"{setting!r}: expected OPTION=VALUE, such as best=sequence.", param_hint="--set")
+        changes[key.strip()] = value.strip()
+    flags = {"where": None if where is None else where.value, "joints": joints, "metrics": metrics}
+    changes |= {name: value for name, value in flags.items() if value is not None}
     with wrong_call():
-        protocol = (Protocol() if preset is None else named(preset).protocol).changed(said)
+        protocol = as_protocol(preset).changed(changes)
+        if groups:
+            protocol = as_protocol(protocol, [*protocol.wanted, *groups])
         check_names(protocol, own)
     return protocol
 
@@ -183,7 +163,7 @@ def write_report(
     name: str,
     save: Path | None = None,
 ) -> None:
-    """Make all that was asked for, and only then write it: files, the report to stdout, remarks to stderr."""
+    """Make all that was asked for, and only then write it: files, and the report to stdout."""
     files: list[Callable[[], None]] = []
     if save is not None:
         files.append(functools.partial(report.save, save))
@@ -198,28 +178,30 @@ def write_report(
 
         page = as_html(report, name).encode()
         files.append(functools.partial(write_file, html, lambda file: file.write(page)))
-    if form is Form.text:
-        from posecal.report.sheets import report_sheet
 
-        text = _fitted(report_sheet(report, joints=joints, definitions=definitions))
-    else:
-        text = report.render(cast("Format", form.value), joints=joints, definitions=definitions)
+    from posecal.errors import for_command_line
+
+    terminal = on_terminal(sys.stdout)
+    text = report.render(
+        form.value, joints=joints, definitions=definitions, width=columns(), colour=terminal, words=for_command_line
+    )
     for write in files:
         write()
-    typer.echo(text, color=on_terminal(sys.stdout))
-    for remark in report.remarks:
-        typer.echo(f"note: {remark}", err=True)
+    typer.echo(text, color=terminal)
 
 
-def say(sheet: Sheet) -> None:
-    """Write a sheet to stdout."""
-    typer.echo(_fitted(sheet), color=on_terminal(sys.stdout))
-
-
-def _fitted(sheet: Sheet) -> str:
-    """Write a sheet as wide as the terminal and in its colours, or plainly for a pipe."""
+def show(sheet: Sheet, form: Form = Form.text) -> None:
+    """Write a sheet to stdout: as wide as the terminal and in its colours, or plainly for a pipe."""
     terminal = on_terminal(sys.stdout)
-    return sheet.text(shutil.get_terminal_size((120, 40)).columns if terminal else 120, colour=terminal)
+    typer.echo(
+        sheet.text(columns(), colour=terminal) if form is Form.text else sheet.markdown(),
+        color=terminal,
+    )
+
+
+def columns() -> int:
+    """Give the width of the terminal; of a pipe what COLUMNS says, 120 by default."""
+    return shutil.get_terminal_size((120, 40)).columns
 
 
 def on_terminal(stream: TextIO | None) -> bool:
@@ -228,7 +210,7 @@ def on_terminal(stream: TextIO | None) -> bool:
 
 
 @contextmanager
-def progress(total: int, what: str = "evaluating") -> Iterator[Callable[[int], object] | None]:
+def progress(total: int | None = None, what: str = "evaluating") -> Iterator[Callable[[int], object] | None]:
     """Show a progress bar on a terminal, on stderr; nothing in a pipe."""
     if not on_terminal(sys.stderr):
         yield None

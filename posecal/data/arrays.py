@@ -1,16 +1,22 @@
-"""What are two arrays of poses? Their types, their precision, and what is checked before anything is measured."""
+"""Arrays, tensors and lists as NumPy arrays, and the checks of arguments of functions of arrays."""
 
 from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Collection, Mapping
+from functools import partial
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from posecal.errors import PoseDataError
-
-__all__ = ["BoolArray", "FloatArray", "checked", "squared_norms", "working_dtype"]
+from posecal.errors import PosecalError, PoseDataError, attempt, did_you_mean, raise_all
 
 FloatArray = npt.NDArray[np.floating]
 BoolArray = npt.NDArray[np.bool_]
+
+LABEL_KINDS = "USbiu"
+"""Kinds of arrays that can be labels: text, bytes, yes/no, whole numbers."""
 
 
 def working_dtype(dtype: npt.DTypeLike) -> np.dtype[np.floating]:
@@ -21,22 +27,174 @@ def working_dtype(dtype: npt.DTypeLike) -> np.dtype[np.floating]:
 
 def squared_norms(vectors: FloatArray) -> FloatArray:
     """Squared lengths of vectors that lie along the last axis but one, (..., D, n) to (..., n)."""
-    found: FloatArray = np.einsum("...dn,...dn->...n", vectors, vectors)
-    return found
+    squares: FloatArray = np.einsum("...dn,...dn->...n", vectors, vectors)
+    return squares
 
 
-def checked(
-    hypotheses: npt.ArrayLike, truth: npt.ArrayLike, where: npt.ArrayLike | None = None
-) -> tuple[FloatArray, FloatArray, BoolArray | None]:
+# --- conversion -----------------------------------------------------------------------------------------------
+
+
+def as_array(values: object, name: str) -> npt.NDArray[Any]:
+    """Convert arrays and tensors of any library, and lists of them, into a NumPy array.
+
+    Parameters
+    ----------
+    values : array_like
+        NumPy, PyTorch (on any device, with or without gradients), JAX, or anything that NumPy or DLPack reads. Numbers
+        of fewer than 32 bits that NumPy lacks, such as bfloat16, become single precision.
+    name : str
+        What messages call it.
+
+    Returns
+    -------
+    array
+        A view where one is possible.
+
+    Raises
+    ------
+    PoseDataError
+        For lists of unequal lengths, arrays with masked numbers, and what can't be read.
+    """
+    try:
+        array = np.asarray(_in_memory(values))
+        if array.dtype.name == "bfloat16" or array.dtype.name.startswith("float8"):
+            array = array.astype(np.float32)
+    except (ValueError, TypeError, RuntimeError, BufferError) as error:
+        if isinstance(values, (list, tuple)) and isinstance(error, ValueError):
+            raise PoseDataError(
+                f"{name}: lists of unequal lengths; expected an array. Pad them and mask that."
+            ) from None
+        reason = next(iter(str(error).splitlines()), "")
+        raise PoseDataError(
+            f"{name}: a {type(values).__name__} that can't be read ({reason}); expected an array."
+        ) from None
+    if np.ma.is_masked(values):
+        raise PoseDataError(f"{name}: masked numbers; expected an array without. Say which joints count with where.")
+    return array
+
+
+def _in_memory(values: Any) -> Any:
+    """Give tensors as arrays in memory, without importing the libraries that they are of."""
+    if isinstance(values, (list, tuple)):
+        return [_in_memory(entry) for entry in values]
+    if hasattr(values, "detach"):  # PyTorch
+        tensor = values.detach().cpu().resolve_neg()
+        return (tensor.float() if tensor.is_floating_point() and tensor.element_size() < 4 else tensor).numpy()
+    if hasattr(values, "__dlpack__") and not hasattr(values, "__array__"):
+        return np.from_dlpack(values)
+    return values
+
+
+def real_array(values: object, name: str) -> npt.NDArray[Any]:
+    """Convert anything that :func:`as_array` does into an array of real numbers.
+
+    Raises
+    ------
+    PoseDataError
+        Where it holds something else.
+    """
+    array = as_array(values, name)
+    if array.dtype.kind not in "fiu":
+        what = f"dtype {array.dtype}" if array.ndim else type(values).__name__
+        raise PoseDataError(f"{name}: {what}; expected real numbers such as float32.")
+    return array
+
+
+def as_text(array: npt.NDArray[Any], name: str) -> npt.NDArray[np.str_]:
+    """Write text, bytes, yes/no and numbers as text.
+
+    Raises
+    ------
+    PoseDataError
+        For bytes that are not UTF-8.
+    """
+    if array.dtype.kind == "S":
+        try:
+            return np.char.decode(array.astype(np.bytes_), "utf-8")
+        except UnicodeDecodeError as error:
+            raise PoseDataError(f"{name}: {error}. Save text, not bytes of another encoding.") from None
+    if array.dtype.kind == "b":
+        return np.where(array, "yes", "no")
+    return array.astype(np.str_)
+
+
+def as_labels(values: object, name: str, *, or_one: bool = False) -> npt.NDArray[np.str_]:
+    """Convert a label of every pose, or one for all poses, into text.
+
+    Raises
+    ------
+    PoseDataError
+        Where it is not one word, number or yes/no per pose.
+    """
+    array = as_array(values, name)
+    if array.dtype.kind in "OT" and all(isinstance(value, str) for value in array.flat):
+        array = array.astype(np.str_)
+    if array.ndim != 1 - (or_one and array.ndim == 0) or array.dtype.kind not in LABEL_KINDS:
+        raise PoseDataError(f"{name}: {array.dtype} {array.shape}; expected one word or whole number per pose, (M,).")
+    return as_text(array, name)
+
+
+def as_label_arrays(labels: object, name: str) -> dict[str, npt.NDArray[np.str_]]:
+    """Convert labels by name, each of every pose or one for all poses, into text.
+
+    Raises
+    ------
+    PoseDataError
+        Where some are something else, all at once.
+    """
+    if not isinstance(labels, Mapping):
+        what = f"{name}: {type(labels).__name__}"
+        raise PoseDataError(f"{what}; expected a mapping of names, such as sequence, to values.")
+    problems: list[str | PosecalError] = []
+    arrays = {str(key): attempt(problems, partial(as_labels, or_one=True), labels[key], str(key)) for key in labels}
+    raise_all(problems)
+    return {key: array for key, array in arrays.items() if array is not None}
+
+
+def as_marks(values: object, name: str) -> BoolArray:
+    """Convert a mask of joints.
+
+    Raises
+    ------
+    PoseDataError
+        Where it is not boolean.
+    """
+    array = as_array(values, name)
+    if array.dtype.kind != "b":
+        raise PoseDataError(f"{name}: dtype {array.dtype}; expected bool (M, K).")
+    return cast(BoolArray, array)
+
+
+def as_scores(values: object, name: str) -> FloatArray:
+    """Convert the score of every hypothesis into double precision.
+
+    Raises
+    ------
+    PoseDataError
+        Where one is not a real number.
+    """
+    array = as_array(values, name)
+    if array.dtype.kind not in "fiu":
+        raise PoseDataError(f"{name}: dtype {array.dtype}; expected real numbers (N, M).")
+    unknown = int(np.isnan(array).sum())
+    if unknown:
+        raise PoseDataError(f"{name}: {unknown:,} of {array.size:,} are NaN; expected numbers (N, M).")
+    return array.astype(np.float64)
+
+
+# --- checks ---------------------------------------------------------------------------------------------------
+
+
+def checked(hypotheses: object, truth: object, where: object = None) -> tuple[FloatArray, FloatArray, BoolArray | None]:
     """Check two arrays in the paper's layout, and the mask.
 
     Parameters
     ----------
-    hypotheses : array (N, M, K, D)
+    hypotheses : array_like (N, M, K, D)
         Hypotheses.
-    truth : array (M, K, D)
+    truth : array_like (M, K, D)
         True poses.
-    where : bool array (M, K), optional
+    where : bool array_like (M, K), optional
         The joints that count.
 
     Returns
@@ -49,36 +207,89 @@ def checked(
     PoseDataError
         Where a dtype or a shape is wrong; shapes are named with the letters that they break.
     """
-    arrays = [_real(hypotheses, "hypotheses"), _real(truth, "truth")]
-    x, y = arrays
+    x, y = real_array(hypotheses, "hypotheses"), real_array(truth, "truth")
     shapes = f"hypotheses {x.shape} and truth {y.shape}"
     expected = "expected (N, M, K, D) and (M, K, D)"
     if x.ndim == 3 and y.ndim == 4:
         raise PoseDataError(f"{shapes}: {expected}. The two look swapped.")
     if x.ndim != 4 or y.ndim != 3:
         raise PoseDataError(f"{shapes}: {expected}.")
-    wrong = [
-        f"{letter} is {ours} and {theirs}"
-        for letter, ours, theirs in zip("MKD", x.shape[1:], y.shape, strict=True)
-        if ours != theirs
-    ]
-    if wrong:
-        raise PoseDataError(f"{shapes}: {expected}, but {', '.join(wrong)}.")
+    differing = [f"{letter} is {a} and {b}" for letter, a, b in zip("MKD", x.shape[1:], y.shape, strict=True) if a != b]
+    if differing:
+        raise PoseDataError(f"{shapes}: {expected}, but {', '.join(differing)}.")
     if 0 in x.shape:
         empty = [letter for letter, size in zip("NMKD", x.shape, strict=True) if size == 0]
         raise PoseDataError(f"{shapes}: {', '.join(empty)} is 0; expected at least one of each.")
-    if where is None:
-        return x, y, None
-    mask = np.asarray(where)
-    if mask.dtype != bool or mask.shape != y.shape[:2]:
+    x, y = (array if array.dtype.kind == "f" else array.astype(np.float64) for array in (x, y))
+    return x, y, None if where is None else checked_mask(where, y.shape[:2])
+
+
+def checked_mask(values: object, shape: tuple[int, ...], name: str = "where") -> BoolArray:
+    """Check a mask of joints, (M, K).
+
+    Raises
+    ------
+    PoseDataError
+        Where it is not boolean, or of another shape.
+    """
+    mask = as_array(values, name)
+    if mask.dtype != bool or mask.shape != shape:
         raise PoseDataError(
-            f"where: {mask.dtype} {mask.shape}; expected bool (M, K) = {y.shape[:2]}, True where a joint counts."
+            f"{name}: {mask.dtype} {mask.shape}; expected bool (M, K) = {shape}, True where a joint counts."
         )
-    return x, y, mask
+    return cast(BoolArray, mask)
 
 
-def _real(array: npt.ArrayLike, name: str) -> FloatArray:
-    found = np.asanyarray(array)
-    if found.dtype.kind not in "fiu":
-        raise PoseDataError(f"{name}: dtype {found.dtype}; expected real numbers such as float32.")
-    return found if found.dtype.kind == "f" else found.astype(np.float64)
+def checked_index(value: Any, name: str, size: int, of: str) -> int:
+    """Check the index of one of so many, which may be counted from the end; give it counted from 0.
+
+    Raises
+    ------
+    PoseDataError
+        For anything else.
+    """
+    try:
+        index = size if isinstance(value, bool) else operator.index(value)
+    except TypeError:
+        index = size
+    if not -size <= index < size:
+        raise PoseDataError(f"{name}: {value!r}; expected the index of one of {size} {of}.")
+    return index % size
+
+
+def checked_root(root: object, n_joints: int) -> int | None:
+    """Check the joint to subtract from every pose, None for none.
+
+    Raises
+    ------
+    PoseDataError
+        Where it is not the index of a joint.
+    """
+    return None if root is None else checked_index(root, "root", n_joints, "joints")
+
+
+def checked_number(value: object, name: str, valid: Callable[[float], bool], expected: str) -> float:
+    """Check a real number.
+
+    Raises
+    ------
+    PoseDataError
+        Where it is none, or not valid.
+    """
+    array = as_array(value, name)
+    if array.ndim or array.dtype.kind not in "fiu" or not valid(float(array)):
+        raise PoseDataError(f"{name}: {value!r}; expected {expected}.")
+    return float(array)
+
+
+def checked_choice(value: object, name: str, known: Collection[str]) -> str:
+    """Check one of some words.
+
+    Raises
+    ------
+    PoseDataError
+        For another word, or something else.
+    """
+    if not isinstance(value, str) or value not in known:
+        raise PoseDataError(f"{name}: {value!r} is not known. {did_you_mean(str(value), known)}")
+    return value

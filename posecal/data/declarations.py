@@ -1,26 +1,109 @@
-"""In which axes and units are they? What a file declares, what the user says, and what the shapes forbid."""
+"""What users declare about poses that don't declare it themselves: axes, units, joints, frames."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from numbers import Integral
+from typing import Any, Literal, TypeVar
+
+from posecal.data.arrays import checked_choice
 from posecal.data.layout import HYPOTHESES, TRUTH, Layout, plausible_layouts
-from posecal.data.pose_data import StoredPoses
+from posecal.data.skeleton import joint_set
+from posecal.data.stored_poses import StoredPoses
 from posecal.data.units import millimetres_per
-from posecal.errors import PoseDataError
+from posecal.errors import PosecalError, PoseDataError, attempt, option, raise_all
 
-__all__ = ["declared", "layouts", "unit_factor"]
+T = TypeVar("T")
 
 
-def layouts(
+@dataclass(frozen=True)
+class Declarations:
+    """What the user declares about hypotheses and truth.
+
+    Attributes
+    ----------
+    axes, truth_axes : str or None
+        Layouts of arrays that don't declare theirs. The truth's is (M, K, D) by default, or follows from the
+        hypotheses' where only that fits.
+    unit, truth_unit : str, float or None
+        Units of arrays that don't declare theirs; ``unit`` is for both unless ``truth_unit`` is given.
+    joints : str, sequence of str or None
+        Names of joints that have none, or a joint set.
+    root_joint : str, int or None
+        The joint to subtract: a name, an index, or ``none``. By default the hip, or the one unnamed joint whose
+        truth is 0 throughout.
+    missing : str
+        ``error``, or ``skip`` to score the frames that both have.
+    shared_joints : str
+        ``same``, or ``common`` to score the joints that both have.
+    n_hypotheses : int or None
+        How many hypotheses are read, the first ones; all by default.
+
+    Raises
+    ------
+    PoseDataError
+        For a layout, a unit or a joint set that can't be, whatever the data; all at once.
+    """
+
+    axes: str | None = None
+    truth_axes: str | None = None
+    unit: str | float | None = None
+    truth_unit: str | float | None = None
+    joints: Sequence[str] | None = None
+    root_joint: str | int | None = None
+    missing: Literal["error", "skip"] = "error"
+    shared_joints: Literal["same", "common"] = "same"
+    n_hypotheses: int | None = None
+
+    def __post_init__(self) -> None:
+        checks: tuple[tuple[object, Callable[[Any], object]], ...] = (
+            (self.axes, lambda text: Layout(text, HYPOTHESES)),
+            (self.truth_axes, lambda text: Layout(text, TRUTH)),
+            (self.unit, millimetres_per),
+            (self.truth_unit, millimetres_per),
+            (self.joints, _joint_names),
+            (self.root_joint, _root_joint),
+            (self.missing, lambda text: checked_choice(text, "missing", ("error", "skip"))),
+            (self.shared_joints, lambda text: checked_choice(text, option("shared_joints"), ("same", "common"))),
+        )
+        problems: list[str | PosecalError] = []
+        for value, check in checks:
+            if value is not None:
+                attempt(problems, check, value)
+        raise_all(problems)
+
+    @property
+    def joint_names(self) -> tuple[str, ...] | None:
+        """The names in ``joints``."""
+        return None if self.joints is None else _joint_names(self.joints)
+
+
+def _joint_names(joints: object) -> tuple[str, ...]:
+    if isinstance(joints, str):
+        return joint_set(joints)
+    if not isinstance(joints, Iterable) or not all(isinstance(name, str) for name in joints):
+        raise PoseDataError(f"joints: {joints!r}; expected K names, or a joint set such as h36m-17.")
+    return tuple(map(str, joints))
+
+
+def _root_joint(root: object) -> None:
+    if isinstance(root, bool) or not isinstance(root, (str, Integral)):
+        raise PoseDataError(f"{option('root_joint')}: {root!r}; expected a name, an index, or none.")
+
+
+def choose_layouts(
     hypotheses: StoredPoses, truth: StoredPoses, axes: str | None, truth_axes: str | None
 ) -> tuple[Layout, Layout]:
-    """Settle the layouts of the two.
+    """Choose the layouts of hypotheses and truth: as declared, or the paper's where nothing else fits.
 
     Parameters
     ----------
-    hypotheses, truth : Poses
+    hypotheses, truth : StoredPoses
         As stored or passed.
     axes, truth_axes : str or None
-        What the user says of arrays that declare nothing.
+        What the user declares.
 
     Returns
     -------
@@ -33,76 +116,74 @@ def layouts(
         For shapes that don't fit, or that fit several layouts of which none is declared.
     """
     x, y = hypotheses.array.shape, truth.array.shape
-    own = declared(hypotheses, "axes", hypotheses.axes, axes)
-    true_own = declared(truth, "truth-axes", truth.axes, truth_axes)
+    own = resolve(hypotheses, "axes", hypotheses.axes, axes)
+    true_own = resolve(truth, "truth_axes", truth.axes, truth_axes)
     both = f"{hypotheses.name} {x} and {truth.name} {y}: expected (N, M, K, D) and (M, K, D)"
-    layout = _named(hypotheses, own or HYPOTHESES, HYPOTHESES)
-    true_layout = _named(truth, true_own or _truth_beside(layout, y), TRUTH)
+    layout = _named(hypotheses, Layout, own or HYPOTHESES, HYPOTHESES)
+    true_layout = _named(truth, Layout, true_own or _default_truth(layout, y), TRUTH)
     if len(x) == len(true_layout.groups) != len(layout.groups) == len(y):
         raise PoseDataError(f"{both}. The two look swapped.")
     if len(y) != len(true_layout.groups):
-        raise PoseDataError(f"{both}. Declare another layout of {truth.name} with --truth-axes.")
+        raise PoseDataError(f"{both}. Declare another layout of {truth.name} with {option('truth_axes')}.")
     if len(x) != len(layout.groups):
-        raise PoseDataError(f"{both}. Declare another layout of {hypotheses.name} with --axes.")
-    true_shape = _sizes(truth, true_layout)
+        raise PoseDataError(f"{both}. Declare another layout of {hypotheses.name} with {option('axes')}.")
+    true_shape = _named(truth, true_layout.shape, y)
     if true_own is None and true_shape[1] == 3 != true_shape[2]:
-        raise PoseDataError(f"{both}, coordinates last. Pass --truth-axes MDK.")
+        raise PoseDataError(f"{both}, coordinates last. Pass {option('truth_axes', 'MDK')}.")
     if own is not None:
-        _sizes(hypotheses, layout)
+        _named(hypotheses, layout.shape, x)
         if true_own is None and true_shape[1] == true_shape[2] and layout.without("N", "I") == "MDK":
-            raise PoseDataError(f"{both}, but K = D = 3 tells no layout. Pass --truth-axes MKD or --truth-axes MDK.")
+            options = " or ".join(option("truth_axes", text) for text in ("MKD", "MDK"))
+            raise PoseDataError(f"{both}, but the shapes don't tell the axes apart (K = D = 3). Pass {options}.")
         return layout, true_layout
     fitting = plausible_layouts(x, true_shape)
+    options = " or ".join(option("axes", text) for text in fitting)
     if len(fitting) > 1:
-        raise PoseDataError(
-            f"{both}, but the shapes don't tell which axis is the hypotheses (N = M = {x[0]}). "
-            f"Pass --axes {' or --axes '.join(fitting)}."
-        )
-    if fitting and fitting != [HYPOTHESES]:
-        raise PoseDataError(f"{both}. The shapes fit --axes {fitting[0]}.")
+        sizes = Layout(fitting[0], HYPOTHESES).sizes(x)
+        equal = ", ".join(f"{a} = {b} = {sizes[a]}" for a, b in combinations(HYPOTHESES, 2) if sizes[a] == sizes[b])
+        raise PoseDataError(f"{both}, but the shapes don't tell the axes apart ({equal}). Pass {options}.")
+    if fitting not in ([], [HYPOTHESES]):
+        raise PoseDataError(f"{both}. The shapes fit {options}.")
     return layout, true_layout
 
 
-def _truth_beside(layout: Layout, y: tuple[int, ...]) -> str:
+def _default_truth(layout: Layout, shape: tuple[int, ...]) -> str:
     """Give the layout of a truth that declares none: the paper's, or the hypotheses' where only that fits."""
-    beside = layout.without("N", "I")
-    if len(y) != len(Layout(beside, TRUTH).groups):
+    same = layout.without("N", "I")
+    if len(shape) != len(Layout(same, TRUTH).groups):
         return TRUTH
-    return TRUTH if len(y) == 3 and y[2] == layout.coordinates else beside
+    return TRUTH if len(shape) == 3 and shape[2] == layout.coordinates else same
 
 
-def _named(poses: StoredPoses, text: str, core: str) -> Layout:
-    try:
-        return Layout(text, core)
-    except PoseDataError as error:
-        raise PoseDataError(f"{poses.name}: {error}") from None
-
-
-def _sizes(poses: StoredPoses, layout: Layout) -> tuple[int, ...]:
-    try:
-        return layout.shape(poses.array.shape)
-    except PoseDataError as error:
-        raise PoseDataError(f"{poses.name}: {error}") from None
-
-
-def declared(poses: StoredPoses, flag: str, stored: str | None, said: str | None) -> str | None:
-    """Give what a file declares or the user says, which must not differ.
+def resolve(poses: StoredPoses, name: str, stored: str | None, declared: object) -> str | None:
+    """Give what poses declare themselves, or else what the user does; the two must not differ.
 
     Raises
     ------
     PoseDataError
         Where they differ.
     """
-    if stored is not None and said is not None and stored != said:
-        raise PoseDataError(f"{poses.name} declares {stored!r} itself, and --{flag} says {said!r}. Drop the flag.")
-    return said if stored is None else stored
+    if stored is not None and declared is not None and stored != str(declared):
+        raise PoseDataError(
+            f"{poses.name} declares {stored!r} itself; expected no {option(name, declared)}. Leave it out."
+        )
+    return stored if declared is None else str(declared)
 
 
-def unit_factor(poses: StoredPoses, flag: str, said: str | None, problems: list[str]) -> float:
-    """Give the millimetres in one unit of some poses; what is wrong is added to the problems."""
+def unit_factor(poses: StoredPoses, name: str, declared: object) -> float:
+    """Give the millimetres in one unit of some poses.
+
+    Raises
+    ------
+    PoseDataError
+        For a unit that is none, or two that differ.
+    """
+    return _named(poses, millimetres_per, resolve(poses, name, poses.unit, declared) or "mm")
+
+
+def _named(poses: StoredPoses, function: Callable[..., T], *arguments: Any) -> T:
+    """Call a function; where it refuses, name the poses."""
     try:
-        return millimetres_per(declared(poses, flag, poses.unit, said) or "mm")
+        return function(*arguments)
     except PoseDataError as error:
-        message = str(error)
-        problems.append(message if message.startswith(poses.name) else f"{poses.name}: {message}")
-        return 1.0
+        raise PoseDataError(f"{poses.name}: {error.message}") from None

@@ -1,31 +1,61 @@
-"""How are a few poses read out of an array of many gigabytes? Memory-mapped where they lie, and let go at once.
+"""Arrays in files, read some poses at a time without memory of their size, and never unpickled.
 
-A map of the whole array would not do: its pages count as memory of the process, and the kernel brings up to two
-megabytes around each byte that is touched, so that some poses of each of 200 hypotheses would hold half a gigabyte. So
-each run of bytes that lie together has a map of its own, which lives while it is copied.
+An array that lies uncompressed in its file is mapped where it lies; a compressed member of an ``.npz`` is unpacked into
+an unnamed temporary file first. A map of the whole array would not do: its pages count as memory of the process, and
+the kernel brings up to two megabytes around each byte that is touched, so that some poses of each of 200 hypotheses
+would hold half a gigabyte. So each run of bytes that lie together has a map of its own while it is copied.
 """
 
 from __future__ import annotations
 
+import lzma
 import math
 import mmap
+import os
+import tempfile
+import warnings
 import weakref
+import zipfile
+import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from io import FileIO
 from itertools import product
+from pathlib import Path
+from typing import IO, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from posecal.errors import PoseFileError
+from posecal.errors import PosecalError, PoseDataError, PoseFileError
 
-__all__ = ["FileArray"]
+BROKEN = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, OSError, ValueError)
+"""What the standard library raises for a file that is not what its first bytes say."""
+
+Header = tuple[tuple[int, ...], bool, np.dtype[np.generic]]
+
+
+class Source(NamedTuple):
+    """A file that an array is from, its size and time of change, and the member that was unpacked, None for none."""
+
+    path: Path
+    size: int
+    modified: int
+    member: str | None = None
+
+    @classmethod
+    def of(cls, path: Path, file: FileIO, member: str | None = None) -> Source:
+        """Describe an open file."""
+        status = os.fstat(file.fileno())
+        return cls(path.absolute(), status.st_size, status.st_mtime_ns, member)
 
 
 @dataclass(frozen=True)
 class FileArray:
     """An array that lies in an open file, as a :class:`posecal.data.layout.LazyArray`.
+
+    Pickled, it holds the path of its file, which is opened again, and unpacked again if need be.
 
     Attributes
     ----------
@@ -39,6 +69,8 @@ class FileArray:
         The length of every axis.
     dtype : numpy.dtype
         The type of its numbers.
+    source : Source
+        What the file is.
     fortran : bool
         Whether the first axis is the fastest.
     """
@@ -48,10 +80,14 @@ class FileArray:
     offset: int
     shape: tuple[int, ...]
     dtype: np.dtype[np.generic]
+    source: Source
     fortran: bool = False
 
     def __post_init__(self) -> None:
         weakref.finalize(self, self.file.close)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return _open_again, (self.name, self.offset, self.shape, self.dtype, self.source, self.fortran)
 
     @property
     def bytes_missing(self) -> int:
@@ -77,13 +113,13 @@ class FileArray:
         PoseFileError
             Where the file ends before the array does, or can't be mapped.
         """
-        shape, between = (self.shape[::-1], where[::-1]) if self.fortran else (self.shape, where)
-        found = np.empty([one.stop - one.start for one in between], dtype=self.dtype)
-        cut = max((axis for axis, length in enumerate(found.shape) if length < shape[axis]), default=0)
-        runs = found.view(np.uint8).reshape(math.prod(found.shape[:cut]), -1)
-        for run, place in zip(runs, _starts(shape, between, cut), strict=True):
-            self._fill(run.data, self.offset + place * self.dtype.itemsize)
-        return found.T if self.fortran else found
+        shape, ranges = (self.shape[::-1], where[::-1]) if self.fortran else (self.shape, where)
+        part = np.empty([one.stop - one.start for one in ranges], dtype=self.dtype)
+        cut = max((axis for axis, length in enumerate(part.shape) if length < shape[axis]), default=0)
+        runs = part.view(np.uint8).reshape(math.prod(part.shape[:cut]), -1)
+        for run, start in zip(runs, _starts(shape, ranges, cut), strict=True):
+            self._fill(run.data, self.offset + start * self.dtype.itemsize)
+        return part.T if self.fortran else part
 
     def _fill(self, run: memoryview, offset: int) -> None:
         if not run:
@@ -94,12 +130,138 @@ class FileArray:
         except (ValueError, OSError) as error:
             where = f"bytes {offset:,} to {offset + len(run):,}"
             raise PoseFileError(f"{self.name}: {where} can't be read ({error}). Was it changed meanwhile?") from None
-        with pages, memoryview(pages) as seen:
-            run[:] = seen[before:]
+        with pages, memoryview(pages) as view:
+            run[:] = view[before:]
 
 
-def _starts(shape: tuple[int, ...], between: tuple[slice, ...], cut: int) -> Iterator[int]:
-    """Give the place of the first number of each run: axes after ``cut`` are whole, so that a run holds them all."""
+def _starts(shape: tuple[int, ...], ranges: tuple[slice, ...], cut: int) -> Iterator[int]:
+    """Give the index of the first number of each run, which holds all of the axes after ``cut``."""
     step = [math.prod(shape[axis + 1 :]) for axis in range(len(shape))]
-    for outer in product(*(range(one.start, one.stop) for one in between[:cut])):
-        yield sum(place * length for place, length in zip(outer, step, strict=False)) + between[cut].start * step[cut]
+    for outer in product(*(range(one.start, one.stop) for one in ranges[:cut])):
+        yield sum(index * length for index, length in zip(outer, step, strict=False)) + ranges[cut].start * step[cut]
+
+
+# --- opening --------------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[FileIO]:
+    """Open a file for reading, and leave it open where its contents are still to be read."""
+    try:
+        file = path.open("rb", buffering=0)
+    except FileNotFoundError:
+        raise PoseFileError(f"{path}: no such file.") from None
+    except IsADirectoryError:
+        raise PoseFileError(f"{path}: is a folder; expected an .npz or .npy file.") from None
+    except OSError as error:
+        raise PoseFileError(f"{path}: can't be read ({error.strerror}).") from None
+    try:
+        if not file.seekable():
+            raise PoseFileError(f"{path}: is a stream; expected a file. Save it first.")
+        yield file
+    except BaseException as error:
+        file.close()
+        if isinstance(error, PosecalError):
+            raise
+        if isinstance(error, NotImplementedError):
+            raise PoseFileError(f"{path.name}: {error}. Save it again with numpy.savez_compressed.") from None
+        if isinstance(error, BROKEN):
+            raise PoseFileError(f"{path.name}: can't be read ({error}). Was it cut off? Copy it again.") from None
+        raise
+
+
+def _open_again(
+    name: str, offset: int, shape: tuple[int, ...], dtype: np.dtype[np.generic], source: Source, fortran: bool
+) -> FileArray:
+    with opened(source.path) as file:
+        if Source.of(source.path, file, source.member) != source:
+            raise PoseFileError(f"{name}: has changed since it was opened. Open it again.")
+        if source.member is None:
+            return FileArray(name, file, offset, shape, dtype, source, fortran)
+        archive = zipfile.ZipFile(file)
+        array = open_member(archive, file, archive.getinfo(source.member), name, source.path)
+        file.close()
+        return array
+
+
+def open_array(file: FileIO, offset: int, name: str, source: Source) -> FileArray:
+    """Find an array of real numbers, with its header, in an open file.
+
+    Raises
+    ------
+    PoseDataError
+        For an array of something else.
+    PoseFileError
+        Where the header can't be read, or the file ends before the array.
+    """
+    file.seek(offset)
+    shape, fortran, dtype = read_header(cast(IO[bytes], file), name)
+    if dtype.hasobject:
+        raise PoseDataError(
+            f"{name} is an array of Python objects, and posecal never unpickles. Save numbers: "
+            "numpy.stack(list_of_arrays).astype(numpy.float32)."
+        )
+    if dtype.kind not in "fiu":
+        raise PoseDataError(f"{name}: dtype {dtype}; expected real numbers such as float32.")
+    array = FileArray(name, file, file.tell(), shape, dtype, source, fortran)
+    missing, needed = array.bytes_missing, dtype.itemsize * math.prod(shape)
+    if missing:
+        raise PoseFileError(
+            f"{name}: {needed - missing:,} of {needed:,} bytes are there. Was the file cut off? Copy it again."
+        )
+    return array
+
+
+def open_member(archive: zipfile.ZipFile, file: FileIO, info: zipfile.ZipInfo, name: str, path: Path) -> FileArray:
+    """Find the array that is a member of an open ``.npz`` file, or unpack it.
+
+    Raises
+    ------
+    PoseDataError, PoseFileError
+        As :func:`open_array`, and where there is no space to unpack.
+    """
+    if info.compress_type == zipfile.ZIP_STORED:
+        with archive.open(info) as member:
+            while member.read(1 << 20):  # to its end, where zipfile compares the checksum
+                pass
+        file.seek(info.header_offset + 26)  # the lengths of the name and of the extra field, just before them
+        lengths = np.frombuffer(file.read(4), dtype="<u2")
+        return open_array(file, info.header_offset + 30 + int(lengths.sum()), name, Source.of(path, file))
+    unpacked = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 (it lives as long as the array)
+    try:
+        with archive.open(info) as member:
+            while data := member.read(1 << 20):
+                _write(unpacked, data, name)
+        return open_array(unpacked, 0, name, Source.of(path, file, info.filename))
+    except BaseException:
+        unpacked.close()
+        raise
+
+
+def _write(unpacked: FileIO, data: bytes, name: str) -> None:
+    try:
+        while data:
+            data = data[unpacked.write(data) :]
+    except OSError as error:
+        raise PoseFileError(f"{name}: can't be unpacked into {tempfile.gettempdir()} ({error.strerror}).") from None
+
+
+def read_header(file: IO[bytes], name: str) -> Header:
+    """Read shape, order and dtype of an array.
+
+    Raises
+    ------
+    PoseFileError
+        Where they can't be read.
+    """
+    try:
+        version = np.lib.format.read_magic(file)
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # NumPy's remark on files of Python 2, which are as good as any
+            shape, fortran, dtype = read(file)
+    except (ValueError, SyntaxError, RecursionError, MemoryError) as error:
+        raise PoseFileError(f"{name}: no .npy header that can be read ({error}).") from None
+    if any(length < 0 for length in shape):
+        raise PoseFileError(f"{name}: its header says {shape}; expected lengths of 0 or more.")
+    return shape, fortran, dtype

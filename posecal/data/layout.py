@@ -1,4 +1,4 @@
-"""Which axis is which? Other projects' layouts, turned into (N, M, K, D) once and lazily.
+"""Layouts of stored arrays: which axis is which, turned into (N, M, K, D) once and lazily.
 
 A layout is a word of letters, one per axis, outermost first:
 
@@ -27,8 +27,6 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.errors import PoseDataError
-
-__all__ = ["HYPOTHESES", "TRUTH", "Layout", "LazyArray", "MemoryArray", "plausible_layouts"]
 
 HYPOTHESES, TRUTH = "NMKD", "MKD"
 """The paper's layouts."""
@@ -110,11 +108,12 @@ class Layout:
     coordinates: int = 3
 
     def __post_init__(self) -> None:
-        letters = re.sub(r"[()]", "", self.text)
+        text = str(self.text)
+        letters = re.sub(r"[()]", "", text)
         missing = [letter for letter in self.core if letter not in letters]
         unknown = [letter for letter in letters if letter not in self.core + "TI"]
         repeated = len(set(letters)) < len(letters)
-        grouped = re.fullmatch(r"(?:[A-Z]|\([A-Z]+\))+", self.text) and re.search(r"\([^)]*[NMTI]", self.text) is None
+        grouped = re.fullmatch(r"(?:[A-Z]|\([A-Z]+\))+", text) and re.search(r"\([^)]*[NMTI]", text) is None
         if missing or unknown or repeated or not grouped:
             what = f"lacks {', '.join(missing)}" if missing else "is no layout"
             other = "MNKD or MN(DK)" if "N" in self.core else "MDK or M(DK)"

@@ -1,156 +1,91 @@
-"""What is evaluated: poses as somebody stored or passed them, and the pairs that they become.
-
-:class:`Poses` says what was declared about an array; :class:`PoseData` has no files, units, axes or joint orders
-any more. :mod:`posecal.data.match` makes the second of two of the first.
-"""
+"""Data to be evaluated: hypotheses and truth, matched by frame and joint, in millimetres."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import Protocol
+import math
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.arrays import BoolArray, FloatArray
-from posecal.data.layout import Layout, LazyArray
-from posecal.errors import PoseDataError
+from posecal.data.arrays import (
+    BoolArray,
+    FloatArray,
+    as_array,
+    as_label_arrays,
+    as_labels,
+    as_marks,
+    as_scores,
+    checked_mask,
+    checked_number,
+)
+from posecal.data.checks import check_units
+from posecal.data.declarations import Declarations, choose_layouts, unit_factor
+from posecal.data.layout import HYPOTHESES, plausible_layouts
+from posecal.data.match import (
+    Problems,
+    joint_names,
+    labels_of,
+    match_frames,
+    match_joints,
+    match_labels,
+    numbered,
+    occluded_of,
+    root_index,
+)
+from posecal.data.read import read_poses
+from posecal.data.stored_poses import ArrayHypotheses, Hypotheses, Labels, Rows, StoredPoses, in_millimetres
+from posecal.errors import PoseDataError, attempt, option, raise_all
 
-__all__ = ["COMMON_LABELS", "Hypotheses", "Labels", "PoseData", "Rows", "Stored", "StoredPoses"]
-
-COMMON_LABELS = ("sequence", "subject", "action", "camera")
-"""Names under which a file can only mean a label of every pose."""
-
-Labels = Mapping[str, npt.NDArray[np.str_]]
-Rows = npt.NDArray[np.intp]
-
-
-@dataclass(frozen=True)
-class StoredPoses:
-    """Poses as they were stored or passed, with what was declared about them.
-
-    Attributes
-    ----------
-    name : str
-        What messages call them: a file or an argument.
-    array : LazyArray
-        The coordinates, in any layout.
-    axes, unit : str or None
-        What was declared.
-    joints : tuple of str or None
-        Names of the joints.
-    frame_id : array of str (M,) or None
-        What each frame is called.
-    labels : mapping of arrays of str (M,)
-        Other things said of each frame.
-    marks : mapping of bool arrays (M, K)
-        ``occluded`` or ``visible``.
-    scores : array (N, M) or None
-        The model's score of each hypothesis.
-    fps : float or None
-        Frames per second.
-    """
-
-    name: str
-    array: LazyArray
-    axes: str | None = None
-    unit: str | None = None
-    joints: tuple[str, ...] | None = None
-    frame_id: npt.NDArray[np.str_] | None = None
-    labels: Labels = field(default_factory=dict)
-    marks: Mapping[str, BoolArray] = field(default_factory=dict)
-    scores: FloatArray | None = None
-    fps: float | None = None
-
-    @property
-    def beside(self) -> dict[str, npt.NDArray[np.generic]]:
-        """What is said of the frames beside their coordinates, as members of a file."""
-        found: dict[str, npt.NDArray[np.generic]] = {**self.labels, **self.marks}
-        if self.frame_id is not None:
-            found["frame_id"] = self.frame_id
-        if self.scores is not None:
-            found["scores"] = self.scores
-        if self.fps is not None:
-            found["fps"] = np.array(self.fps)
-        return found
+T = TypeVar("T")
+Source = npt.ArrayLike | str | os.PathLike[str]
 
 
-class Hypotheses(Protocol):
-    """N hypotheses of M poses, read some poses at a time."""
-
-    @property
-    def n_hypotheses(self) -> int:
-        """N."""
-
-    @property
-    def itemsize(self) -> int:
-        """Bytes of a stored coordinate, by which windows are measured."""
-
-    def read(self, start: int, stop: int) -> FloatArray:
-        """Read some poses, (N, stop - start, K, D) in mm."""
-
-    def taken(self, poses: Rows) -> Hypotheses:
-        """Keep some poses, by their numbers."""
-
-
-@dataclass(frozen=True)
-class Stored:
-    """Hypotheses where they lie, and how to read some poses of them.
-
-    Attributes
-    ----------
-    array : LazyArray
-        As stored.
-    layout : Layout
-        Its axes.
-    rows, columns : arrays of int
-        The stored poses and joints that count, in the order in which they count.
-    factor : float
-        Millimetres in its unit.
-    most : int or None
-        How many hypotheses are read, the first ones; all by default.
-    """
-
-    array: LazyArray
-    layout: Layout
-    rows: Rows
-    columns: Rows
-    factor: float
-    most: int | None = None
-
-    @property
-    def n_hypotheses(self) -> int:
-        """N."""
-        return self.most or self.layout.shape(self.array.shape)[0]
-
-    @property
-    def itemsize(self) -> int:
-        """Bytes of a stored coordinate."""
-        return self.array.dtype.itemsize
-
-    def taken(self, poses: Rows) -> Stored:
-        """Keep some poses, by their numbers."""
-        return replace(self, rows=self.rows[poses])
-
-    def read(self, start: int, stop: int) -> FloatArray:
-        """Read some poses, (N, stop - start, K, D) in mm."""
-        found = self.layout.read(self.array, self.rows[start:stop])[: self.most]
-        if not np.array_equal(self.columns, np.arange(found.shape[2])):
-            found = found[:, :, self.columns]
-        return in_millimetres(found, self.factor)
-
-
-def in_millimetres(stored: npt.NDArray[np.generic], factor: float) -> FloatArray:
-    """Give stored coordinates as real numbers in mm; single precision stays single."""
-    single = stored.dtype.kind == "f" and stored.dtype.itemsize <= 4
-    found: FloatArray = stored.astype(np.float32 if single else np.float64, copy=False)
-    return found if factor == 1 else found * found.dtype.type(factor)
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False, eq=False, repr=False)
 class PoseData:
-    """M poses with N hypotheses each: in mm, in one order of frames and joints.
+    """M poses with N hypotheses each and their truth: in mm, in one order of frames and joints.
+
+    Parameters
+    ----------
+    hypotheses : array_like (N, M, K, D) or path
+        Hypotheses, in another layout if ``axes`` says so: NumPy, PyTorch or JAX arrays, or lists; or an ``.npz`` or
+        ``.npy`` file, which is read some poses at a time.
+    truth : array_like (M, K, D) or path
+        True poses, likewise.
+    where : bool array (M, K), optional
+        The joints that count, of the truth.
+    joints : str or sequence of str, optional
+        K names, or a joint set, where the data name none; skeleton and root follow from them.
+    root_joint : str or int, optional
+        The joint to subtract from every pose: a name, an index, or ``none``. By default the hip, or the one unnamed
+        joint whose truth is 0 throughout.
+    labels : mapping, optional
+        Labels of the truth's poses, such as ``sequence`` and ``action``: arrays (M,), or one value for all poses.
+        They replace labels of a file.
+    occluded : bool array (M, K), optional
+        The joints whose keypoints were not visible, of the truth; instead of a file's.
+    scores : array (N, M), optional
+        The model's score of each hypothesis; instead of a file's.
+    fps : float, optional
+        Frames per second; instead of a file's.
+    frame_id : array (M,), optional
+        Names of the frames, of both; of the hypotheses only where the truth has its own. Frames are matched by them.
+    truth_frame_id : array (M,), optional
+        Names of the truth's frames.
+    unit, truth_unit : str or float, optional
+        Of what declares none: ``mm``, ``cm``, ``m``, or the millimetres in one unit. mm by default; ``unit`` is for
+        both unless ``truth_unit`` is given.
+    axes, truth_axes : str, optional
+        Layouts of what declares none, such as ``MNKD`` and ``MDK``.
+    missing : str
+        ``error``, or ``skip`` to keep the frames that both have.
+    shared_joints : str
+        ``same``, or ``common`` to keep the joints that both have.
+    n_hypotheses : int, optional
+        How many hypotheses are read, the first ones; all by default.
 
     Attributes
     ----------
@@ -163,27 +98,47 @@ class PoseData:
     root : int or None
         The joint to subtract from every pose.
     frame_id : array of str (M,)
-        What each pose is called.
-    place : array of int (M,)
-        Its place among the truth's frames, as they were stored: two poses are consecutive where their places are.
+        Name of each frame.
+    order : array of int (M,)
+        The index of each pose among the truth's frames as stored: two poses are consecutive where these are.
     labels : mapping of arrays of str (M,)
-        What else is said of each pose.
+        Other properties of each pose.
     occluded : bool array (M, K) or None
-        The joints whose keypoints were not seen.
+        The joints whose keypoints were not visible.
     scores : array (N, M) or None
         The model's score of each hypothesis.
     fps : float or None
         Frames per second.
+    names : tuple of two str
+        What messages call the hypotheses and the truth.
     where : bool array (M, K) or None
         The joints that count.
     usable : bool array (M, K) or None
         The joints that poses are aligned by, where some of them don't count; by default those that count.
-    names : tuple of two str
-        What messages call the hypotheses and the truth.
     remarks : tuple of str
-        What a careful reader should know about the join.
+        What a careful reader should know about the data, with options as :func:`posecal.errors.option` gives them.
     reference : PoseData or None
         The same poses with other hypotheses, that skills are relative to.
+
+    Raises
+    ------
+    PoseDataError
+        For everything that does not fit, all at once.
+    PoseFileError
+        For files that can't be read.
+
+    Notes
+    -----
+    A layout is never guessed: where N = M and ``axes`` does not say which is which, the data are refused.
+
+    Examples
+    --------
+    >>> hypotheses, truth = np.full((2, 3, 17, 3), 0.1), np.zeros((3, 17, 3))
+    >>> data = PoseData(hypotheses, truth, unit="m", joints="h36m-17", labels={"action": "walk"})
+    >>> data
+    PoseData('hypotheses', 'truth': N=2, M=3, K=17, D=3)
+    >>> data.joints[data.root], float(data.hypotheses.read(0, 1).max()), data.labels["action"].tolist()
+    ('Hip', 100.0, ['walk', 'walk', 'walk'])
     """
 
     hypotheses: Hypotheses
@@ -191,16 +146,80 @@ class PoseData:
     joints: tuple[str, ...]
     root: int | None
     frame_id: npt.NDArray[np.str_]
-    place: Rows
+    order: Rows
     labels: Labels
     occluded: BoolArray | None
     scores: FloatArray | None
     fps: float | None
     names: tuple[str, str]
-    where: BoolArray | None = None
-    usable: BoolArray | None = None
-    remarks: tuple[str, ...] = ()
-    reference: PoseData | None = None
+    where: BoolArray | None
+    usable: BoolArray | None
+    remarks: tuple[str, ...]
+    reference: PoseData | None
+
+    def __init__(
+        self,
+        hypotheses: Source,
+        truth: Source,
+        /,
+        *,
+        where: npt.ArrayLike | None = None,
+        joints: Sequence[str] | None = None,
+        root_joint: str | int | None = None,
+        labels: Mapping[str, npt.ArrayLike] | None = None,
+        occluded: npt.ArrayLike | None = None,
+        scores: npt.ArrayLike | None = None,
+        fps: float | None = None,
+        frame_id: npt.ArrayLike | None = None,
+        truth_frame_id: npt.ArrayLike | None = None,
+        unit: str | float | None = None,
+        truth_unit: str | float | None = None,
+        axes: str | None = None,
+        truth_axes: str | None = None,
+        missing: Literal["error", "skip"] = "error",
+        shared_joints: Literal["same", "common"] = "same",
+        n_hypotheses: int | None = None,
+    ) -> None:
+        problems: Problems = []
+        declared = axes, truth_axes, unit, truth_unit, joints, root_joint, missing, shared_joints, n_hypotheses
+        declarations = attempt(problems, Declarations, *declared)
+        predicted = attempt(problems, read_poses, hypotheses, "hypotheses")
+        true = attempt(problems, read_poses, truth, "truth")
+        arguments: dict[str, tuple[Callable[..., Any], object]] = {
+            "labels": (as_label_arrays, labels),
+            "occluded": (as_marks, occluded),
+            "scores": (as_scores, scores),
+            "where": (as_array, where),
+            "frame_id": (as_labels, frame_id),
+            "truth_frame_id": (as_labels, truth_frame_id),
+        }
+        arrays: dict[str, Any] = {}
+        for name, (convert, value) in arguments.items():
+            if value is not None:
+                arrays[name] = attempt(problems, convert, value, name)
+        raise_all(problems)
+        assert predicted is not None
+        assert true is not None
+        ids, own_labels = arrays.get("frame_id"), arrays.get("labels", {})
+        predicted = replace(
+            predicted,
+            frame_id=predicted.frame_id if ids is None else ids,
+            scores=arrays.get("scores", predicted.scores),
+        )
+        true = replace(
+            true,
+            frame_id=arrays.get("truth_frame_id", ids if true.frame_id is None else true.frame_id),
+            labels={**true.labels, **own_labels},
+            required_labels=true.required_labels | own_labels.keys(),
+            marks={"occluded": arrays["occluded"]} if "occluded" in arrays else true.marks,
+            where=arrays.get("where"),
+            fps=true.fps if fps is None else fps,
+        )
+        vars(self).update(vars(match_poses(predicted, true, declarations)))
+
+    def __repr__(self) -> str:
+        sizes = ", ".join(f"{letter}={size}" for letter, size in zip(HYPOTHESES, self.shape, strict=True))
+        return f"PoseData({self.names[0]!r}, {self.names[1]!r}: {sizes})"
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
@@ -208,32 +227,153 @@ class PoseData:
         m, k, d = self.truth.shape
         return self.hypotheses.n_hypotheses, m, k, d
 
-    def taken(self, poses: Rows) -> PoseData:
-        """Keep some poses, by their numbers."""
-        return replace(
-            self,
-            hypotheses=self.hypotheses.taken(poses),
-            truth=self.truth[poses],
-            frame_id=self.frame_id[poses],
-            place=self.place[poses],
-            labels={name: values[poses] for name, values in self.labels.items()},
-            occluded=None if self.occluded is None else self.occluded[poses],
-            scores=None if self.scores is None else self.scores[:, poses],
-            where=None if self.where is None else self.where[poses],
-            usable=None if self.usable is None else self.usable[poses],
-            reference=None if self.reference is None else self.reference.taken(poses),
+    def replace(self, **changes: Any) -> Self:
+        """Copy the data with some attributes changed."""
+        unknown = changes.keys() - {field.name for field in fields(self)}
+        if unknown:
+            raise TypeError(f"PoseData has no attribute {sorted(unknown)[0]!r}")
+        return _with_attributes(type(self), **{**vars(self), **changes})
+
+    def select(self, poses: npt.ArrayLike) -> Self:
+        """Keep some poses, by their numbers or by a mask (M,)."""
+        try:
+            rows = np.arange(len(self.truth))[as_array(poses, "poses")]
+        except IndexError:
+            raise PoseDataError(
+                f"poses: {poses!r}; expected numbers below M = {len(self.truth):,}, or a mask (M,)."
+            ) from None
+        part = {
+            name: None if values is None else values[..., rows] if name == "scores" else values[rows]
+            for name, values in vars(self).items()
+            if name in ("truth", "frame_id", "order", "occluded", "scores", "where", "usable")
+        }
+        return self.replace(
+            **part,
+            hypotheses=self.hypotheses.select(rows),
+            labels=_part(self.labels, rows),
+            reference=None if self.reference is None else self.reference.select(rows),
         )
 
-    def with_hypotheses(self, most: int) -> PoseData:
-        """Keep the first hypotheses of every pose.
 
-        Raises
-        ------
-        PoseDataError
-            Where there are fewer, or the hypotheses don't come from an array.
-        """
-        n = self.shape[0]
-        if not 1 <= most <= n or not isinstance(self.hypotheses, Stored):
-            raise PoseDataError(f"hypotheses: {most}; expected 1 to N = {n}, the hypotheses of {self.names[0]}.")
-        scores = None if self.scores is None else self.scores[:most]
-        return replace(self, hypotheses=replace(self.hypotheses, most=most), scores=scores)
+def _with_attributes(kind: type[T], **attributes: Any) -> T:
+    """Make pose data of its attributes."""
+    data = object.__new__(kind)
+    vars(data).update(attributes)
+    return data
+
+
+def match_poses(hypotheses: StoredPoses, truth: StoredPoses, declarations: Declarations | None = None) -> PoseData:
+    """Match hypotheses with the truth.
+
+    Parameters
+    ----------
+    hypotheses, truth : StoredPoses
+        As stored or passed.
+    declarations : Declarations, optional
+        What the user declares about them.
+
+    Returns
+    -------
+    PoseData
+        In the order of the truth's frames and joints.
+
+    Raises
+    ------
+    PoseDataError
+        For everything that does not fit, all at once.
+    """
+    declared = declarations or Declarations()
+    layout, true_layout = choose_layouts(hypotheses, truth, declared.axes, declared.truth_axes)
+    n, m, k, d = layout.shape(hypotheses.array.shape)
+    true_shape = true_m, true_k, true_d = true_layout.shape(truth.array.shape)
+    raise_all(
+        f"{poses.name}: nothing in it; its shape is {poses.array.shape}."
+        for poses in (hypotheses, truth)
+        if 0 in poses.array.shape
+    )
+    problems: Problems = []
+    remarks: list[str] = []
+    factor, true_factor = _unit_factors(hypotheses, truth, declared, problems)
+    fitting = [text for text in plausible_layouts(hypotheses.array.shape, true_shape) if text != layout.text]
+    hint = f"The shapes fit {option('axes', fitting[0])}. " if fitting else ""
+    rows, true_rows = match_frames(hypotheses, truth, (m, true_m), declared, hint, problems, remarks)
+    names = joint_names(hypotheses, k, declared, problems)
+    true_names = joint_names(truth, true_k, declared, problems) or (names if k == true_k else None) or numbered(true_k)
+    columns, true_columns = match_joints(hypotheses, truth, names, true_names, k, declared, problems, remarks)
+    if d != true_d:
+        problems.append(f"{hypotheses.name} has D = {d} and {truth.name} {true_d}; expected as many.")
+    labels, true_labels = labels_of(hypotheses, m, problems), labels_of(truth, true_m, problems)
+    where = None if truth.where is None else attempt(problems, checked_mask, truth.where, (true_m, true_k))
+    own_marks, true_marks = occluded_of(hypotheses, (m, k), problems), occluded_of(truth, (true_m, true_k), problems)
+    scores, fps = hypotheses.scores, hypotheses.fps if truth.fps is None else truth.fps
+    if scores is not None and scores.shape != (n, m):
+        problems.append(f"{hypotheses.name}: scores {scores.shape}; expected (N, M) = {(n, m)}.")
+    if fps is not None:
+        fps = attempt(problems, checked_number, fps, "fps", lambda f: 0 < f < math.inf, "frames per second, above 0")
+    if declared.n_hypotheses is not None:
+        expected = f"1 to N = {n}, the hypotheses of {hypotheses.name}"
+        in_range = range(1, n + 1).__contains__
+        count = attempt(problems, checked_number, declared.n_hypotheses, option("n_hypotheses"), in_range, expected)
+        n = int(count or 0)
+    raise_all(problems)
+
+    y = in_millimetres(true_layout.read(truth.array, np.arange(true_m)), true_factor)
+    root = attempt(problems, root_index, declared.root_joint, true_names, y)
+    sides = _part(labels, rows), _part(true_labels, true_rows)
+    merged = attempt(problems, match_labels, hypotheses, truth, *sides) or {}
+    raise_all(problems)
+    if root is not None and root not in true_columns:
+        with np.errstate(invalid="ignore"):  # joints that don't count may hold anything
+            y = y - y[:, root, None]
+        remarks.append(f"{hypotheses.name} lacks the root {true_names[root]}; taken as relative to it.")
+    clip = true_layout.clip_length(truth.array.shape) or layout.clip_length(hypotheses.array.shape)
+    if clip and "sequence" not in merged:
+        merged = {"sequence": (true_rows // clip).astype(str), **merged}
+    occluded = _cut(true_marks, true_rows, true_columns)
+    data = _with_attributes(
+        PoseData,
+        hypotheses=ArrayHypotheses(hypotheses.array, layout, rows, columns, factor, n),
+        truth=np.ascontiguousarray(y[true_rows][:, true_columns]),
+        joints=tuple(true_names[k] for k in true_columns),
+        root=next((k for k, column in enumerate(true_columns) if column == root), None),
+        frame_id=true_rows.astype(str) if truth.frame_id is None else truth.frame_id[true_rows],
+        order=true_rows,
+        labels=merged,
+        occluded=_cut(own_marks, rows, columns) if occluded is None else occluded,
+        scores=None if scores is None else scores[:n, rows],
+        fps=fps,
+        names=(hypotheses.name, truth.name),
+        where=_cut(where, true_rows, true_columns),
+        usable=None,
+        remarks=(),
+        reference=None,
+    )
+    unit = declared.unit is not None
+    true_unit = unit or truth.unit is not None or declared.truth_unit is not None
+    unit = unit or hypotheses.unit is not None
+    each = declared.truth_unit is not None or (unit and truth.unit is not None)
+    remarks += check_units(data, unit, true_unit, each=each)
+    if root is None and declared.root_joint != "none":
+        remarks.append(
+            f"no root joint is known, so positions are taken as they stand; {option('root_joint')} names one."
+        )
+    return data.replace(remarks=tuple(remarks))
+
+
+def _unit_factors(
+    hypotheses: StoredPoses, truth: StoredPoses, declared: Declarations, problems: Problems
+) -> tuple[float, float]:
+    """Give the millimetres in one unit of both; ``unit`` is for what declares none, or must agree with both."""
+    name, unit = "truth_unit", declared.truth_unit
+    if unit is None and not (truth.unit is not None and hypotheses.unit is None):
+        name, unit = "unit", declared.unit
+    factor = attempt(problems, unit_factor, hypotheses, "unit", declared.unit)
+    return factor or 1.0, attempt(problems, unit_factor, truth, name, unit) or 1.0
+
+
+def _part(labels: Labels, rows: Rows) -> Labels:
+    return {name: values[rows] for name, values in labels.items()}
+
+
+def _cut(mask: BoolArray | None, rows: Rows, columns: Rows) -> BoolArray | None:
+    return None if mask is None else mask[rows][:, columns]

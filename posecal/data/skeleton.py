@@ -1,4 +1,4 @@
-"""Which joint is which? Named joints on one human tree.
+"""Joint sets and skeletons: named joints on one human tree.
 
 The field numbers the same joints in different orders, so posecal joins by name and keeps no table of indices.
 There is one tree of joints; a *joint set* such as ``h36m-17`` is a tuple of names on it, and the bones of any
@@ -18,8 +18,6 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.errors import PoseDataError, did_you_mean
-
-__all__ = ["JOINT_SETS", "REST_POSE", "Skeleton", "canonical_name", "joint_set"]
 
 # name: (parent, rest position in mm; x to the person's left, y backwards, z up, the hip at the origin)
 _TREE: dict[str, tuple[str | None, tuple[float, float, float]]] = {

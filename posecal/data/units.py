@@ -1,4 +1,4 @@
-"""Which length does a number stand for? Millimetres inside; converted once, at the border.
+"""Units of length, converted into millimetres once, when poses are read.
 
 A unit is one of ``mm``, ``cm``, ``m``, or the length of one unit in millimetres as a number or a fraction
 of two, for data that were scaled: poses multiplied by 0.0036 per millimetre have the unit ``1/0.0036``.
@@ -10,18 +10,16 @@ import math
 
 from posecal.errors import PoseDataError
 
-__all__ = ["MILLIMETRES", "millimetres_per"]
-
 MILLIMETRES = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 """Millimetres in one of each named unit."""
 
 
-def millimetres_per(unit: str) -> float:
+def millimetres_per(unit: str | float) -> float:
     """Give the factor that turns a length in ``unit`` into millimetres.
 
     Parameters
     ----------
-    unit : str
+    unit : str or float
         ``mm``, ``cm``, ``m``, a positive number, or a fraction ``a/b`` of two.
 
     Returns
@@ -48,10 +46,11 @@ def millimetres_per(unit: str) -> float:
     Traceback (most recent call last):
     posecal.errors.PoseDataError: unit: 'inch'; expected mm, cm, m, or the millimetres in one unit...
     """
-    named = MILLIMETRES.get(unit.strip().lower())
+    text = str(unit)
+    named = MILLIMETRES.get(text.strip().lower())
     if named is not None:
         return named
-    over, _, under = unit.partition("/")
+    over, _, under = text.partition("/")
     try:
         factor = float(over) / float(under or 1)
     except (ValueError, ZeroDivisionError):

@@ -1,4 +1,4 @@
-"""How do results come into files? Whole or not at all, and what can't be written is said before any work."""
+"""Writing of files, completely or not at all, and of ``.npz`` archives, member by member or piece by piece."""
 
 from __future__ import annotations
 
@@ -7,13 +7,16 @@ import os
 import secrets
 import shutil
 import tempfile
-from collections.abc import Callable
+import zipfile
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import BinaryIO
+from types import TracebackType
+from typing import Any, BinaryIO, Self
+
+import numpy as np
+import numpy.typing as npt
 
 from posecal.errors import PoseFileError
-
-__all__ = ["check_writable", "write_file"]
 
 
 def check_writable(path: str | os.PathLike[str]) -> Path:
@@ -56,10 +59,10 @@ def _target(path: Path) -> Path:
 
 
 def write_file(path: str | os.PathLike[str], write: Callable[[BinaryIO], object]) -> None:
-    """Write a file whole or not at all: without its name, then renamed.
+    """Write a file completely or not at all: under another name or none, then renamed.
 
-    Where the system can, the file has no name at all until it is whole, and vanishes with a process that is killed;
-    else it has a temporary one beside it.
+    Where the system can, the file has no name until it is complete, and vanishes with a process that is killed; else
+    it has a temporary one in the same folder.
 
     Parameters
     ----------
@@ -102,7 +105,7 @@ def _unnamed(folder: Path) -> BinaryIO | None:
 
 
 def _give_name(unnamed: BinaryIO, path: Path) -> None:
-    """Let a file without a name appear under one; where the disk refuses that, copy it."""
+    """Link a file without a name to one; where the disk refuses that, copy it."""
     number = unnamed.fileno()
     try:  # any descriptor makes the system follow the link in /proc
         os.link(f"/proc/self/fd/{number}", path, src_dir_fd=number, follow_symlinks=True)
@@ -110,3 +113,53 @@ def _give_name(unnamed: BinaryIO, path: Path) -> None:
         unnamed.seek(0)
         with path.open("xb") as copy:
             shutil.copyfileobj(unnamed, copy)
+
+
+# --- archives -------------------------------------------------------------------------------------------------
+
+
+class Archive:
+    """An .npz file that is being written.
+
+    Parameters
+    ----------
+    file : binary file
+        Where to.
+    compressed : bool
+        Whether members are compressed; those that are not can be memory-mapped later.
+    """
+
+    def __init__(self, file: BinaryIO, *, compressed: bool = False) -> None:
+        self._method = zipfile.ZIP_DEFLATED if compressed else zipfile.ZIP_STORED
+        self._zip = zipfile.ZipFile(file, "w", allowZip64=True)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._zip.close()
+
+    def add(self, name: str, array: npt.NDArray[Any]) -> None:
+        """Write a member."""
+        self.add_pieces(name, array.shape, array.dtype, [array])
+
+    def add_pieces(
+        self, name: str, shape: tuple[int, ...], dtype: np.dtype[Any], pieces: Iterable[npt.NDArray[Any]]
+    ) -> None:
+        """Write a member of which only pieces along the first axis are at hand."""
+        info = zipfile.ZipInfo(f"{name}.npy")  # of no date: the same arrays give the same bytes
+        info.compress_type = self._method
+        with self._zip.open(info, "w", force_zip64=True) as member:
+            header = {"descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False, "shape": shape}
+            np.lib.format.write_array_header_2_0(member, header)
+            for piece in pieces:
+                member.write(np.ascontiguousarray(piece, dtype=dtype).tobytes())
+
+
+def write_members(file: BinaryIO, members: Mapping[str, npt.NDArray[Any]], *, compressed: bool = False) -> None:
+    """Write arrays as an .npz file."""
+    with Archive(file, compressed=compressed) as archive:
+        for name, array in members.items():
+            archive.add(name, array)

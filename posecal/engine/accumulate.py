@@ -1,182 +1,35 @@
-"""How do pairs of poses and a choice of metrics become sums?
+"""Accumulation of per-pose statistics into sums per cell, in one pass over blocks of poses.
 
-In one walk over the blocks. Each statistic is computed for a block and added to the cells of its poses; the
-hypotheses are read some poses at a time and let go.
+Poses come in one piece (an array or a file, read some poses at a time) or in batches of any length. Either way they are
+cut into the same blocks, at multiples of the block length counted from the first pose, so that the sums are the same.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import copy
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 import posecal
-from posecal.calibration.rank_tests import PreRank
-from posecal.data.arrays import FloatArray
+from posecal.data.arrays import BoolArray, FloatArray
 from posecal.data.pose_data import PoseData
-from posecal.engine.block import Before, Block
-from posecal.engine.blocks import block_length, iter_blocks
-from posecal.engine.cells import cells_of
-from posecal.engine.coordinate_range import coordinate_range
-from posecal.engine.metric import SUM_OF_TRUE_POSES, DataSpec, Statistic
+from posecal.engine.block import Block, block_length
+from posecal.engine.cells import CellIndex
+from posecal.engine.chunks import Chunk, join_chunks, read_chunks
+from posecal.engine.metric import DataSpec, Metric, Statistic
+from posecal.engine.prepare import Prepared, refuse_non_finite
 from posecal.engine.protocol import Protocol
 from posecal.engine.threads import run_in_order
 from posecal.engine.totals import Totals
-from posecal.errors import PoseDataError
-from posecal.metrics.sharpness import predicted_spread
-from posecal.registry import curves_of, metrics_of, occlusion_metrics_of
-
-__all__ = ["accumulate", "walk"]
-
-WINDOW_BYTES = 32 * 1024 * 1024
-"""How much of the hypotheses is read at a time."""
 
 Progress = Callable[[int], object]
-
-
-def accumulate(
-    pairs: PoseData,
-    protocol: Protocol | None = None,
-    *,
-    by: Sequence[str] = (),
-    preranks: Mapping[str, PreRank] | None = None,
-    threads: int | None = None,
-    progress: Progress | None = None,
-) -> Totals:
-    """Evaluate pairs of poses into sums.
-
-    Parameters
-    ----------
-    pairs : PoseData
-        What is evaluated.
-    protocol : Protocol, optional
-        The options.
-    by : sequence of str
-        Labels by which poses will be grouped; see :func:`posecal.engine.cells.cells_of`. ``occlusion`` tells occluded from
-        visible joints.
-    preranks : mapping of callables, optional
-        Tests of the battery of one's own, by name: each from a pool of poses (N + 1, K, D), the truth last, to a
-        number of each, (N + 1,).
-    threads : int, optional
-        How many; by default one per core.
-    progress : callable, optional
-        Called with the number of poses that are done.
-
-    Returns
-    -------
-    Totals
-        Sums per cell.
-
-    Raises
-    ------
-    PoseDataError
-        For labels or masks that the pairs lack, options that don't fit, and coordinates that are not finite.
-    """
-    protocol = protocol or Protocol()
-    if not {"all", "scores"}.intersection(protocol.wanted) and not any(n.endswith("_skill") for n in protocol.wanted):
-        pairs = replace(pairs, reference=None)  # no number needs it
-    masked = pairs.where is not None
-    pairs = _scored(pairs, protocol)
-    spec = DataSpec(
-        n_hypotheses=pairs.shape[0],
-        joints=pairs.joints,
-        root=pairs.root,
-        labels=tuple(pairs.labels),
-        fps=pairs.fps,
-        has_scores=pairs.scores is not None,
-        has_occlusion=pairs.occluded is not None,
-        has_mask=masked,
-        preranks=tuple(preranks or ()),
-        reference="" if pairs.reference is None else pairs.reference.names[0],
-        n_reference=0 if pairs.reference is None else pairs.reference.shape[0],
-    )
-    statistics = _statistics(protocol, spec, preranks)
-    if "occlusion" in by:
-        statistics |= {
-            s.name: s for ms in occlusion_metrics_of(protocol, spec).values() for m in ms.values() for s in m.statistics
-        }
-    wanted = [label for label in by if label != "occlusion"]
-    cells = cells_of(pairs, wanted, lambda: _spread(pairs, threads), average=protocol.average)
-    totals = Totals(
-        spec=spec,
-        protocol=protocol,
-        version=posecal.__version__,
-        cells=cells.labels,
-        poses=np.bincount(cells.of_pose).astype(np.int64),
-        remarks=pairs.remarks,
-        sequences=cells.labelled,
-        cell_of=cells.of_pose,
-    )
-    bad: list[npt.NDArray[np.intp]] = []
-    bad_of_reference: list[npt.NDArray[np.intp]] = []
-    kept: dict[str, list[FloatArray]] = {}
-    done = 0
-    tasks = (
-        partial(_measure, poses, block, cells.of_pose[poses], tuple(statistics.values()))
-        for poses, block in walk(pairs)
-    )
-    for found in run_in_order(tasks, threads):
-        bad.append(found.non_finite)
-        bad_of_reference.append(found.non_finite_of_reference)
-        for name, (sums, counts) in found.sums.items():
-            totals.add(name, found.cells, sums, counts)
-        for name, values in found.per_pose.items():
-            kept.setdefault(name, []).append(values)
-        done += found.poses
-        if progress is not None:
-            progress(done)
-    _refuse_non_finite(pairs, pairs.names[0], np.concatenate(bad))
-    _refuse_non_finite(pairs, spec.reference, np.concatenate(bad_of_reference))
-    totals.per_pose = {name: np.concatenate(parts) for name, parts in kept.items()}
-    return totals
-
-
-def _statistics(protocol: Protocol, spec: DataSpec, preranks: Mapping[str, PreRank] | None) -> dict[str, Statistic]:
-    found = {SUM_OF_TRUE_POSES.name: SUM_OF_TRUE_POSES}
-    found |= {s.name: s for metric in metrics_of(protocol, spec, preranks).values() for s in metric.statistics}
-    if {"default", "all"}.intersection(protocol.wanted):
-        found |= {curve.statistic.name: curve.statistic for curve in curves_of(protocol, spec).values()}
-    return found
-
-
-# --- one walk -------------------------------------------------------------------------------------------------
-
-
-def walk(pairs: PoseData) -> Iterator[tuple[slice, Callable[[], Block]]]:
-    """Give the blocks of some pairs, to be laid out, each with the poses that it holds."""
-    _, m, k, d = pairs.shape
-    held = [pairs.hypotheses, *([] if pairs.reference is None else [pairs.reference.hypotheses])]
-    most = max(some.n_hypotheses for some in held)
-    window = max(1, WINDOW_BYTES // (k * d * max(some.n_hypotheses * some.itemsize for some in held)))
-    sequence = pairs.labels.get("sequence", np.zeros(m, dtype=np.str_))
-    follows = np.concatenate([[False], (sequence[1:] == sequence[:-1]) & (np.diff(pairs.place) == 1)])
-    previous: Before | None = None
-    own = np.unique(sequence, return_inverse=True)[1] if "sequence" in pairs.labels else np.arange(m)
-    box = cache(partial(coordinate_range, pairs.truth, pairs.where, root=pairs.root, sequence=own))
-    for start in range(0, m, window):
-        poses = slice(start, min(start + window, m))
-        hypotheses, truth = pairs.hypotheses.read(poses.start, poses.stop), pairs.truth[poses]
-        size = block_length((most, *hypotheses.shape[1:]), hypotheses.dtype)
-        blocks = iter_blocks(
-            hypotheses,
-            truth,
-            None if pairs.where is None else pairs.where[poses],
-            root=pairs.root,
-            scores=None if pairs.scores is None else pairs.scores[:, poses],
-            follows=follows[poses],
-            previous=previous,
-            occluded=None if pairs.occluded is None else pairs.occluded[poses],
-            usable=None if pairs.usable is None else pairs.usable[poses],
-            reference=None if pairs.reference is None else pairs.reference.hypotheses.read(poses.start, poses.stop),
-            box=box,
-            sequence=own[poses],
-        )
-        for number, block in enumerate(blocks):
-            yield slice(start + number * size, min(start + (number + 1) * size, poses.stop)), block
-        previous = hypotheses[:, -1:].copy(), truth[-1:], None if pairs.where is None else pairs.where[poses][-1:]
+Pending = Literal["rest", "none", "all"]
+Indices = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -184,85 +37,260 @@ class _Measured:
     """The sums of one block: a row for each run of poses of one cell."""
 
     poses: int
-    cells: npt.NDArray[np.intp]
+    cells: Indices
+    poses_of_cells: Indices
     sums: dict[str, tuple[FloatArray, npt.NDArray[np.int64]]]
     per_pose: dict[str, FloatArray]
-    non_finite: npt.NDArray[np.intp]
-    non_finite_of_reference: npt.NDArray[np.intp]
+    cell_of: Indices
+    non_finite: Indices
+    non_finite_of_reference: Indices
 
 
-def _measure(
-    poses: slice, lay_out: Callable[[], Block], cells: npt.NDArray[np.intp], statistics: Sequence[Statistic]
+def _measure_block(
+    first: int, lay_out: Callable[[], Block], cells: Indices, statistics: Sequence[Statistic]
 ) -> _Measured:
     block = lay_out()
-    nowhere = np.zeros_like(block.where)
-    non_finite = block.non_finite, nowhere if block.reference is None else block.reference.non_finite
-    bad, bad_of_reference = (np.argwhere(joints) + np.array([poses.start, 0]) for joints in non_finite)
-    if len(bad) or len(bad_of_reference):
-        return _Measured(len(cells), cells[:0], {}, {}, bad, bad_of_reference)
+    finite = np.zeros_like(block.where)
+    masks = block.non_finite, finite if block.reference is None else block.reference.non_finite
+    bad, bad_of_reference = (np.argwhere(mask) + np.array([first, 0]) for mask in masks)
     runs = np.flatnonzero(np.concatenate([[True], cells[1:] != cells[:-1]]))
+    poses = np.diff(np.append(runs, len(cells)))
     sums: dict[str, tuple[FloatArray, npt.NDArray[np.int64]]] = {}
-    kept_values: dict[str, FloatArray] = {}
-    for statistic in statistics:
-        values = block.share(
-            ("statistic", statistic.name), partial(statistic.compute, block)
-        )  # skills ask for them again
-        values = np.asarray(values, dtype=np.float64)
+    per_pose: dict[str, FloatArray] = {}
+    for statistic in () if len(bad) or len(bad_of_reference) else statistics:
+        values = block.share(("statistic", statistic.name), partial(statistic.compute, block))  # skills ask again
         if statistic.per_pose:
-            kept_values[statistic.name] = values
+            per_pose[statistic.name] = np.asarray(values, dtype=np.float32)
             continue
-        kept = 2 if statistic.per_joint else 1
-        counted = ~np.isnan(values.reshape(*values.shape[:kept], -1)[..., 0])
-        shown = counted.reshape(*counted.shape, *[1] * (values.ndim - kept))
-        total = np.add.reduceat(np.where(shown, values, 0), runs, axis=0)
+        values = np.asarray(values, dtype=np.float64)
+        axes = 2 if statistic.per_joint else 1
+        counted = ~np.isnan(values.reshape(*values.shape[:axes], -1)[..., 0])
+        if not counted.all():
+            values = np.where(counted.reshape(*counted.shape, *[1] * (values.ndim - axes)), values, 0)
+        total = np.add.reduceat(values, runs, axis=0)
         sums[statistic.name] = total, np.add.reduceat(counted, runs, axis=0, dtype=np.int64)
-    return _Measured(len(cells), cells[runs], sums, kept_values, bad, bad_of_reference)
+    return _Measured(len(cells), cells[runs], poses, sums, per_pose, cells, bad, bad_of_reference)
 
 
-def _spread(pairs: PoseData, threads: int | None) -> FloatArray:
-    tasks = ((lambda block=block: predicted_spread(block())) for _, block in walk(replace(pairs, reference=None)))
-    return np.concatenate(list(run_in_order(tasks, threads)))
+class Accumulator:
+    """Sums of statistics per cell, of poses that come in one piece or in batches.
 
+    Parameters
+    ----------
+    spec : DataSpec
+        What the data are; the same for all batches.
+    protocol : Protocol
+        The options.
+    statistics : sequence of Statistic
+        What is summed.
+    index : CellIndex
+        What is kept apart.
+    prepared : Prepared, optional
+        What depends on the whole set, where a statistic needs it.
+    own_metrics : sequence of Metric
+        The user's metrics among those that are summed for.
+    threads : int, optional
+        One per core by default.
+    """
 
-# --- what counts ----------------------------------------------------------------------------------------------
+    def __init__(
+        self,
+        spec: DataSpec,
+        protocol: Protocol,
+        statistics: Sequence[Statistic],
+        index: CellIndex,
+        *,
+        prepared: Prepared | None = None,
+        own_metrics: Sequence[Metric] = (),
+        threads: int | None = None,
+    ) -> None:
+        self.spec, self.protocol, self.own_metrics = spec, protocol, tuple(own_metrics)
+        self.statistics = tuple(statistics)
+        self._index, self._prepared, self._threads = index, prepared, threads
+        self._sums: dict[str, tuple[FloatArray, npt.NDArray[np.int64]]] = {}
+        self._poses = np.zeros(0, dtype=np.int64)
+        self._per_pose: dict[str, list[FloatArray]] = {}
+        self._cell_of: list[Indices] = []
+        self._remarks: dict[str, None] = {}
+        self._pending: list[Chunk] = []  # poses that don't fill a block yet
+        self._length = self._measured = self._given = 0
+        self._before: Chunk | None = None  # the pose before the pending ones
+        self._last_sequence: str | None = None
 
+    def add(self, data: PoseData, progress: Progress | None = None, *, pending: Pending = "rest") -> None:
+        """Add poses.
 
-def _scored(pairs: PoseData, protocol: Protocol) -> PoseData:
-    """Keep the poses and joints that the options ``frames`` and ``where`` name."""
-    name = pairs.names[1]
-    if protocol.frames != "all":
-        values = pairs.labels.get(protocol.frames)
-        if values is None:
-            raise PoseDataError(
-                f"frames: {name} has no label {protocol.frames!r}; expected a yes/no member (M,) of that name."
-            )
-        kept = np.flatnonzero(np.isin(np.char.lower(values), ("yes", "1", "true")))
-        if not kept.size:
-            raise PoseDataError(f"frames: no pose of {name} has the label {protocol.frames}; expected some.")
-        pairs = pairs.taken(kept)
-    where, usable = pairs.where, None
-    if protocol.where != "all":
-        if pairs.occluded is None:
-            raise PoseDataError(
-                f"where: {name} does not say which joints are occluded; expected a member occluded or visible, "
-                "bool (M, K)."
-            )
-        chosen = pairs.occluded if protocol.where == "occluded" else ~pairs.occluded
-        usable = np.ones_like(chosen) if where is None else where
-        where = chosen if where is None else chosen & where
-    if where is not None and not where.any():
-        what = "counts" if protocol.where == "all" else f"is {protocol.where}"
-        raise PoseDataError(f"where: no joint of {name} {what}; expected some to score.")
-    bad = ~np.isfinite(pairs.truth).all(axis=2)
-    _refuse_non_finite(pairs, name, np.argwhere(bad if where is None else bad & where))
-    return replace(pairs, where=where, usable=usable)
+        Parameters
+        ----------
+        data : PoseData
+            The next poses.
+        progress : callable, optional
+            Called with the number of poses that are done.
+        pending : str
+            Which of them wait for the next ones: the ``rest`` that fills no block, ``none``, or ``all``.
 
+        Raises
+        ------
+        PoseDataError
+            For coordinates that are not finite.
+        """
+        most = max(data.shape[0], 0 if data.reference is None else data.reference.shape[0])
+        self._length = self._length or block_length((most, *data.shape[1:]), data.hypotheses.read(0, 1).dtype)
+        cells, moved = self._index.assign(data.labels, len(data.truth))
+        if moved is not None:
+            self._join_cells(moved)
+        first, measured_before = self._measured + self.n_pending, self._measured
+        bad: list[Indices] = []
+        bad_of_reference: list[Indices] = []
+        for measured in self._measure(self._blocks_of_more(self._located(data, cells), pending)):
+            bad.append(measured.non_finite)
+            bad_of_reference.append(measured.non_finite_of_reference)
+            if progress is not None:
+                progress(self._measured - measured_before)
+        names = data.names[0], "" if data.reference is None else data.reference.names[0]
+        for name, places in zip(names, (bad, bad_of_reference), strict=True):
+            if places:
+                refuse_non_finite(data, name, np.concatenate(places) - np.array([first, 0]))
+        self._remarks |= dict.fromkeys(data.remarks)
 
-def _refuse_non_finite(pairs: PoseData, name: str, bad: npt.NDArray[np.intp]) -> None:
-    if len(bad):
-        frames, (frame, joint) = len(np.unique(bad[:, 0])), bad[0]
-        raise PoseDataError(
-            f"{name} has non-finite coordinates in {frames:,} of {len(pairs.truth):,} frames (first: frame "
-            f"{pairs.frame_id[frame]}, joint {pairs.joints[joint].removeprefix('joint ')}). Mask those joints with "
-            "where, or leave those frames out."
+    def totals(self) -> Totals:
+        """Give the sums of all poses so far; more may be added afterwards."""
+        final = copy.copy(self)
+        final._sums = {name: (sums.copy(), counts.copy()) for name, (sums, counts) in self._sums.items()}
+        final._poses = self._poses.copy()
+        final._per_pose = {name: list(parts) for name, parts in self._per_pose.items()}
+        final._cell_of, final._pending = list(self._cell_of), list(self._pending)
+        for _ in final._measure(final._blocks(to_the_end=True)):
+            pass
+        cells = self._index.cells
+        n = len(cells["sequence"])
+        final._grow(n)
+        return Totals(
+            spec=self.spec,
+            protocol=self.protocol,
+            version=posecal.__version__,
+            cells=cells,
+            poses=final._poses[:n],
+            remarks=tuple(self._remarks),
+            has_sequences=self._index.has_sequences,
+            sums={name: sums[:n] for name, (sums, _) in final._sums.items()},
+            counts={name: counts[:n] for name, (_, counts) in final._sums.items()},
+            per_pose={name: np.concatenate(parts) for name, parts in final._per_pose.items()},
+            cell_of=np.concatenate(final._cell_of) if final._per_pose else np.zeros(0, dtype=np.intp),
+            own_metrics=self.own_metrics,
         )
+
+    def select_pending(self, chosen: BoolArray) -> None:
+        """Keep some of the pending poses; the one after a pose that is dropped follows none."""
+        if self._pending:
+            poses = join_chunks(self._pending)
+            follows = poses.follows & np.concatenate([[True], chosen[:-1]])
+            poses = replace(poses, follows=follows).select(np.flatnonzero(chosen))
+            self._pending = [poses] if len(poses) else []
+
+    @property
+    def n_pending(self) -> int:
+        """How many poses are pending."""
+        return sum(map(len, self._pending))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "statistics": ()}  # functions stay in the process
+
+    def __copy__(self) -> Accumulator:
+        other = object.__new__(Accumulator)
+        other.__dict__.update(self.__dict__)
+        return other
+
+    # --- blocks
+
+    def _located(self, data: PoseData, cells: Indices) -> Iterator[Chunk]:
+        """Read the poses with their cells, and with the numbers of their sequences in the coordinate range."""
+        sequence, start = data.labels.get("sequence"), 0
+        numbers = self._measured + self.n_pending + np.arange(len(cells))
+        if self._prepared is not None and sequence is not None:
+            names, inverse = np.unique(sequence, return_inverse=True)
+            numbers = np.array([self._prepared.sequences.get(str(name), -1) for name in names])[inverse]
+        continues = sequence is not None and str(sequence[0]) == self._last_sequence and int(data.order[0]) == 0
+        self._last_sequence = None if sequence is None else str(sequence[-1])
+        for chunk in read_chunks(data, self._length):
+            stop = start + len(chunk)
+            follows = chunk.follows.copy()
+            follows[0] |= continues and start == 0
+            yield replace(chunk, cells=cells[start:stop], sequence=numbers[start:stop], follows=follows)
+            start = stop
+
+    def _measure(self, tasks: Iterable[Callable[[], _Measured]]) -> Iterator[_Measured]:
+        """Run tasks and add what they give to the sums."""
+        for measured in run_in_order(tasks, self._threads):
+            self._measured += measured.poses
+            self._grow(int(measured.cells.max(initial=-1)) + 1)
+            for name, (sums, counts) in measured.sums.items():
+                if name not in self._sums:
+                    rows = len(self._poses)
+                    self._sums[name] = (
+                        np.zeros((rows, *sums.shape[1:])),
+                        np.zeros((rows, *counts.shape[1:]), dtype=np.int64),
+                    )
+                np.add.at(self._sums[name][0], measured.cells, sums)
+                np.add.at(self._sums[name][1], measured.cells, counts)
+            np.add.at(self._poses, measured.cells, measured.poses_of_cells)
+            for name, values in measured.per_pose.items():
+                self._per_pose.setdefault(name, []).append(values)
+            if measured.per_pose:
+                self._cell_of.append(measured.cell_of)
+            yield measured
+
+    def _blocks_of_more(self, chunks: Iterable[Chunk], pending: Pending) -> Iterator[Callable[[], _Measured]]:
+        """Give the tasks of whole blocks, as poses come."""
+        if pending == "all":
+            yield from self._blocks()
+            self._pending += chunks
+            return
+        for chunk in chunks:
+            self._pending.append(chunk)
+            yield from self._blocks()
+        yield from self._blocks(to_the_end=pending == "none")
+
+    def _blocks(self, *, to_the_end: bool = False) -> Iterator[Callable[[], _Measured]]:
+        """Give the tasks of the pending poses that fill a block, or of all of them."""
+        ready = self.n_pending
+        stop = ready if to_the_end else ready // max(self._length, 1) * self._length
+        if not stop:
+            return
+        poses, root = join_chunks(self._pending), self.spec.root
+        limits = None if self._prepared is None else self._prepared.limits
+        for start in range(0, stop, self._length):
+            end = min(start + self._length, stop)
+            lay_out = poses.block(start, end, root, limits, self._before)
+            yield partial(_measure_block, self._given + start, lay_out, poses.cells[start:end], self.statistics)
+        last = poses.select(slice(stop - 1, stop))
+        self._before = replace(last, hypotheses=last.hypotheses.copy(), reference=None)
+        self._pending = [poses.select(slice(stop, ready))] if stop < ready else []
+        self._given += stop
+
+    # --- cells
+
+    def _grow(self, rows: int) -> None:
+        """Make room for so many cells, doubling it."""
+        if rows > len(self._poses):
+            more = max(rows, 2 * len(self._poses)) - len(self._poses)
+            self._poses = _padded(self._poses, more)
+            self._sums = {n: (_padded(sums, more), _padded(counts, more)) for n, (sums, counts) in self._sums.items()}
+
+    def _join_cells(self, moved: Indices) -> None:
+        """Give cells their new numbers, adding up those that are one now."""
+
+        def joined(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+            total = np.zeros_like(values)
+            np.add.at(total, moved, values[: len(moved)])
+            return total
+
+        self._grow(len(moved))
+        self._poses = joined(self._poses)
+        self._sums = {name: (joined(sums), joined(counts)) for name, (sums, counts) in self._sums.items()}
+        self._cell_of = [moved[cells] for cells in self._cell_of]
+        self._pending = [replace(chunk, cells=moved[chunk.cells]) for chunk in self._pending]
+
+
+def _padded(values: npt.NDArray[Any], rows: int) -> npt.NDArray[Any]:
+    return np.concatenate([values, np.zeros((rows, *values.shape[1:]), dtype=values.dtype)])

@@ -1,35 +1,38 @@
-"""How do a few poses lie in memory while they are measured?
+"""Blocks: a few poses at a time, laid out so that rows of hypotheses are contiguous.
 
-A *block* holds B poses as one contiguous array of *offsets* from the truth, ``x - y``, laid out ``(B, K, D, N)``:
-along the last axis the N hypotheses of one coordinate of one joint. Rows that one sorts or sums are then
-contiguous, and a block fits into the processor's cache. What several metrics need (errors, sorted coordinates) is
-computed once per block, when it is first asked for.
+A *block* holds B poses as one contiguous array of *offsets* from the truth, ``x - y``, laid out ``(B, K, D, N)``: along
+the last axis the N hypotheses of one coordinate of one joint. Rows that one sorts or sums are then contiguous, and a
+block fits into the processor's cache. What several metrics need (errors, sorted coordinates) is computed once per
+block, when it is first asked for.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cached_property, partial
+from collections.abc import Callable, Iterator
+from functools import cache, cached_property, partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.arrays import BoolArray, FloatArray, squared_norms, working_dtype
+from posecal.data.arrays import BoolArray, FloatArray, checked, checked_root, squared_norms, working_dtype
 from posecal.engine.coordinate_range import CoordinateRange, coordinate_range
 from posecal.errors import PoseDataError
 
 if TYPE_CHECKING:
     from collections.abc import Hashable
 
-__all__ = ["Before", "Block"]
-
 Result = TypeVar("Result")
-Before = tuple[FloatArray, FloatArray, BoolArray | None]
+
+BLOCK_BYTES = 2 * 1024 * 1024
+"""About what the offsets of one block take: few enough to stay in cache, enough to be worth the calls."""
+
+MOST_POSES = 2048
+"""The most poses of a block, however few hypotheses they have: tables of a pose have a size of their own."""
 
 
 class Block:
-    """B poses with their N hypotheses, and what several metrics share about them.
+    """B poses as offsets from the truth, laid out so that rows are contiguous, and what several metrics share.
 
     Parameters
     ----------
@@ -53,7 +56,7 @@ class Block:
         Those to which alignments are fitted, those that count among them; those that count by default.
     reference : array (R, B, K, D), optional
         Hypotheses of the same poses by another model, that skills are relative to, mm.
-    box : callable, optional
+    limits : callable, optional
         Gives the range of all true poses that are evaluated together; of these by default.
     sequence : array of int (B,), optional
         The sequence of each pose; each pose is one by default.
@@ -75,15 +78,16 @@ class Block:
         where: BoolArray | None = None,
         *,
         root: int | None = None,
-        previous: Before | None = None,
+        previous: tuple[FloatArray, FloatArray, BoolArray | None] | None = None,
         follows: BoolArray | None = None,
         scores: FloatArray | None = None,
         occluded: BoolArray | None = None,
         usable: BoolArray | None = None,
         reference: FloatArray | None = None,
-        box: Callable[[], CoordinateRange] | None = None,
+        limits: Callable[[], CoordinateRange] | None = None,
         sequence: npt.NDArray[np.intp] | None = None,
     ) -> None:
+        _reuse_freed_memory()
         self.occluded = np.zeros(truth.shape[:2], dtype=bool) if occluded is None else occluded
         self.where = np.ones(truth.shape[:2], dtype=bool) if where is None else where
         self.offsets = _offsets(hypotheses, truth, root)
@@ -92,42 +96,39 @@ class Block:
             self.offsets[~self.where] = 0
             self.truth = np.where(self.where[..., None], self.truth, 0)
         self._root, self._previous, self._follows, self._scores = root, previous, follows, scores
-        self._box, self._sequence = box, sequence
+        self._limits, self._sequence = limits, sequence
         self._shared: dict[Hashable, Any] = {}
-        self._whole: Callable[[], Block] | None = None
+        self._make_fit_block: Callable[[], Block] | None = None
         if usable is not None:
-            self._whole = partial(_finite, partial(Block, hypotheses, truth, root=root, scores=scores), usable)
+            lay_out = partial(Block, hypotheses, truth, root=root, scores=scores)
+            self._make_fit_block = partial(_where_finite, lay_out, usable)
         self._reference = None if reference is None else partial(Block, reference, truth, where, root=root)
 
     @property
-    def whole(self) -> Block:
+    def fit_block(self) -> Block:
         """The same poses with every usable joint whose coordinates are finite, to which alignments are fitted.
 
-        The block itself where only the joints that count are usable. (Not kept as its own: a block that holds itself
-        would stay in memory until Python next looks for such circles.)
+        The block itself where only the joints that count are usable. (It never refers to itself: that would keep it
+        in memory until Python next looks for reference cycles.)
         """
-        return self if self._whole is None else self._laid_out_whole
+        return self if self._make_fit_block is None else self.share("fit_block", self._make_fit_block)
 
-    @cached_property
-    def _laid_out_whole(self) -> Block:
-        return self if self._whole is None else self._whole()
-
-    def stretched(self, factor: float) -> Block:
-        """Give the same poses with the spread of the hypotheses about their median multiplied."""
+    def scale_dispersion(self, factor: float) -> Block:
+        """Give the same poses with the distances of the hypotheses from their median multiplied."""
         centre, times = self.median[..., None], self.offsets.dtype.type(factor)
         other = Block.__new__(Block)
-        other.where, other.occluded, other.truth = self.where, self.occluded, self.truth
-        other._root, other._previous, other._follows, other._scores = self._root, None, self._follows, self._scores
-        other._shared, other._reference, other._box, other._sequence = {}, self._reference, self._box, self._sequence
-        other._whole = None if self._whole is None else lambda: self.whole.stretched(factor)
+        other.__dict__ |= {name: value for name, value in vars(self).items() if not hasattr(Block, name)}
+        other._previous, other._shared = None, {}
+        if self._make_fit_block is not None:
+            other._make_fit_block = lambda: self.fit_block.scale_dispersion(factor)
         other.offsets = centre + times * (self.offsets - centre)
-        other.__dict__["sorted"] = centre + times * (self.sorted - centre)  # stretching keeps the order
+        other.__dict__["sorted"] = centre + times * (self.sorted - centre)  # the order stays
         return other
 
     @cached_property
     def non_finite(self) -> BoolArray:
         """The poses and joints, (B, K), at which a coordinate that counts is NaN or infinite."""
-        if np.isfinite(self.squared_errors.sum()):  # one fast pass; true of nearly every block
+        if np.isfinite(np.einsum("bkn->", self.squared_errors)):  # one fast pass; true of nearly every block
             return np.zeros_like(self.where)
         return np.asarray(~np.isfinite(self.offsets).all(axis=(2, 3)))
 
@@ -139,15 +140,15 @@ class Block:
     @cached_property
     def range_of_others(self) -> tuple[FloatArray, FloatArray]:
         """The range of the true poses of the other sequences that are evaluated together, (B, K, D) twice, mm."""
-        box = coordinate_range(self.truth, self.where, sequence=self._sequence) if self._box is None else self._box()
-        return box.without(np.arange(len(self.truth)) if self._sequence is None else self._sequence)
+        of_all = self._limits() if self._limits else coordinate_range(self.truth, self.where, sequence=self._sequence)
+        return of_all.without(np.arange(len(self.truth)) if self._sequence is None else self._sequence)
 
     def share(self, key: Hashable, compute: Callable[[], Result]) -> Result:
         """Compute something once per block, whoever asks first."""
         if key not in self._shared:
             self._shared[key] = compute()
-        found: Result = self._shared[key]
-        return found
+        result: Result = self._shared[key]
+        return result
 
     @property
     def n_hypotheses(self) -> int:
@@ -178,6 +179,19 @@ class Block:
         return upper if odd else (self.sorted[..., middle - 1] + upper) / 2
 
     @cached_property
+    def from_median(self) -> FloatArray:
+        """The offsets minus their median, (B, K, D, N), mm."""
+        return self.offsets - self.median[..., None]
+
+    @cached_property
+    def variance(self) -> FloatArray:
+        """Mean squared deviation of the hypotheses from their mean, (B, K, D), mm², in double; 0 where all agree."""
+        n = self.n_hypotheses
+        squares = np.einsum("bkdn,bkdn->bkd", self.from_median, self.from_median).astype(np.float64) / n
+        mean = np.einsum("bkdn->bkd", self.from_median).astype(np.float64) / n
+        return np.asarray(np.maximum(squares - mean**2, 0))  # the mean lies within one deviation of the median
+
+    @cached_property
     def squared_errors(self) -> FloatArray:
         """Squared distance of each hypothesis from the truth per joint, (B, K, N), mm²."""
         return squared_norms(self.offsets)
@@ -195,10 +209,13 @@ class Block:
         joints : bool array (K,) or (B, K), optional
             The joints that a metric is about; all by default.
         """
-        counted = self.where if joints is None else self.where & joints
-        number = counted.sum(axis=1, keepdims=True)
-        shares: FloatArray = (counted / np.maximum(number, 1)).astype(self.offsets.dtype)
-        return shares
+
+        def compute() -> FloatArray:
+            counted = self.where if joints is None else self.where & joints
+            number = np.maximum(counted.sum(axis=1, keepdims=True), 1)
+            return np.asarray((counted / number).astype(self.offsets.dtype))
+
+        return self.share(("weights", None if joints is None else joints.tobytes()), compute)
 
     @cached_property
     def where_before(self) -> BoolArray:
@@ -221,7 +238,7 @@ class Block:
         return np.where((self.where & self.where_before)[..., None, None], self.offsets - before, 0)
 
 
-def _finite(lay_out: Callable[[BoolArray], Block], where: BoolArray) -> Block:
+def _where_finite(lay_out: Callable[[BoolArray], Block], where: BoolArray) -> Block:
     """Lay out the joints of a mask whose coordinates are all finite."""
     block = lay_out(where)
     return lay_out(where & ~block.non_finite) if block.non_finite.any() else block
@@ -229,10 +246,11 @@ def _finite(lay_out: Callable[[BoolArray], Block], where: BoolArray) -> Block:
 
 def _offsets(hypotheses: FloatArray, truth: FloatArray, root: int | None) -> FloatArray:
     """Subtract the truth, (N, B, K, D) minus (B, K, D), root-relative where a root is given, as (B, K, D, N)."""
-    offsets = np.empty((*truth.shape, len(hypotheses)), dtype=working_dtype(hypotheses.dtype))
+    dtype = working_dtype(hypotheses.dtype)
+    offsets = np.empty((*truth.shape, len(hypotheses)), dtype=dtype)
     with np.errstate(invalid="ignore", over="ignore"):  # joints that don't count may hold anything
-        offsets[...] = hypotheses.transpose(1, 2, 3, 0)
-        offsets -= truth[..., None].astype(offsets.dtype, copy=False)
+        # Subtract in the order of the input: hypotheses a power of two apart would push each other out of the cache.
+        offsets[...] = np.subtract(hypotheses, truth.astype(dtype, copy=False), dtype=dtype).transpose(1, 2, 3, 0)
         if root is not None and offsets[:, root].any():
             offsets -= offsets[:, root, None].copy()
     return offsets
@@ -243,3 +261,109 @@ def _relative(truth: FloatArray, root: int | None, dtype: np.dtype[np.floating])
     with np.errstate(invalid="ignore", over="ignore"):
         wide = truth.astype(working_dtype(truth.dtype), copy=False)
         return (wide if root is None else wide - wide[:, root, None]).astype(dtype)
+
+
+@cache
+def _reuse_freed_memory() -> None:
+    """Let the memory of one block's arrays be that of the next one's.
+
+    glibc returns freed arrays of more than 128 KiB to the system, which has to clear every page again for the next: a
+    third of the time of a walk. It returns fewer once an array was freed that is larger (``man mallopt``,
+    M_MMAP_THRESHOLD); this one is never written to. Nothing happens elsewhere.
+    """
+    np.empty(32 * 1024 * 1024 - 4096, dtype=np.uint8)  # the largest that counts
+
+
+# --- blocks of arrays ---------------------------------------------------------------------------------------------
+
+
+def block_length(shape: tuple[int, ...], dtype: npt.DTypeLike) -> int:
+    """Give the number of poses in a block of hypotheses of shape (N, M, K, D)."""
+    n, _, k, d = shape
+    return max(1, min(MOST_POSES, BLOCK_BYTES // (n * k * d * working_dtype(dtype).itemsize)))
+
+
+def iter_blocks(
+    hypotheses: FloatArray,
+    truth: FloatArray,
+    where: BoolArray | None = None,
+    *,
+    root: int | None = None,
+    follows: BoolArray | None = None,
+    sequence: npt.NDArray[np.intp] | None = None,
+) -> Iterator[Callable[[], Block]]:
+    """Cut checked arrays in the paper's layout into blocks, in the order of their poses.
+
+    Parameters
+    ----------
+    hypotheses, truth, where, root, follows, sequence
+        As for :class:`Block`, of M poses instead of B.
+
+    Yields
+    ------
+    callable
+        Lays out the next few poses as a :class:`Block`: a copy, so better done by the thread that needs it.
+    """
+    limits = cache(partial(coordinate_range, truth, where, root=root, sequence=sequence))
+    step = block_length(hypotheses.shape, hypotheses.dtype)
+    for start in range(0, len(truth), step):
+        poses, before = slice(start, start + step), slice(start - 1, start)
+        mask, mask_before = (None if where is None else where[part] for part in (poses, before))
+        yield partial(
+            Block,
+            hypotheses[:, poses],
+            truth[poses],
+            mask,
+            root=root,
+            previous=(hypotheses[:, before], truth[before], mask_before) if start else None,
+            follows=None if follows is None else follows[poses],
+            limits=limits,
+            sequence=(np.arange(len(truth)) if sequence is None else sequence)[poses],
+        )
+
+
+def per_pose(
+    statistic: Callable[[Block], FloatArray],
+    hypotheses: npt.ArrayLike,
+    truth: npt.ArrayLike,
+    where: npt.ArrayLike | None = None,
+    *,
+    root: int | None = None,
+    follows: BoolArray | None = None,
+) -> FloatArray:
+    """Compute a statistic of every pose, block by block.
+
+    Parameters
+    ----------
+    statistic : callable
+        From a block to an array (B, ...).
+    hypotheses, truth, where
+        As for :func:`posecal.data.arrays.checked`.
+    root : int, optional
+        The joint to subtract from every pose.
+    follows : bool array (M,), optional
+        Whether each pose comes right after the one before it.
+
+    Returns
+    -------
+    array (M, ...)
+        The statistic of each pose, in double.
+
+    Raises
+    ------
+    PoseDataError
+        For arrays that don't fit, no joint of that index, and coordinates that are not finite.
+    """
+    x, y, mask = checked(hypotheses, truth, where)
+    parts: list[FloatArray] = []
+    length = block_length(x.shape, x.dtype)
+    for number, lay_out in enumerate(iter_blocks(x, y, mask, root=checked_root(root, y.shape[1]), follows=follows)):
+        block = lay_out()
+        if block.non_finite.any():
+            pose, joint = np.argwhere(block.non_finite)[0] + np.array([number * length, 0])
+            raise PoseDataError(
+                f"hypotheses or truth: non-finite coordinates (first: pose {pose}, joint {joint}). "
+                "Mask those joints with where, or leave those poses out."
+            )
+        parts.append(np.asarray(statistic(block), dtype=np.float64))
+    return np.concatenate(parts)

@@ -1,129 +1,196 @@
-"""By what are poses kept apart? Sequences, and the labels that a report will group by.
+"""Cells: the groups of poses whose sums are kept apart, by sequence and by label.
 
-A cell is one combination of them. Labels that do not split a sequence cost nothing and are kept; others only where
-they are asked for. Poses without sequences are kept in runs of consecutive frames.
+A cell is one combination of a sequence and labels. Labels that don't split any sequence are kept along with it;
+others only where they are asked for. Poses without sequence labels form runs of 2^k consecutive poses, with the
+smallest k that leaves at most 100 runs, so that the runs depend on the number of poses alone and not on the batches in
+which they come.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import FloatArray
-from posecal.data.pose_data import PoseData
 from posecal.errors import PoseDataError, did_you_mean
 
-__all__ = ["RUNS", "Cells", "cells_of", "label_name"]
+MAX_RUNS = 100
+"""Poses without sequence labels form at most so many runs of consecutive poses."""
 
-RUNS = 100
-"""Without sequence labels, poses are kept in at most so many runs of consecutive frames."""
+SPREAD = re.compile("predicted_spread(?![^:=])")
+"""Entries of ``by`` that cut poses by their predicted spread."""
 
 Labels = Mapping[str, npt.NDArray[np.str_]]
-
-
-@dataclass(frozen=True)
-class Cells:
-    """The cells of some poses.
-
-    Attributes
-    ----------
-    labels : dict of arrays of str (C,)
-        The labels of each cell; ``sequence`` is always among them.
-    of_pose : array of int (M,)
-        The cell of each pose.
-    labelled : bool
-        Whether the sequences are the user's, rather than runs of frames.
-    """
-
-    labels: dict[str, npt.NDArray[np.str_]]
-    of_pose: npt.NDArray[np.intp]
-    labelled: bool
+Indices = npt.NDArray[np.intp]
 
 
 def label_name(by: str) -> str:
-    """Give the label that an entry of ``--by`` names: itself, but ``spread:40,60`` for ``spread=40,60``.
+    """Give the label that an entry of ``by`` names: itself, but ``predicted_spread:40,60`` for ``…=40,60``.
 
     So each way to cut the spread is a label of its own, and ``label=value`` has one equals sign.
     """
-    return by.replace("=", ":", 1) if by.startswith("spread=") else by
+    return by.replace("=", ":", 1) if SPREAD.match(by) else by
 
 
-def cells_of(pairs: PoseData, by: Sequence[str], spread: Callable[[], FloatArray], *, average: str = "poses") -> Cells:
-    """Sort poses into cells.
+def spread_cuts(entry: str, spread: FloatArray | None) -> FloatArray:
+    """Give the cuts of an entry such as ``predicted_spread``, ``predicted_spread:5`` or ``predicted_spread=40,60``.
 
     Parameters
     ----------
-    pairs : PoseData
-        M poses.
-    by : sequence of str
-        Labels that must be kept apart. ``spread`` are terciles of the predicted spread, ``spread:5`` quintiles,
-        ``spread=40,60`` the parts between such cuts in mm.
-    spread : callable
-        Gives the predicted spread of each pose, (M,), mm; called only where it is asked for.
-    average : str
-        A label over whose groups numbers are averaged, kept apart as well; ``poses`` for none.
+    entry : str
+        Of ``by``: terciles, so many equal parts, or cuts in mm.
+    spread : array (M,) or None
+        The predicted spread of all poses, mm; None where it isn't known yet.
 
     Returns
     -------
-    Cells
-        In the order of their first pose.
+    array (cuts,)
+        Rising, mm.
+
+    Raises
+    ------
+    PoseDataError
+        For another text, where parts are asked for and the spreads are not known, and where no pose has a spread.
+    """
+    try:
+        if "=" in entry:
+            cuts = np.sort([float(cut) for cut in entry.partition("=")[2].split(",")])
+        elif spread is None:
+            raise PoseDataError(
+                f"by: {entry!r} needs all poses before the first batch; expected cuts in mm, such as "
+                "predicted_spread=40,60."
+            )
+        else:
+            parts, known = int(entry.partition(":")[2] or 3), spread[~np.isnan(spread)]
+            if not known.size:
+                raise PoseDataError(
+                    f"by: {entry!r} needs a spread; expected at least 2 hypotheses and a joint that counts."
+                )
+            cuts = np.quantile(known, np.arange(1, parts) / parts)
+        if not np.isfinite(cuts).all() or not cuts.size:
+            raise ValueError
+    except ValueError as error:
+        if isinstance(error, PoseDataError):
+            raise
+        raise PoseDataError(
+            f"by: {entry!r}; expected predicted_spread, predicted_spread:5 (equal parts) or predicted_spread=40,60 "
+            "(cuts in mm)."
+        ) from None
+    return cuts
+
+
+def spread_labels(cuts: FloatArray, spread: FloatArray) -> npt.NDArray[np.str_]:
+    """Name the part between two cuts that each pose belongs to; poses without a spread go to the last."""
+    edges = [f"{cut:.1f}" for cut in cuts]
+    names = [f"1: below {edges[0]} mm"]
+    names += [f"{k + 2}: {edges[k]} to {edges[k + 1]} mm" for k in range(len(edges) - 1)]
+    names += [f"{len(edges) + 1}: above {edges[-1]} mm"]
+    return np.array(names)[np.searchsorted(cuts, spread, side="right")]
+
+
+class CellIndex:
+    """The cell of every pose, for poses that come in one piece or in batches.
+
+    Parameters
+    ----------
+    by : sequence of str
+        Labels that must be kept apart.
+    average : str
+        A label over whose groups numbers are averaged, kept apart as well; ``poses`` for none.
+    labels : sequence of str
+        Names of the labels that every pose has.
+
+    Attributes
+    ----------
+    has_sequences : bool
+        Whether sequences are labels of the poses, rather than runs of poses.
 
     Raises
     ------
     PoseDataError
         For a label that the poses don't have.
     """
-    labels = dict(pairs.labels)
-    for entry in by:
-        if re.match("spread(?![^:=])", entry) and label_name(entry) not in labels:
-            labels[label_name(entry)] = _parts(entry, spread())
-    wanted = {label_name(entry): "by" for entry in by}
-    wanted |= dict.fromkeys([] if average == "poses" else [average], "average")
-    for name, option in wanted.items():
-        if name not in (labels if option == "by" else pairs.labels):
-            known = [*labels, "spread"] if option == "by" else [*pairs.labels, "poses"]
-            raise PoseDataError(f"{option}: {name!r} is not a label of these poses. {did_you_mean(name, known)}")
-    labelled, n_poses = "sequence" in labels, len(pairs.truth)
-    runs = np.arange(n_poses) * min(RUNS, n_poses) // n_poses
-    sequence = labels.get("sequence", runs.astype(np.str_))
-    _, first, place = np.unique(sequence, return_index=True, return_inverse=True)
-    kept = {"sequence": sequence} | {
-        name: values
-        for name, values in labels.items()
-        if name in wanted or (labelled and np.array_equal(values[first][place], values))
-    }
-    rows: dict[tuple[str, ...], int] = {}
-    combinations = zip(*(values.tolist() for values in kept.values()), strict=True)
-    of_pose = np.array([rows.setdefault(row, len(rows)) for row in combinations], dtype=np.intp)
-    values = np.array(list(rows), dtype=np.str_)
-    return Cells({name: values[:, column] for column, name in enumerate(kept)}, of_pose, labelled)
 
+    def __init__(self, by: Sequence[str], average: str, labels: Sequence[str]) -> None:
+        wanted = {label_name(entry): "by" for entry in by} | ({} if average == "poses" else {average: "average"})
+        own = {label_name(entry) for entry in by if SPREAD.match(entry)}
+        for name, option in wanted.items():
+            if name not in labels and not (option == "by" and name in own):
+                known = [*labels, "predicted_spread"] if option == "by" else [*labels, "poses"]
+                raise PoseDataError(f"{option}: {name!r} is not a label of these poses. {did_you_mean(name, known)}")
+        self.has_sequences = "sequence" in labels
+        self._wanted = [name for name in wanted if name != "sequence"]
+        optional = [name for name in labels if name not in {*wanted, "sequence"}] if self.has_sequences else []
+        self._optional: dict[str, dict[str, str]] = {name: {} for name in optional}
+        self._poses, self._run_length = 0, 1
+        self._rows: dict[tuple[str, ...], int] = {}
 
-def _parts(entry: str, spread: FloatArray) -> npt.NDArray[np.str_]:
-    """Name the part of the poses that each belongs to by its predicted spread; those with none go to the last."""
-    known = spread[~np.isnan(spread)]
-    if not known.size:
-        raise PoseDataError(f"by: {entry!r} needs a spread; expected at least 2 hypotheses and a joint that counts.")
-    try:
-        if "=" in entry:
-            cuts = np.sort([float(cut) for cut in entry.partition("=")[2].split(",")])
-            if not np.isfinite(cuts).all():
-                raise ValueError
+    @property
+    def names(self) -> list[str]:
+        """The labels of a cell."""
+        return ["sequence", *self._wanted, *self._optional]
+
+    @property
+    def cells(self) -> dict[str, npt.NDArray[np.str_]]:
+        """The labels of all cells, (C,) each, in the order of their first pose."""
+        values = np.array(list(self._rows), dtype=np.str_).reshape(len(self._rows), len(self.names))
+        return {name: values[:, column] for column, name in enumerate(self.names)}
+
+    def assign(self, labels: Labels, n_poses: int) -> tuple[Indices, Indices | None]:
+        """Give the cells of the next poses.
+
+        Parameters
+        ----------
+        labels : mapping of arrays of str (m,)
+            Their labels, those made of the predicted spread among them.
+        n_poses : int
+            m.
+
+        Returns
+        -------
+        cells : array of int (m,)
+            The cell of each pose.
+        moved : array of int (C,) or None
+            Where cells were joined: the new number of each earlier cell.
+        """
+        before = list(self._rows)
+        columns = self.names
+        if self.has_sequences:
+            sequence = labels["sequence"]
+            self._drop_splitting(sequence, labels)
         else:
-            parts = int(entry.partition(":")[2] or 3)
-            cuts = np.quantile(known, np.arange(1, parts) / parts)
-        if not np.isfinite(cuts).all():
-            raise ValueError
-        edges = [f"{cut:.1f}" for cut in cuts]
-        names = [f"1: below {edges[0]} mm"]
-    except (ValueError, IndexError):
-        raise PoseDataError(
-            f"by: {entry!r}; expected spread, spread:5 (equal parts) or spread=40,60 (cuts in mm)."
-        ) from None
-    names += [f"{k + 2}: {edges[k]} to {edges[k + 1]} mm" for k in range(len(edges) - 1)]
-    names += [f"{len(edges) + 1}: above {edges[-1]} mm"]
-    return np.array(names)[np.searchsorted(cuts, spread, side="right")]
+            numbers = self._poses + np.arange(n_poses)
+            while -(-(self._poses + n_poses) // self._run_length) > MAX_RUNS:
+                self._run_length *= 2
+                before = [(str(int(row[0]) // 2), *row[1:]) for row in before]
+            sequence = (numbers // self._run_length).astype(np.str_)
+        self._poses += n_poses
+        kept = [columns.index(name) for name in self.names]
+        before = [tuple(row[column] for column in kept) for row in before]
+        moved = None
+        if before != list(self._rows):
+            self._rows = {}
+            moved = np.array([self._rows.setdefault(row, len(self._rows)) for row in before], dtype=np.intp)
+        values = [sequence, *(labels[name] for name in self.names[1:])]
+        codes = np.zeros(n_poses, dtype=np.int64)
+        for column in values:
+            names, inverse = np.unique(column, return_inverse=True)
+            codes = np.unique(codes * len(names) + inverse, return_inverse=True)[1]
+        _, first, inverse = np.unique(codes, return_index=True, return_inverse=True)
+        numbers = np.empty(len(first), dtype=np.intp)
+        for code in np.argsort(first):
+            row = tuple(str(column[first[code]]) for column in values)
+            numbers[code] = self._rows.setdefault(row, len(self._rows))
+        return numbers[inverse], moved
+
+    def _drop_splitting(self, sequence: npt.NDArray[np.str_], labels: Labels) -> None:
+        """Drop the optional labels that split a sequence."""
+        names, first, inverse = np.unique(sequence, return_index=True, return_inverse=True)
+        for label, value_of in list(self._optional.items()):
+            values = labels[label]
+            expected = [value_of.setdefault(str(name), str(values[at])) for name, at in zip(names, first, strict=True)]
+            if not np.array_equal(np.array(expected)[inverse], values):
+                del self._optional[label]

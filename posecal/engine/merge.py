@@ -1,4 +1,4 @@
-"""How do the sums of shards of one test set become one result?"""
+"""Merging of the sums of shards of one test set, such as files, processes or machines."""
 
 from __future__ import annotations
 
@@ -6,14 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from posecal.calibration.rank_tests import NEEDS_COORDINATE_RANGE
 from posecal.engine.totals import Totals, difference_of_signatures
 from posecal.errors import PoseDataError, raise_all
-from posecal.metrics.proper_entries import PAIRED
-
-__all__ = ["merge_totals"]
 
 Cell = tuple[str, ...]
+
+NOT_COMPARED = ("paired_", "tarp_box")
+"""Statistics that depend on which poses are evaluated together: the same poses may have other sums in two shards."""
 
 
 def merge_totals(parts: Sequence[Totals], names: Sequence[str] | None = None) -> Totals:
@@ -29,58 +28,58 @@ def merge_totals(parts: Sequence[Totals], names: Sequence[str] | None = None) ->
     Returns
     -------
     Totals
-        What one run over all poses gives, but for what depends on which poses are evaluated together: the box of
-        ``tarp_box``, climatology's draws and the cuts of ``spread`` are those of each shard, runs of frames without
-        sequence labels stay those of their shard, and no velocity reaches over a cut. A sequence may be split over
-        shards.
+        What one run over all poses gives, but for what depends on which poses are evaluated together: the coordinate
+        range of ``tarp_box``, climatology's draws and the cuts of the predicted spread are those of each shard, runs of
+        poses without sequence labels stay those of their shard, and no velocity reaches over a cut. A sequence may be
+        split over shards.
 
     Raises
     ------
     PoseDataError
         Where two differ in more than their poses, or hold the same poses.
     """
-    if not parts:
-        raise PoseDataError("merge: no results; expected at least one.")
+    if not parts or not all(isinstance(part, Totals) for part in parts):
+        raise PoseDataError("merge: expected results, at least one.")
     names = names or [f"part {number}" for number in range(1, len(parts) + 1)]
+    labels = [name for name in parts[0].cells if all(name in part.cells for part in parts)]
     _refuse_unlike(parts, names)
-    _refuse_twice(parts, names)
-    first, sequences = parts[0], all(part.sequences for part in parts)
+    _refuse_repeated(parts, names, labels)
+    first, has_sequences = parts[0], all(part.has_sequences for part in parts)
     rows: dict[Cell, int] = {}
-    where = [
+    numbers = [
         np.array([rows.setdefault(cell, len(rows)) for cell in cells], dtype=np.intp)
-        for cells in (map(_cells, parts) if sequences or len(parts) == 1 else _apart(parts))
+        for cells in (
+            _cells(part, labels, "" if has_sequences or len(parts) == 1 else f"{number}/")
+            for number, part in enumerate(parts, 1)
+        )
     ]
-    values = np.array(list(rows), dtype=np.str_).reshape(len(rows), len(first.cells))
-    whole = Totals(
+    values = np.array(list(rows), dtype=np.str_).reshape(len(rows), len(labels))
+    total = Totals(
         spec=first.spec,
         protocol=first.protocol,
         version=first.version,
-        cells={key: values[:, place] for place, key in enumerate(first.cells)},
+        cells={label: values[:, column] for column, label in enumerate(labels)},
         poses=np.zeros(len(rows), dtype=np.int64),
         remarks=tuple(dict.fromkeys(remark for part in parts for remark in part.remarks)),
-        sequences=sequences,
+        has_sequences=has_sequences,
+        own_metrics=first.own_metrics,
     )
-    for part, cells_of in zip(parts, where, strict=True):
-        np.add.at(whole.poses, cells_of, part.poses)
+    for part, cells in zip(parts, numbers, strict=True):
+        np.add.at(total.poses, cells, part.poses)
         for statistic in first.sums:
-            whole.add(statistic, cells_of, part.sums[statistic], part.counts[statistic])
-    whole.per_pose = {name: np.concatenate([part.per_pose[name] for part in parts]) for name in first.per_pose}
-    whole.cell_of = np.concatenate([of[part.cell_of] for part, of in zip(parts, where, strict=True)])
-    return whole
+            total.add(statistic, cells, part.sums[statistic], part.counts[statistic])
+    total.per_pose = {name: np.concatenate([part.per_pose[name] for part in parts]) for name in first.per_pose}
+    if total.per_pose:
+        total.cell_of = np.concatenate([cells[part.cell_of] for part, cells in zip(parts, numbers, strict=True)])
+    return total
 
 
-def _cells(part: Totals) -> list[Cell]:
-    """Give the labels of each cell."""
-    return list(zip(*(values.tolist() for values in part.cells.values()), strict=True))
-
-
-def _apart(parts: Sequence[Totals]) -> list[list[Cell]]:
-    """Give the labels of each cell of each shard, with runs of frames named after their shard."""
-    at = list(parts[0].cells).index("sequence")
-    return [
-        [(*cell[:at], f"{number}/{cell[at]}", *cell[at + 1 :]) for cell in _cells(part)]
-        for number, part in enumerate(parts, 1)
-    ]
+def _cells(part: Totals, labels: Sequence[str], prefix: str = "") -> list[Cell]:
+    """Give the labels of each cell, with runs of poses named after their shard."""
+    columns = [part.cells[label].tolist() for label in labels]
+    if prefix:
+        columns[labels.index("sequence")] = [prefix + run for run in columns[labels.index("sequence")]]
+    return list(zip(*columns, strict=True))
 
 
 def _refuse_unlike(parts: Sequence[Totals], names: Sequence[str]) -> None:
@@ -91,23 +90,23 @@ def _refuse_unlike(parts: Sequence[Totals], names: Sequence[str]) -> None:
         if first.protocol.velocity == "second" and part.spec.fps != first.spec.fps:
             rates = f"{first.spec.fps:g} and {part.spec.fps:g}"
             problems.append(f"{names[0]} and {name} have {rates} frames per second; expected the same.")
-        held, ours = ({*t.cells, *t.sums, *t.per_pose} for t in (first, part))
-        if held != ours:
-            problems.append(f"{names[0]} and {name} differ in what they hold: {', '.join(sorted(held ^ ours))}.")
+        statistics = ({*t.sums, *t.per_pose} for t in (first, part))
+        differing = set.symmetric_difference(*statistics)
+        if differing:
+            problems.append(f"{names[0]} and {name} differ in what they hold: {', '.join(sorted(differing))}.")
+        if first.has_sequences != part.has_sequences:
+            problems.append(f"{names[0]} and {name}: only one has sequence labels; expected both, or neither.")
     raise_all(problems)
 
 
-def _refuse_twice(parts: Sequence[Totals], names: Sequence[str]) -> None:
+def _refuse_repeated(parts: Sequence[Totals], names: Sequence[str], labels: Sequence[str]) -> None:
     """Refuse a cell that two shards hold with the same labels, number of poses and sums."""
     seen: dict[tuple[object, ...], str] = {}
     for name, part in zip(names, parts, strict=True):
-        sums = [
-            values
-            for statistic, values in part.sums.items()
-            if statistic not in NEEDS_COORDINATE_RANGE and not statistic.startswith(PAIRED)
-        ]
-        for place, cell in enumerate(_cells(part)):
-            trace = (cell, int(part.poses[place]), *(float(values[place].sum()) for values in sums))
+        compared = [values for key, values in part.sums.items() if not key.startswith(NOT_COMPARED)]
+        sums = [values.reshape(len(values), -1).sum(axis=1) for values in compared]
+        for row, cell in enumerate(_cells(part, labels)):
+            trace = (cell, int(part.poses[row]), *(float(values[row]) for values in sums))
             if trace in seen:
                 raise PoseDataError(
                     f"{seen[trace]} and {name} hold the same poses (cell {', '.join(cell)}); expected shards "

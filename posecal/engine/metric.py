@@ -8,15 +8,16 @@ written out for the :class:`Protocol` and the :class:`DataSpec` that it was made
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
 from functools import cached_property, partial
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray
+from posecal.data.pose_data import PoseData
 from posecal.data.skeleton import JOINT_SETS
 from posecal.engine.block import Block
 from posecal.engine.protocol import Protocol, named_joints
@@ -41,7 +42,7 @@ Direction = Literal["lower", "higher", "zero", "none"]
 Family = Literal["accuracy", "calibration", "rank_tests", "scores", "sharpness"]
 
 MetricFunction = Callable[..., npt.ArrayLike]
-"""``f(hypotheses, truth)``, with the keyword ``where`` where it takes one, to one value per pose, or per pose and joint."""
+"""``f(hypotheses, truth)``, with a keyword ``where`` if it takes one, to one value per pose, or per pose and joint."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +86,28 @@ class DataSpec:
     preranks: tuple[str, ...] = ()
     reference: str = ""
     n_reference: int = 0
+
+    @classmethod
+    def of(cls, data: PoseData, *, has_mask: bool = False, preranks: tuple[str, ...] = ()) -> DataSpec:
+        """Describe pose data."""
+        return cls(
+            n_hypotheses=data.shape[0],
+            joints=data.joints,
+            root=data.root,
+            labels=tuple(data.labels),
+            fps=data.fps,
+            has_scores=data.scores is not None,
+            has_occlusion=data.occluded is not None,
+            has_mask=has_mask,
+            preranks=preranks,
+            reference="" if data.reference is None else data.reference.names[0],
+            n_reference=0 if data.reference is None else data.reference.shape[0],
+        )
+
+    def difference(self, other: DataSpec) -> str:
+        """Say in what these data differ from others."""
+        pairs = ((f.name, getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
+        return "; ".join(f"{name} {mine!r} against {theirs!r}" for name, mine, theirs in pairs if mine != theirs)
 
 
 @dataclass(frozen=True)
@@ -261,8 +284,8 @@ class Metric:
         >>> Metric.from_function(depth_error).definition
         'Mean absolute error along the third axis.'
         """
-        name = name or getattr(function, "__name__", "")
-        if not callable(function) or not name.isidentifier():
+        name = str(name or getattr(function, "__name__", ""))
+        if not name.isidentifier():
             raise PoseDataError(f"metric: {function!r}; expected a function with a name, or the name beside it.")
         text = definition or (inspect.getdoc(function) or "").partition("\n")[0] or f"mean over poses of {name}"
         statistic = Statistic(f"own_{name}", partial(_of_arrays, function, name, by_joint=by_joint), per_joint=by_joint)
@@ -275,7 +298,7 @@ class Metric:
             brief=text,
             definition=text,
             statistic=statistic,
-            finish=_mean_over_joints if by_joint else entry(),
+            finish=mean_over_joints if by_joint else entry(),
             by_joint=(statistic, np.asarray) if by_joint else None,
             headline=True,
             in_group_table=in_group_table,
@@ -284,6 +307,36 @@ class Metric:
             reading=reading,
             source=source,
         )
+
+    @property
+    def description(self) -> dict[str, str | bool]:
+        """The metric as text, without its functions, as saved results and pickles keep it."""
+        texts = {name: getattr(self, name) for name in _DESCRIBED}
+        return {**texts, "by_joint": self.by_joint is not None, "is_mean": self.statistic.name == f"own_{self.name}"}
+
+    @classmethod
+    def from_description(cls, description: Mapping[str, Any], /) -> Metric:
+        """Restore a metric for sums that are there already: means over poses, or what is registered under its name."""
+        texts = {name: description[name] for name in _DESCRIBED}
+        is_mean, by_joint = bool(description["is_mean"]), bool(description["by_joint"])
+        refuse = partial(_not_available, texts["name"])
+        statistic = Statistic(f"own_{texts['name']}" if is_mean else texts["name"], refuse, per_joint=by_joint)
+        return cls(
+            **texts,
+            statistic=statistic,
+            finish=refuse if not is_mean else mean_over_joints if by_joint else entry(),
+            by_joint=(statistic, np.asarray) if by_joint and is_mean else None,
+        )
+
+    def __reduce__(self) -> tuple[Callable[[dict[str, str | bool]], Metric], tuple[dict[str, str | bool]]]:
+        return Metric.from_description, (self.description,)
+
+
+_DESCRIBED = tuple(field.name for field in fields(Metric) if field.type in {"str", "bool", "Direction", "Family"})
+
+
+def _not_available(name: str, _: object) -> FloatArray:
+    raise PoseDataError(f"metric: the functions of {name} are not available here; expected it to be registered.")
 
 
 def _of_arrays(function: MetricFunction, name: str, block: Block, *, by_joint: bool) -> FloatArray:
@@ -307,7 +360,8 @@ def _of_arrays(function: MetricFunction, name: str, block: Block, *, by_joint: b
     return values if takes_mask else np.where(where.all(axis=1), values, np.nan)
 
 
-def _mean_over_joints(values: FloatArray) -> FloatArray:
+def mean_over_joints(values: FloatArray) -> FloatArray:
+    """Mean over the last axis of what is not NaN; NaN where nothing is left."""
     number = np.isfinite(values).sum(axis=-1)
     return np.where(number > 0, np.nansum(values, axis=-1) / np.maximum(number, 1), np.nan)
 
@@ -343,12 +397,14 @@ SUM_OF_TRUE_POSES = Statistic("truth", lambda block: block.truth.sum(axis=(1, 2)
 
 def entry(*place: int) -> Callable[[FloatArray], FloatArray]:
     """Finish by reading one entry of the means, (..., *shape) to (...)."""
-    return lambda means: np.asarray(means[(..., *place)])
+    index: tuple[Any, ...] = (..., *place)
+    return lambda means: np.asarray(means[index])
 
 
 def per_joint(*place: int) -> Callable[[FloatArray], FloatArray]:
     """Finish by reading one entry of each joint, (..., K, *shape) to (..., K)."""
-    return lambda means: np.asarray(means[(..., slice(None), *place)])
+    index: tuple[Any, ...] = (..., slice(None), *place)
+    return lambda means: np.asarray(means[index])
 
 
 @dataclass(frozen=True)
@@ -390,7 +446,7 @@ class Scope:
                 raise PoseDataError(f"{option}: none is left; the poses have {', '.join(self.spec.joints)}.")
 
     def _mask(self, option: str, text: str) -> BoolArray:
-        names = named_joints(option, text, self.spec.joints)
+        names = frozenset(named_joints(option, text, self.spec.joints))
         return np.array([name in names for name in self.spec.joints])
 
     @cached_property

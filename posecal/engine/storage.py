@@ -1,7 +1,4 @@
-"""How are the sums of an evaluation kept in a file?
-
-A result holds sums per cell and never the hypotheses: some hundred kilobytes, in a file that can be read next year.
-"""
+"""Saved results: the sums of an evaluation in a compressed .npz file, never the hypotheses."""
 
 from __future__ import annotations
 
@@ -16,16 +13,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.archive import write_members
-from posecal.data.write import write_file
-from posecal.engine.metric import DataSpec
+from posecal.data.write import write_file, write_members
+from posecal.engine.metric import DataSpec, Metric
 from posecal.engine.protocol import Protocol
 from posecal.engine.totals import Totals
 from posecal.errors import PoseFileError
 
 __all__ = ["FORMAT", "is_result", "load_totals", "save_totals"]
 
-FORMAT = 1
+FORMAT = 2
 """The version of the file format."""
 
 
@@ -47,10 +43,11 @@ def save_totals(totals: Totals, path: str | os.PathLike[str]) -> None:
     about = {
         "posecal": totals.version,
         "format": FORMAT,
-        "subject": asdict(totals.spec),
+        "spec": asdict(totals.spec),
         "protocol": totals.protocol.options,
         "remarks": totals.remarks,
-        "sequences": totals.sequences,
+        "has_sequences": totals.has_sequences,
+        "own_metrics": [metric.description for metric in totals.own_metrics],
     }
     members: dict[str, npt.NDArray[np.generic]] = {"about": np.array(json.dumps(about)), "poses": totals.poses}
     members |= {f"cell/{name}": values for name, values in totals.cells.items()}
@@ -89,17 +86,18 @@ def load_totals(path: str | os.PathLike[str]) -> Totals:
                 f"{name}: format {about['format']} of posecal {about['posecal']}; expected {FORMAT}. Evaluate again."
             )
         return Totals(
-            spec=DataSpec(**_tuples(about["subject"])),
+            spec=DataSpec(**_tuples(about["spec"])),
             protocol=Protocol().changed(about["protocol"]),
             version=about["posecal"],
             cells=_part(members, "cell/"),
             poses=members["poses"],
             remarks=tuple(about["remarks"]),
-            sequences=about["sequences"],
+            has_sequences=about["has_sequences"],
             sums=_part(members, "sum/"),
             counts=_part(members, "count/"),
             per_pose=_part(members, "per_pose/"),
             cell_of=members["cell_of"],
+            own_metrics=tuple(Metric.from_description(found) for found in about["own_metrics"]),
         )
     except PoseFileError:
         raise

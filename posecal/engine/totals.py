@@ -1,4 +1,4 @@
-"""What is kept of an evaluation? The sums of every statistic, per cell; never the hypotheses.
+"""Sums of every statistic per cell: all that an evaluation keeps of the poses.
 
 A *cell* is one combination of sequence and labels. Sums over cells add, so a report of any group of poses, of
 shards that were evaluated apart, or of resampled sequences needs nothing but these sums.
@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import re
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -20,12 +21,17 @@ from posecal.engine.metric import DataSpec, Metric, Statistic
 from posecal.engine.protocol import Protocol
 from posecal.errors import PoseDataError, did_you_mean
 
-__all__ = ["CURVES", "Totals", "difference_of_signatures", "mean_of", "mean_of_known"]
-
 CURVES = ("calibration", "rank_tests")
 """Families of metrics that are read off curves."""
 
-Cells = Mapping[str, npt.NDArray[np.str_]]
+Indices = npt.NDArray[np.intp]
+Cells = Indices | None
+"""Indices of cells, rising; None for all."""
+
+Counts = npt.NDArray[np.number[Any]]
+"""Numbers of poses, or sums of their weights."""
+
+Number = TypeVar("Number", bound=np.generic)
 
 
 @dataclass
@@ -41,36 +47,39 @@ class Totals:
     version : str
         Of posecal.
     cells : mapping of arrays of str (C,)
-        The labels of each cell; ``sequence`` is always among them.
+        The labels of each cell; ``sequence`` is always among them. They don't change once anything was read.
     poses : array of int (C,)
         Poses in each cell.
     remarks : tuple of str
         What a careful reader should know.
-    sequences : bool
-        Whether the sequences were labelled; else they are runs of consecutive frames, taken as independent.
+    has_sequences : bool
+        Whether the sequences were labelled; else they are runs of consecutive frames, treated as independent.
     sums, counts : dicts of arrays (C, …) and (C,) or (C, J)
         By statistic: the sum over the poses that count, and their number.
     per_pose : dict of arrays (M, …)
         By statistic: the values of every pose, of the few that no sums replace.
     cell_of : array of int (M,)
         With them: the cell of each pose.
+    own_metrics : tuple of Metric
+        The user's metrics that the sums are of.
     """
 
     spec: DataSpec
     protocol: Protocol
     version: str
-    cells: Cells
+    cells: Mapping[str, npt.NDArray[np.str_]]
     poses: npt.NDArray[np.int64]
     remarks: tuple[str, ...] = ()
-    sequences: bool = True
+    has_sequences: bool = True
     sums: dict[str, FloatArray] = field(default_factory=dict)
     counts: dict[str, npt.NDArray[np.int64]] = field(default_factory=dict)
     per_pose: dict[str, FloatArray] = field(default_factory=dict)
-    cell_of: npt.NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    cell_of: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    own_metrics: tuple[Metric, ...] = ()
 
     # --- adding -----------------------------------------------------------------------------------------------
 
-    def add(self, name: str, cells: npt.NDArray[np.intp], sums: FloatArray, counts: npt.NDArray[np.int64]) -> None:
+    def add(self, name: str, cells: Indices, sums: FloatArray, counts: npt.NDArray[np.int64]) -> None:
         """Add the sums of some poses of a statistic to their cells.
 
         Parameters
@@ -88,33 +97,42 @@ class Totals:
         np.add.at(self.sums[name], cells, sums)
         np.add.at(self.counts[name], cells, counts)
 
-    # --- reading ----------------------------------------------------------------------------------------------
+    # --- groups of cells --------------------------------------------------------------------------------------
 
     @property
     def labels(self) -> tuple[str, ...]:
         """Names of the labels that poses can be grouped by."""
-        return tuple(name for name in self.cells if self.sequences or name != "sequence")
+        return tuple(name for name in self.cells if self.has_sequences or name != "sequence")
+
+    @cached_property
+    def sequence_of(self) -> Indices:
+        """The sequence of each cell, (C,): its number in the order of the names."""
+        return np.unique(self.cells["sequence"], return_inverse=True)[1]
+
+    @property
+    def n_sequences(self) -> int:
+        """S, the number of sequences."""
+        return int(self.sequence_of.max(initial=-1)) + 1
 
     def units(self, number: int | None = None) -> str:
-        """Say how many of what is taken as independent: ``16 sequences``, ``100 runs of frames`` or ``5 frames``.
+        """Name and count what is treated as independent: ``16 sequences``, ``100 runs of frames`` or ``5 frames``.
 
         Parameters
         ----------
         number : int, optional
             How many; all there are by default.
         """
-        names, place = np.unique(self.cells["sequence"], return_inverse=True)
-        number = len(names) if number is None else number
-        if self.sequences:
+        number = self.n_sequences if number is None else number
+        if self.has_sequences:
             one, many = "sequence", "sequences"
-        elif np.bincount(place, self.poses).max(initial=0) > 1:
+        elif np.bincount(self.sequence_of, self.poses).max(initial=0) > 1:
             one, many = "run of frames", "runs of frames"
         else:
             one, many = "frame", "frames"
         return f"{number:,} {one if number == 1 else many}"
 
-    def groups(self, label: str) -> Iterator[tuple[str, npt.NDArray[np.bool_]]]:
-        """Give each value of a label, in their natural order, with its cells.
+    def groups(self, label: str) -> Iterator[tuple[str, Indices]]:
+        """Give each value of a label, in their natural order, with the indices of its cells.
 
         Raises
         ------
@@ -123,44 +141,59 @@ class Totals:
         """
         if label not in self.labels:
             raise PoseDataError(f"by: {label!r} is not a label of these poses. {did_you_mean(label, self.labels)}")
-        values = self.cells[label]
-        for value in sorted(set(values.tolist()), key=_natural):
-            yield value, values == value
-
-    def mean(self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None = None) -> FloatArray:
-        """Mean of a statistic over the poses of some cells; NaN where none counts."""
-        chosen = slice(None) if cells is None else cells
-        return mean_of(self.sums[statistic.name][chosen].sum(axis=0), self.counts[statistic.name][chosen].sum(axis=0))
-
-    def averaged(self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None = None) -> FloatArray:
-        """Mean of a statistic; by the option ``average``, the mean of its groups' means, for each joint by itself."""
-        sums, counts = self._weighed(statistic, cells)
-        return mean_of(sums.sum(axis=0), counts.sum(axis=0))
-
-    def _weighed(
-        self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None
-    ) -> tuple[FloatArray, npt.NDArray[np.integer] | FloatArray]:
-        """Sums and counts of some cells; by the option ``average``, scaled so that each group counts as much."""
-        chosen = np.ones(len(self.poses), dtype=bool) if cells is None else cells
-        sums, counts = self.sums[statistic.name][chosen], self.counts[statistic.name][chosen]
-        if self.protocol.average == "poses":
-            return sums, counts
-        place = self.group_of[chosen]
-        number = np.zeros((self.group_of.max(initial=-1) + 1, *counts.shape[1:]))
-        np.add.at(number, place, counts)
-        even = number.sum(axis=0) / np.maximum((number > 0).sum(axis=0), 1)
-        weight = (even / np.maximum(number, 1))[place]
-        return sums * np.expand_dims(weight, tuple(range(weight.ndim, sums.ndim))), counts * weight
+        values, codes = np.unique(self.cells[label], return_inverse=True)
+        cells = split_by(codes, len(values))
+        for value in sorted(range(len(values)), key=lambda value: _natural(str(values[value]))):
+            yield str(values[value]), cells[value]
 
     @cached_property
-    def group_of(self) -> npt.NDArray[np.intp]:
-        """The group of each cell, by the option ``average``."""
-        place = np.zeros(len(self.poses), dtype=np.intp)
-        for number, (_, group) in enumerate(self.groups(self.protocol.average)):
-            place[group] = number
-        return place
+    def group_of(self) -> Indices:
+        """The group of each cell, (C,), by the option ``average``; 0 for all where it is over poses."""
+        numbers = np.zeros(len(self.poses), dtype=np.intp)
+        if self.protocol.average != "poses":
+            for number, (_, group) in enumerate(self.groups(self.protocol.average)):
+                numbers[group] = number
+        return numbers
 
-    def worth(self, statistic: Statistic) -> FloatArray:
+    # --- means ------------------------------------------------------------------------------------------------
+
+    def mean(self, statistic: Statistic, cells: Cells = None) -> FloatArray:
+        """Mean of a statistic over the poses of some cells; NaN where none counts."""
+        sums, counts = self.of_cells(statistic, cells)
+        return mean_of(sums.sum(axis=0), counts.sum(axis=0))
+
+    def averaged(self, statistic: Statistic, cells: Cells = None) -> FloatArray:
+        """Mean of a statistic; by the option ``average``, the mean of its groups' means, for each joint by itself."""
+        sums, counts = self._weighted(statistic, cells)
+        return mean_of(sums.sum(axis=0), counts.sum(axis=0))
+
+    def by_sequence(self, statistic: Statistic, cells: Cells = None) -> tuple[FloatArray, Counts]:
+        """Sum a statistic over each sequence among some cells: sums (S, …) and counts (S,) or (S, J).
+
+        By the option ``average`` they are weighted, so that all groups together count as much as their poses do, and
+        each as much as any other.
+        """
+        codes, n = compact(self.sequence_of, cells)
+        sums, counts = self._weighted(statistic, cells)
+        return sum_by(codes, n, sums), sum_by(codes, n, counts)
+
+    def of_cells(self, statistic: Statistic, cells: Cells = None) -> tuple[FloatArray, npt.NDArray[np.int64]]:
+        """Give the sums of a statistic of some cells, (C, …), and its counts, (C,) or (C, J)."""
+        sums, counts = self.sums[statistic.name], self.counts[statistic.name]
+        return (sums, counts) if cells is None else (sums[cells], counts[cells])
+
+    def _weighted(self, statistic: Statistic, cells: Cells) -> tuple[FloatArray, Counts]:
+        """Sums and counts of some cells; by the option ``average``, scaled so that each group counts as much."""
+        sums, counts = self.of_cells(statistic, cells)
+        if self.protocol.average == "poses":
+            return sums, counts
+        codes, n = compact(self.group_of, cells)
+        number = sum_by(codes, n, counts)
+        even = number.sum(axis=0) / np.maximum((number > 0).sum(axis=0), 1)
+        weight = (even / np.maximum(number, 1))[codes]
+        return sums * np.expand_dims(weight, tuple(range(weight.ndim, sums.ndim))), counts * weight
+
+    def effective_sample_size(self, statistic: Statistic) -> FloatArray:
         r"""Poses that a mean over them all would need for the variance of the average, were poses independent.
 
         .. math:: G^2 \Big/ \textstyle\sum_g 1/n_g
@@ -170,58 +203,87 @@ class Totals:
         counts = self.counts[statistic.name]
         if self.protocol.average == "poses":
             return np.asarray(counts.sum(axis=0), dtype=np.float64)
-        number = np.zeros((self.group_of.max(initial=-1) + 1, *counts.shape[1:]))
-        np.add.at(number, self.group_of, counts)
+        number = sum_by(*compact(self.group_of, None), counts)
         shares = np.where(number > 0, 1 / np.maximum(number, 1), 0).sum(axis=0)
-        worth: FloatArray = np.asarray((number > 0).sum(axis=0) ** 2 / np.where(shares > 0, shares, np.inf))
-        return worth
+        return np.asarray((number > 0).sum(axis=0) ** 2 / np.where(shares > 0, shares, np.inf))
 
-    def count(self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None = None, row: int | None = None) -> int:
+    def count(self, statistic: Statistic, cells: Cells = None, row: int | None = None) -> int:
         """Poses that count in a statistic: in one of its rows, or at the joint where most do."""
         if statistic.per_pose:
-            return len(self._kept(statistic, cells))
-        chosen = slice(None) if cells is None else cells
-        counted = self.counts[statistic.name][chosen].sum(axis=0)
-        return int(np.max(counted, initial=0) if row is None else counted[row])
+            return len(self.known_poses(statistic, cells))
+        counts = self.of_cells(statistic, cells)[1].sum(axis=0)
+        return int(np.max(counts, initial=0) if row is None else counts[row])
 
-    def _kept(self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None) -> FloatArray:
-        values = self.per_pose[statistic.name]
-        chosen = values if cells is None else values[cells[self.cell_of]]
-        return chosen[~np.isnan(chosen).any(axis=1)]
+    # --- values -----------------------------------------------------------------------------------------------
 
-    def value(self, metric: Metric, cells: npt.NDArray[np.bool_] | None = None) -> float:
+    def value(self, metric: Metric, cells: Cells = None) -> float:
         """Give a metric over the poses of some cells.
 
         By the option ``average`` it is the mean of its groups' values; what is read off calibration curves is read
         off the mean of the groups' curves.
         """
         if metric.family in CURVES:
-            return float(metric.finish(self.averaged(metric.statistic, cells)))
-        cells = np.ones(len(self.poses), dtype=bool) if cells is None else cells
+            return float(np.asarray(metric.finish(self.averaged(metric.statistic, cells))))
         if self.protocol.average == "poses":
             return self.pooled(metric, cells)
-        values = [self.pooled(metric, cells & group) for _, group in self.groups(self.protocol.average)]
-        return mean_of_known(values)
+        return mean_of_known(self.group_values(metric, cells))
 
-    def pooled(self, metric: Metric, cells: npt.NDArray[np.bool_]) -> float:
-        """Give a metric over some cells, whatever is averaged."""
+    def group_values(self, metric: Metric, cells: Cells = None) -> FloatArray:
+        """Give a metric for each of the G groups among some cells by the option ``average``, (G,)."""
+        codes, n = compact(self.group_of, cells)
+        if metric.statistic.per_pose or metric.sequences_per_batch:
+            groups = (part if cells is None else cells[part] for part in split_by(codes, n))
+            return np.array([self.pooled(metric, group) for group in groups])
+        sums, counts = self.of_cells(metric.statistic, cells)
+        return np.asarray(metric.finish(mean_of(sum_by(codes, n, sums), sum_by(codes, n, counts))))
+
+    def pooled(self, metric: Metric, cells: Cells = None) -> float:
+        """Give a metric over the poses of some cells together, whatever the option ``average`` is."""
         if metric.statistic.per_pose:
-            return float(metric.finish(self._kept(metric.statistic, cells)))
+            poses = self.known_poses(metric.statistic, cells)
+            return float(np.asarray(metric.finish(self.per_pose[metric.statistic.name][poses])))
         if not metric.sequences_per_batch:
-            return float(metric.finish(self.mean(metric.statistic, cells)))
-        sums, counts = self.sums[metric.statistic.name], self.counts[metric.statistic.name]
-        names = dict.fromkeys(self.cells["sequence"][cells].tolist())
-        batch = {name: place // metric.sequences_per_batch for place, name in enumerate(names)}
-        total, number = 0.0, 0
-        for wanted in range(len(set(batch.values()))):
-            chosen = cells & np.array([batch.get(name, -1) == wanted for name in self.cells["sequence"]])
-            poses = int(counts[chosen].sum())
-            if poses:
-                total += poses * float(metric.finish(mean_of(sums[chosen].sum(axis=0), counts[chosen].sum(axis=0))))
-                number += poses
-        return total / number if number else float("nan")
+            return float(np.asarray(metric.finish(self.mean(metric.statistic, cells))))
+        _, sums, counts = self.sequences_in_order(metric.statistic, cells)
+        first = np.arange(0, len(sums), metric.sequences_per_batch)
+        values, number = batch_sums(metric, np.add.reduceat(sums, first), np.add.reduceat(counts, first))
+        return float(values.sum() / number.sum()) if number.any() else float("nan")
 
-    def by_joint(self, metric: Metric, cells: npt.NDArray[np.bool_] | None = None) -> FloatArray:
+    def sequences_in_order(self, statistic: Statistic, cells: Cells) -> tuple[Indices, FloatArray, Counts]:
+        """Sum a statistic over each sequence among some cells, in the order of their first cells.
+
+        Returns
+        -------
+        order : array of int (S,)
+            Which sequence each row is, in the order of the names.
+        sums, counts : arrays (S, …)
+            Without weights.
+        """
+        codes, n = compact(self.sequence_of, cells)
+        first = np.full(n, len(codes))
+        np.minimum.at(first, codes, np.arange(len(codes)))
+        order = np.argsort(first)
+        sums, counts = self.of_cells(statistic, cells)
+        return order, sum_by(codes, n, sums)[order], sum_by(codes, n, counts)[order]
+
+    def known_poses(self, statistic: Statistic, cells: Cells = None) -> Indices:
+        """Give the indices of the poses of some cells that have no NaN among the values kept of each pose."""
+        if cells is None:
+            poses = np.arange(len(self.cell_of))
+        else:
+            order, first = self._poses_by_cell
+            length = first[cells + 1] - first[cells]
+            skipped = np.repeat(first[cells] - np.cumsum(length) + length, length)
+            poses = np.sort(order[skipped + np.arange(len(skipped))])
+        return poses[~np.isnan(self.per_pose[statistic.name][poses]).any(axis=1)]
+
+    @cached_property
+    def _poses_by_cell(self) -> tuple[Indices, Indices]:
+        """The poses in the order of their cells, (M,), and where each cell begins, (C + 1,)."""
+        number = np.bincount(self.cell_of, minlength=len(self.poses))
+        return np.argsort(self.cell_of, kind="stable"), np.concatenate([[0], np.cumsum(number)])
+
+    def by_joint(self, metric: Metric, cells: Cells = None) -> FloatArray:
         """Give a metric per joint, (K,), averaged as its value; NaN for joints that don't count."""
         if metric.by_joint is None:
             return np.full(len(self.spec.joints), np.nan)
@@ -242,31 +304,12 @@ class Totals:
         parts.pop("metrics")
         parts["where"] += ",mask" if s.has_mask else ""
         default = Protocol().options
-        kept = ("posecal", "N", "K", "origin", "joints", "root", "where", "best", "align", "average")
-        shown = {key: value for key, value in parts.items() if key in kept or value != default.get(key)}
+        always = ("posecal", "N", "K", "origin", "joints", "root", "where", "best", "align", "average")
+        shown = {key: value for key, value in parts.items() if key in always or value != default.get(key)}
         shown["ece"] = f"exchangeable,{self.protocol.summary_over_joints}"
         if s.reference:
             shown["reference"] = f"{s.reference},N={s.n_reference}"
         return " ".join(f"{key}={value.replace(' ', '_')}" for key, value in shown.items())
-
-    # --- sequences --------------------------------------------------------------------------------------------
-
-    def by_sequence(
-        self, statistic: Statistic, cells: npt.NDArray[np.bool_] | None = None
-    ) -> tuple[FloatArray, npt.NDArray[np.integer] | FloatArray]:
-        """Add up a statistic over each sequence among some cells: sums (S, …) and counts (S,) or (S, J).
-
-        By the option ``average`` they are weighted, so that all groups together count as much as their poses do, and
-        each as much as any other.
-        """
-        chosen = np.ones(len(self.poses), dtype=bool) if cells is None else cells
-        _, place = np.unique(self.cells["sequence"][chosen], return_inverse=True)
-        sums, counts = self._weighed(statistic, chosen)
-        added = np.zeros((place.max(initial=-1) + 1, *sums.shape[1:]))
-        number = np.zeros((len(added), *counts.shape[1:]), dtype=counts.dtype)
-        np.add.at(added, place, sums)
-        np.add.at(number, place, counts)
-        return added, number
 
 
 def _natural(text: str) -> list[tuple[int, str]]:
@@ -274,20 +317,57 @@ def _natural(text: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", text)]
 
 
-def mean_of(sums: FloatArray, counts: npt.NDArray[np.integer] | FloatArray) -> FloatArray:
+def slices(length: int, row_bytes: int, most: int = 64 * 1024 * 1024) -> Iterator[slice]:
+    """Cut rows into slices of at most so many bytes, or of a single row."""
+    step = max(1, most // max(1, row_bytes))
+    return (slice(start, start + step) for start in range(0, length, step))
+
+
+def compact(codes: Indices, cells: Cells) -> tuple[Indices, int]:
+    """Number the codes that occur among some cells 0 … n - 1, in their order; give them with n."""
+    if cells is None:
+        return codes, int(codes.max(initial=-1)) + 1
+    known, renumbered = np.unique(codes[cells], return_inverse=True)
+    return renumbered, len(known)
+
+
+def split_by(codes: Indices, n: int) -> list[Indices]:
+    """Give the rising indices of the rows of each code 0 … n - 1, from one sort."""
+    order = np.argsort(codes, kind="stable")
+    return np.split(order, np.cumsum(np.bincount(codes, minlength=n))[:-1]) if n else []
+
+
+def sum_by(codes: Indices, n: int, values: npt.NDArray[Number]) -> npt.NDArray[Number]:
+    """Sum rows (R, …) by their codes (R,) to (n, …); each code of 0 … n - 1 occurs."""
+    total = np.zeros((n, *values.shape[1:]), dtype=values.dtype)
+    if n == len(codes):
+        total[codes] = values
+    else:
+        np.add.at(total, codes, values)
+    return total
+
+
+def mean_of(sums: FloatArray, counts: Counts) -> FloatArray:
     """Divide sums by counts; NaN where nothing counts."""
     number = np.expand_dims(counts, tuple(range(np.ndim(counts), np.ndim(sums))))
-    return np.where(number > 0, sums / np.maximum(number, 1), np.nan)
+    return np.where(number > 0, sums / np.where(number > 0, number, 1), np.nan)
 
 
-def mean_of_known(values: Sequence[float]) -> float:
+def mean_of_known(values: FloatArray) -> float:
     """Give the mean of those that are not NaN."""
-    found = [value for value in values if not np.isnan(value)]
-    return float(np.mean(found)) if found else float("nan")
+    known = values[~np.isnan(values)]
+    return float(known.mean()) if known.size else float("nan")
+
+
+def batch_sums(metric: Metric, sums: FloatArray, counts: Counts) -> tuple[FloatArray, FloatArray]:
+    """Give a metric of the mean over each batch of sequences, times its poses, (batches,); and the poses."""
+    poses = counts.sum(axis=tuple(range(1, counts.ndim))).astype(np.float64)
+    values = np.asarray(metric.finish(mean_of(sums, counts)))
+    return np.where(poses > 0, values * poses, 0.0), poses
 
 
 def difference_of_signatures(one: Totals, other: Totals) -> str:
     """Say in what two results were not made alike."""
-    ours, theirs = (dict(part.split("=", 1) for part in t.signature.split()) for t in (one, other))
-    keys = [key for key in {**ours, **theirs} if ours.get(key) != theirs.get(key)]
-    return ", ".join(f"{key} {ours.get(key, 'default')} against {theirs.get(key, 'default')}" for key in keys)
+    first, second = (dict(part.split("=", 1) for part in t.signature.split()) for t in (one, other))
+    keys = [key for key in {**first, **second} if first.get(key) != second.get(key)]
+    return ", ".join(f"{key} {first.get(key, 'default')} against {second.get(key, 'default')}" for key in keys)

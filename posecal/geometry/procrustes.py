@@ -1,4 +1,4 @@
-"""How far is a pose from the truth once position, size or rotation don't count?
+"""Alignment of poses: errors once position, size or rotation don't count.
 
 Each hypothesis is moved onto the truth by the best map of a named family before its errors are measured:
 
@@ -12,14 +12,16 @@ Each hypothesis is moved onto the truth by the best map of a named family before
 ``rms_mean``        centred on the mean joint, scaled by the ratio of the root mean squares
 ==================  =============================================================================================
 
-The best rotation is found without singular value decompositions: the largest eigenvalue of Horn's 4 × 4 matrix by
-Newton's method (Theobald 2005), and the rotation straight from the adjugate at that eigenvalue, all hypotheses of
-a block side by side. Where the two best rotations nearly tie, those few are decomposed one by one.
+The best rotation is computed without singular value decompositions, all hypotheses of a block side by side: the sum
+of the singular values of the 3 × 3 covariance is the largest root of a quartic (Horn 1987), found by Newton's method
+(Theobald 2005), and with it the rotation is a polynomial of the covariance (Markley 1993). Where the two best
+rotations nearly tie, those few are decomposed one by one.
 
 References
 ----------
-Horn, J. Opt. Soc. Am. A 4, 629 (1987), doi:10.1364/JOSAA.4.000629; Theobald, Acta Cryst. A61, 478 (2005),
-doi:10.1107/S0108767305015266; Umeyama, IEEE TPAMI 13, 376 (1991), doi:10.1109/34.88573.
+Horn, J. Opt. Soc. Am. A 4, 629 (1987), doi:10.1364/JOSAA.4.000629; Markley, J. Astronaut. Sci. 41, 261 (1993);
+Theobald, Acta Cryst. A61, 478 (2005), doi:10.1107/S0108767305015266; Umeyama, IEEE TPAMI 13, 376 (1991),
+doi:10.1109/34.88573.
 """
 
 from __future__ import annotations
@@ -31,18 +33,12 @@ import numpy as np
 from posecal.data.arrays import FloatArray, squared_norms
 from posecal.errors import PoseDataError, did_you_mean
 
-__all__ = ["ALIGNMENTS", "Alignment", "aligned", "aligned_errors", "best_rotations"]
-
 Alignment = Literal["none", "similarity", "rigid", "reflection", "scale", "norm_root", "rms_mean"]
 ALIGNMENTS: tuple[Alignment, ...] = get_args(Alignment)
-Symmetric = dict[tuple[int, int], FloatArray]
 _ROTATING = ("similarity", "rigid", "reflection")
 
-_TIE = 1e-3
-"""Below this relative gap between the best and the other rotations, decompose: there, rounding costs 1e-14 / gap²."""
-
-_FLAT = 1e-6
-"""Where the characteristic polynomial is flatter than this, a step of Newton's method would be a step of rounding."""
+_TIE = 1e-4
+"""Below this relative gap between the best and the other rotations, decompose: there, rounding costs 1e-16 / gap²."""
 
 
 def aligned_errors(offsets: FloatArray, truth: FloatArray, weights: FloatArray, how: Alignment) -> FloatArray:
@@ -63,29 +59,6 @@ def aligned_errors(offsets: FloatArray, truth: FloatArray, weights: FloatArray, 
     -------
     array (B, K, n)
         Errors, mm; lower is better, 0 at best.
-    """
-    if how == "none":
-        return np.sqrt(squared_norms(offsets))
-    left = aligned(offsets + truth[..., None], truth, weights, how)
-    left -= truth[..., None]
-    squares = squared_norms(left)
-    return np.sqrt(squares, out=squares)
-
-
-def aligned(points: FloatArray, truth: FloatArray, weights: FloatArray, how: Alignment) -> FloatArray:
-    """Move each hypothesis onto the truth by the best map of a family.
-
-    Parameters
-    ----------
-    points : array (B, K, D, n)
-        Hypotheses, mm.
-    truth, weights, how
-        As for :func:`aligned_errors`.
-
-    Returns
-    -------
-    array (B, K, D, n)
-        Aligned hypotheses, mm.
 
     Raises
     ------
@@ -94,25 +67,60 @@ def aligned(points: FloatArray, truth: FloatArray, weights: FloatArray, how: Ali
     """
     if how not in ALIGNMENTS:
         raise PoseDataError(f"align: {how!r} is not known. {did_you_mean(how, ALIGNMENTS)}")
-    if how == "none":
-        return points.copy()
+    if how in _ROTATING and offsets.shape[2] != 3:
+        raise PoseDataError(
+            f"align: points with {offsets.shape[2]} coordinates; expected 3 to rotate. "
+            "Ask for metrics that don't align, such as min_mpjpe."
+        )
+    squares = squared_norms(offsets if how == "none" else _residuals(offsets, truth, weights, how))
+    return np.sqrt(squares, out=squares)
+
+
+def _residuals(offsets: FloatArray, truth: FloatArray, weights: FloatArray, how: Alignment) -> FloatArray:
+    """Aligned hypotheses minus truth, in the hypothesis's own frame, (B, K, D, n): s (x - m) - Rᵀ (y - μ).
+
+    With m - μ the mean of the offsets this is s (x - y) + (s - Rᵀ) (y - μ) - s (m - μ), so large coordinates of which
+    only the difference counts never meet.
+    """
+    B, K, D, n = offsets.shape
+    centred = how in _ROTATING or how == "rms_mean"
+    shares, target = weights.astype(np.float64)[..., None], truth.astype(np.float64)
+    if centred:
+        target = target - (shares * target).sum(axis=1, keepdims=True)
+    weighted = np.concatenate([shares * target, shares], axis=2).swapaxes(1, 2)
+    size_of_target = (shares * target**2).sum(axis=(1, 2))[:, None]
+
+    # One product gives the covariance of the offsets with the truth and, in the last row, their mean.
+    wide = offsets.astype(np.float64).reshape(B, K, D * n)
+    moments = (weighted @ wide).reshape(B, D + 1, D, n)
+    size = (shares.swapaxes(1, 2) @ np.square(wide, out=wide)).reshape(B, D, n).sum(axis=1)
+    size += 2 * np.einsum("bddn->bn", moments[:, :D]) + size_of_target
+    if centred:
+        size -= np.square(moments[:, D]).sum(axis=1)
+    covariance = np.empty((D, D, B, n))
+    own: FloatArray = (weighted[:, :D] @ target).transpose(1, 2, 0)[..., None]
+    np.add(moments[:, :D].transpose(1, 2, 0, 3), own, out=covariance)
+
     if how in _ROTATING:
-        return _procrustes(points, truth, weights, scaled=how != "rigid", mirrored=how == "reflection")
-    if how == "rms_mean":
-        middle: FloatArray = np.einsum("bk,bkdn->bdn", weights, points)[:, None]
-        target: FloatArray = np.einsum("bk,bkd->bd", weights, truth)[:, None]
-        factor = _ratio(_norms(points - middle, weights), _norms((truth - target)[..., None], weights))
-        return (points - middle) * factor + target[..., None]
-    if how == "norm_root":
-        return points * _ratio(_norms(points, weights), _norms(truth[..., None], weights))
-    against: FloatArray = np.einsum("bkd,bkdn->bn", weights[:, :, None] * truth, points)
-    return points * _ratio(_norms(points, weights) ** 2, against[:, None, None])
+        rotation, overlap = best_rotations(covariance, mirrored=how == "reflection")
+    else:
+        rotation, overlap = np.eye(D)[..., None, None], np.einsum("ddbn->bn", covariance)
+    if how in {"norm_root", "rms_mean"}:
+        factor = np.sqrt(_ratio(size, size_of_target))
+    else:
+        factor = np.ones_like(size) if how == "rigid" else _ratio(size, overlap)
 
-
-def _norms(points: FloatArray, weights: FloatArray) -> FloatArray:
-    """Weighted root mean squares over joints, (B, 1, 1, n)."""
-    squares = np.einsum("bk,bkdn,bkdn->bn", weights, points, points)
-    return np.asarray(np.sqrt(squares)[:, None, None])
+    # Another product gives the rotated truth and the shift.
+    maps = np.zeros((B, D + 1, D, n), dtype=offsets.dtype)
+    maps[:, :D] = -rotation.transpose(2, 0, 1, 3)
+    np.einsum("bddn->bdn", maps[:, :D])[...] += factor[:, None]
+    if centred:
+        maps[:, D] = -factor[:, None] * moments[:, D]
+    points = np.concatenate([target, np.ones_like(shares)], axis=2, dtype=offsets.dtype)
+    residuals: FloatArray = points @ maps.reshape(B, D + 1, D * n)
+    flat = offsets.reshape(B, K, D * n)
+    residuals += flat if how == "rigid" else flat * np.tile(factor.astype(offsets.dtype), (1, D))[:, None]
+    return residuals.reshape(offsets.shape)
 
 
 def _ratio(under: FloatArray, over: FloatArray) -> FloatArray:
@@ -121,167 +129,82 @@ def _ratio(under: FloatArray, over: FloatArray) -> FloatArray:
     return np.divide(over, under, out=np.ones_like(over), where=under > 0)
 
 
-def _procrustes(
-    points: FloatArray, truth: FloatArray, weights: FloatArray, *, scaled: bool, mirrored: bool
-) -> FloatArray:
-    B, K, D, n = points.shape
-    if D != 3:
-        raise PoseDataError(
-            f"align: points with {D} coordinates; expected 3 to rotate. "
-            "Ask for metrics that don't align, such as min_mpjpe."
-        )
-    wide = points.astype(np.float64).reshape(B, K, 3 * n)
-    shares = weights.astype(np.float64)
-    target = np.einsum("bk,bkd->bd", shares, truth.astype(np.float64))
-    centred = truth - target[:, None]
-
-    # One product gives the covariance with the centred truth and, in the last row, the mean of the points.
-    left = np.concatenate([shares[:, :, None] * centred, shares[:, :, None]], axis=2).transpose(0, 2, 1)
-    product = (left @ wide).reshape(B, 4, 3, n)
-    covariance, middle = product[:, :3], product[:, 3]
-
-    rotation, overlap = best_rotations(covariance, mirrored=mirrored)
-    if scaled:
-        size = (shares[:, None] @ np.square(wide, out=wide)).reshape(B, 3, n).sum(axis=1)
-        size -= np.square(middle).sum(axis=1)
-        rotation *= _ratio(size, overlap)[:, None, None]
-    shift = target[:, :, None] - np.einsum("bijn,bjn->bin", rotation, middle)
-    return _apply(rotation.astype(points.dtype), shift.astype(points.dtype), points)
-
-
-def _apply(rotation: FloatArray, shift: FloatArray, points: FloatArray) -> FloatArray:
-    """Map (B, K, 3, n) points by (B, 3, 3, n) matrices and (B, 3, n) shifts."""
-    moved = np.empty_like(points)
-    step = np.empty_like(points[:, :, 0])
-    for i in range(3):
-        out = moved[:, :, i]
-        np.multiply(points[:, :, 0], rotation[:, None, i, 0], out=out)
-        for j in (1, 2):
-            np.multiply(points[:, :, j], rotation[:, None, i, j], out=step)
-            out += step
-        out += shift[:, None, i]
-    return moved
-
-
 def best_rotations(covariance: FloatArray, *, mirrored: bool = False) -> tuple[FloatArray, FloatArray]:
-    r"""Find the rotations that turn points onto a target best.
+    r"""Rotations that turn points onto a target best.
 
     .. math:: R = \arg\max_R \operatorname{tr}(R^\top F), \qquad F = \sum_k w_k\, y_k x_k^\top
 
     Parameters
     ----------
-    covariance : array (B, 3, 3, n)
-        F: weighted products of target coordinates (second axis) and point coordinates (third axis), mm².
+    covariance : array (3, 3, ...)
+        F: weighted products of target coordinates (first axis) and point coordinates (second axis), mm².
     mirrored : bool
         Whether R may mirror, det R = -1.
 
     Returns
     -------
-    rotation : array (B, 3, 3, n)
+    rotation : array (3, 3, ...)
         R, in double.
-    overlap : array (B, n)
+    overlap : array (...)
         tr(RᵀF), mm²; over the squared size of the points it is the best scale.
+
+    Notes
+    -----
+    With ‖F‖ = 1, singular values s (the last negative where det F is) and their sum λ, Markley's formula is
+    ζ R = ½ (λ² + 1) F + λ cof F - F FᵀF, where ζ = ½ λ (λ² - 1) - det F is the product of the s_i + s_j: the gap that
+    a second rotation as good as the best would close.
     """
-    F = covariance
-    determinant = _determinant(F)
-    if mirrored:
-        F = F * np.where(determinant < 0, -1.0, 1.0)[:, None, None]
-        determinant = np.abs(determinant)
-    size = np.sqrt(np.einsum("bijn,bijn->bn", F, F))
+    size = np.sqrt(np.einsum("ij...,ij...->...", covariance, covariance))
     size[size == 0] = 1
-    F = F / size[:, None, None]
-    horn = _horn_matrix(F)
-    eigenvalue = _largest_eigenvalue(horn, _determinant(F))
-    rotation, gap = _rotation_at(horn, eigenvalue)
+    F = covariance / size
+    cofactors = _cofactors(F)
+    determinant = np.einsum("j...,j...->...", F[0], cofactors[0])
+    sign = np.where(determinant < 0, -1.0, 1.0) if mirrored else np.ones(())
+    F *= sign
+    determinant *= sign
+    total = _sum_of_singular_values(determinant, np.einsum("ij...,ij...->...", cofactors, cofactors))
+    half = (total * total - 1) / 2
+    gap = half * total - determinant
+    rotation = np.einsum("ij...,jk...->ik...", F, np.einsum("ji...,jk...->ik...", F, F))
+    np.subtract((half + 1) * F, rotation, out=rotation)
+    rotation += total * cofactors
+    rotation /= np.where(gap > 0, gap, 1)
     ties = np.nonzero(~(gap > _TIE))
     if ties[0].size:
-        tied = F[ties[0], :, :, ties[1]]
-        rotation[ties[0], :, :, ties[1]] = turned = _rotations_by_svd(tied)
-        eigenvalue[ties] = np.einsum("tij,tij->t", turned, tied)
-    if mirrored:
-        rotation *= np.where(_determinant(covariance) < 0, -1.0, 1.0)[:, None, None]
-    return rotation, eigenvalue * size
+        tied = np.moveaxis(F[:, :, *ties], -1, 0)
+        turned = _rotations_by_svd(tied)
+        rotation[:, :, *ties] = np.moveaxis(turned, 0, -1)
+        total[ties] = np.einsum("tij,tij->t", turned, tied)
+    rotation *= sign
+    return rotation, total * size
 
 
-def _determinant(F: FloatArray) -> FloatArray:
-    (a, b, c), (d, e, f), (g, h, i) = (F[:, row].swapaxes(0, 1) for row in range(3))
-    return np.asarray(a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g))
+def _cofactors(F: FloatArray) -> FloatArray:
+    """Cofactor matrix: the signed 2 × 2 minors."""
+    minors = np.empty_like(F)
+    for i, j in np.ndindex(3, 3):
+        (r, s), (c, d) = ((i + 1) % 3, (i + 2) % 3), ((j + 1) % 3, (j + 2) % 3)
+        np.multiply(F[r, c], F[s, d], out=minors[i, j])
+        minors[i, j] -= F[r, d] * F[s, c]
+    return minors
 
 
-def _horn_matrix(F: FloatArray) -> Symmetric:
-    """Horn's symmetric, traceless 4 × 4 matrix, its entries by (row, column)."""
-    (xx, yx, zx), (xy, yy, zy), (xz, yz, zz) = (F[:, row].swapaxes(0, 1) for row in range(3))
-    upper = {
-        (0, 0): xx + yy + zz,
-        (0, 1): yz - zy,
-        (0, 2): zx - xz,
-        (0, 3): xy - yx,
-        (1, 1): xx - yy - zz,
-        (1, 2): xy + yx,
-        (1, 3): zx + xz,
-        (2, 2): yy - xx - zz,
-        (2, 3): yz + zy,
-        (3, 3): zz - xx - yy,
-    }
-    return upper | {(j, i): entry for (i, j), entry in upper.items()}
-
-
-def _minors(m: Symmetric) -> tuple[dict[tuple[int, int], FloatArray], dict[tuple[int, int], FloatArray]]:
-    """2 × 2 minors of the upper two rows and of the lower two, by their columns."""
-    pairs = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
-
-    def minors(r: int, s: int) -> dict[tuple[int, int], FloatArray]:
-        return {(c, d): m[r, c] * m[s, d] - m[r, d] * m[s, c] for c, d in pairs}
-
-    return minors(0, 1), minors(2, 3)
-
-
-def _largest_eigenvalue(horn: Symmetric, determinant: FloatArray) -> FloatArray:
-    """Largest root of λ⁴ - 2 λ² - 8 det(F) λ + det(horn), ‖F‖ = 1: Newton from above, which can't overshoot."""
-    u, v = _minors(horn)
-    constant = u[0, 1] * v[2, 3] - u[0, 2] * v[1, 3] + u[0, 3] * v[1, 2]
-    constant += u[1, 2] * v[0, 3] - u[1, 3] * v[0, 2] + u[2, 3] * v[0, 1]
-    linear = -8 * determinant
-    root = np.full_like(determinant, np.sqrt(3))
-    for _ in range(60):
-        squared = root * root
-        value = squared * (squared - 2) + linear * root + constant
-        slope = 4 * root * (squared - 1) + linear
-        step = np.divide(value, slope, out=np.zeros_like(value), where=slope > _FLAT)
+def _sum_of_singular_values(determinant: FloatArray, squared_cofactors: FloatArray) -> FloatArray:
+    """Largest root of (λ² - 1)² - 8 det(F) λ - 4 ‖cof F‖², ‖F‖ = 1: Newton from above, which can't overshoot."""
+    linear, constant = 8 * determinant, 4 * squared_cofactors
+    root: FloatArray = np.sqrt(1 + np.sqrt(constant + np.sqrt(3) * np.maximum(linear, 0)))
+    for _ in range(40):
+        step = root * root
+        step -= 1
+        slope = 4 * root * step - linear
+        step *= step
+        step -= linear * root
+        step -= constant
+        step /= np.maximum(slope, _TIE, out=slope)
         root -= step
-        if np.abs(step).max() < 1e-14:
+        if step.max() < 1e-9:  # the next would be its square
             break
     return root
-
-
-def _rotation_at(horn: Symmetric, eigenvalue: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Rotation from the adjugate of (horn - λ), which is a multiple of the quaternion's q qᵀ, and its trace."""
-    m = {(i, j): entry - eigenvalue if i == j else entry for (i, j), entry in horn.items()}
-    u, v = _minors(m)
-
-    def cofactor(row: int, minors: dict[tuple[int, int], FloatArray], a: int, b: int, c: int) -> FloatArray:
-        return m[row, a] * minors[b, c] - m[row, b] * minors[a, c] + m[row, c] * minors[a, b]
-
-    # Cofactor (i, j): the signed minor without row i and column j, from the pair of rows that comes ready.
-    q00 = cofactor(1, v, 1, 2, 3)
-    q01 = -cofactor(1, v, 0, 2, 3)
-    q02 = cofactor(1, v, 0, 1, 3)
-    q03 = -cofactor(1, v, 0, 1, 2)
-    q11 = cofactor(0, v, 0, 2, 3)
-    q12 = -cofactor(0, v, 0, 1, 3)
-    q13 = cofactor(0, v, 0, 1, 2)
-    q22 = cofactor(3, u, 0, 1, 3)
-    q23 = -cofactor(3, u, 0, 1, 2)
-    q33 = cofactor(2, u, 0, 1, 2)
-    trace = q00 + q11 + q22 + q33
-    one = np.divide(1, trace, out=np.zeros_like(trace), where=trace != 0)
-    rows = (
-        (q00 + q11 - q22 - q33, 2 * (q12 - q03), 2 * (q13 + q02)),
-        (2 * (q12 + q03), q00 - q11 + q22 - q33, 2 * (q23 - q01)),
-        (2 * (q13 - q02), 2 * (q23 + q01), q00 - q11 - q22 + q33),
-    )
-    rotation = np.stack([np.stack([entry * one for entry in row], axis=1) for row in rows], axis=1)
-    return rotation, np.abs(trace)
 
 
 def _rotations_by_svd(F: FloatArray) -> FloatArray:

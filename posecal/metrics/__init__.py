@@ -1,14 +1,17 @@
-"""Accuracy and spread of hypotheses: one function of arrays per metric, one value per pose.
+"""Metrics of hypotheses: functions of arrays, and beside each what reports say of it.
 
-Every function takes ``hypotheses`` (N, M, K, D) and ``truth`` (M, K, D) as they stand and returns (M,) values;
-average them as you like. ``position``: the MPJPE family; ``velocity``: MPJVE; ``best_of``: from N errors to one;
-``pck``: PCK, AUC and CPS; ``proper``: fair proper scores; ``spread``: diversity and sharpness; ``guide``: whether a
-wide spread is a sign of error.
+Every function takes ``hypotheses`` (N, M, K, D) and ``truth`` (M, K, D) as they stand and returns (M,) values, one per
+pose; average them as you like. ``mpjpe``: the MPJPE family; ``best_of``: minMPJPE against the number of hypotheses;
+``velocity``: MPJVE; ``pck``: PCK and AUC; ``cps``: CPS; ``proper``: fair proper scores; ``brier``: the Brier score;
+``sharpness``: diversity and radii; ``uncertainty``: whether a wide spread is a sign of error.
 """
 
-from posecal.metrics.pck import auc, cps, pck
-from posecal.metrics.position import min_mpjpe, min_mpjpe_curve, mpjpe
-from posecal.metrics.proper import brier_score, crps, energy_score, variogram_score
+from posecal.metrics.best_of import min_mpjpe_curve
+from posecal.metrics.brier import brier_score
+from posecal.metrics.cps import cps
+from posecal.metrics.mpjpe import min_mpjpe, mpjpe
+from posecal.metrics.pck import auc, pck
+from posecal.metrics.proper import crps, energy_score, variogram_score
 from posecal.metrics.sharpness import diversity, radius
 from posecal.metrics.uncertainty import rank_correlation, sparsification, sparsification_area
 from posecal.metrics.velocity import mpjve

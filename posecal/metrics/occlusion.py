@@ -1,4 +1,4 @@
-"""Is a model worse, or less sure, where it can't see? Numbers over the occluded and over the visible joints.
+"""Metrics split by occlusion: over the occluded and over the visible joints.
 
 A pose has both, so these are no groups of poses. Per pose the mean over its occluded (or visible) joints is taken,
 then the mean over poses; poses without such a joint drop out: the definition of the paper's occluded-joints column.
@@ -7,18 +7,17 @@ then the mean over poses; poses without such a joint drop out: the definition of
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 
-from posecal.calibration.error import joint_ece, signed_area
+from posecal.calibration.curve import joint_ece, signed_area
 from posecal.calibration.ranks import LEVELS, inside
 from posecal.data.arrays import BoolArray, FloatArray
 from posecal.engine.block import Block
-from posecal.engine.metric import Deviation, Metric, Scope, Statistic
+from posecal.engine.metric import Deviation, Metric, Scope, Statistic, entry
 from posecal.metrics.position import joint_errors
 from posecal.metrics.sharpness import joint_radii
-
-__all__ = ["OCCLUSION", "occlusion_metrics"]
 
 OCCLUSION = ("occluded", "visible")
 """The two kinds of joints, in the order of the statistics' rows."""
@@ -48,7 +47,7 @@ def occlusion_metrics(scope: Scope, occlusion: str) -> Iterator[Metric]:
     occlusion : str
         One of :data:`OCCLUSION`.
     """
-    place, n = OCCLUSION.index(occlusion), scope.spec.n_hypotheses
+    row, n = OCCLUSION.index(occlusion), scope.spec.n_hypotheses
 
     def inside_both(block: Block) -> FloatArray:
         weights = inside(block)
@@ -67,63 +66,46 @@ def occlusion_metrics(scope: Scope, occlusion: str) -> Iterator[Metric]:
     errors = Statistic("occlusion_errors", errors_both, per_joint=True)
     radii = Statistic("occlusion_radii", radii_both, per_joint=True)
     of = f"mean over poses of the mean over their {occlusion} ones of {scope.size(scope.moving)}"
-    for name, label, which, words in (
-        ("min_mpjpe", "minMPJPE", 0, f"of ‖x − y‖, of the best of N={n} hypotheses for it"),
-        ("mpjpe", "MPJPE", 1, f"of ‖x − y‖, mean of N={n}"),
-    ):
-        yield Metric(
-            name=name,
-            label=label,
-            unit="mm",
-            direction="lower",
-            family="accuracy",
-            brief=f"{occlusion} joints",
-            definition=f"{of} {words}",
-            statistic=errors,
-            finish=lambda mean, which=which: float(mean[place, which]),  # type: ignore[misc]
-        )
-    yield Metric(
+    inside_words = f"{of} of whether the truth is inside"
+    metric = partial(Metric, brief=f"{occlusion} joints", in_group_table=True)
+    error = partial(metric, unit="mm", direction="lower", family="accuracy", statistic=errors)
+    calibration = partial(metric, unit="", family="calibration", statistic=curves)
+    yield error(
+        name="min_mpjpe",
+        label="minMPJPE",
+        definition=f"{of} of ‖x − y‖, of the best of N={n} hypotheses for it",
+        finish=entry(row, 0),
+    )
+    yield error(name="mpjpe", label="MPJPE", definition=f"{of} of ‖x − y‖, mean of N={n}", finish=entry(row, 1))
+    yield calibration(
         name="ece",
         label="ECE",
-        unit="",
         direction="lower",
-        family="calibration",
-        brief=f"{occlusion} joints",
-        definition=f"mean over q of |ω(q) − q|; ω: {of} of whether the truth is inside, exchangeable, N={n}",
-        statistic=curves,
-        finish=lambda mean: float(joint_ece(mean[place])),
-        deviation=Deviation(place, place + 1),
+        definition=f"mean over q of |ω(q) − q|; ω: {inside_words}, exchangeable, N={n}",
+        finish=lambda means: joint_ece(means[..., row, :]),
+        deviation=Deviation(row, row + 1),
     )
-    yield Metric(
+    yield calibration(
         name="signed_area",
         label="signed area",
-        unit="",
         direction="zero",
-        family="calibration",
-        brief=f"{occlusion} joints",
-        definition=f"∫ (ω(q) − q) dq; ω: {of} of whether the truth is inside, exchangeable, N={n}",
-        statistic=curves,
-        finish=lambda mean: float(signed_area(mean[place])),
+        definition=f"∫ (ω(q) − q) dq; ω: {inside_words}, exchangeable, N={n}",
+        finish=lambda means: signed_area(means[..., row, :]),
     )
-    yield Metric(
+    yield calibration(
         name="coverage_90",
         label="coverage at 90 %",
-        unit="",
         direction="none",
-        family="calibration",
-        brief=f"{occlusion} joints",
-        definition=f"{of} of whether the truth is inside the ball of 90 % of the hypotheses, exchangeable; best: 0.9",
-        statistic=curves,
-        finish=lambda mean: float(mean[place, 90 * (LEVELS.size - 1) // 100]),
+        definition=f"{inside_words} the ball of 90 % of the hypotheses, exchangeable; best: 0.9",
+        finish=entry(row, 90 * (LEVELS.size - 1) // 100),
     )
-    yield Metric(
+    yield metric(
         name="radius_50",
         label="radius of 50 %",
         unit="mm",
         direction="none",
         family="sharpness",
-        brief=f"{occlusion} joints",
         definition=f"{of} of the radius about the median that holds 50 % of the N={n} hypotheses",
         statistic=radii,
-        finish=lambda mean: float(mean[place]),
+        finish=entry(row),
     )

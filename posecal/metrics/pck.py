@@ -1,45 +1,27 @@
-"""Which share of joints, or of poses, is right? PCK, its area AUC, and CPS.
+"""PCK and AUC: the share of joints whose error is below a threshold, and its area.
 
-A joint is correct where its error lies below a threshold, a pose where all of its joints are. With N hypotheses,
-one of them is taken per pose: the best for this very number and threshold (``own``), the one that minMPJPE chose
-(``linked``), or the mean over all (``mean``).
+With N hypotheses, one of them is taken per pose: the best for this very number and threshold (``own``), the one that
+minMPJPE chose (``linked``), or the mean over all (``mean``).
 
-The best hypothesis at every threshold comes from one sort: the number of joints that the best hypothesis gets
-right at τ is the number of i with min_n e_(i),n < τ, where e_(i),n is the i-th smallest joint error of hypothesis
-n. So PCK, AUC and CPS are closed forms of K numbers per pose, and no loop over thresholds is needed.
+The best hypothesis at every threshold comes from one sort: the number of joints that the best hypothesis gets right at
+τ is the number of i with min_n e_(i),n < τ, where e_(i),n is the i-th smallest joint error of hypothesis n. So PCK and
+AUC are closed forms of K numbers per pose, and no loop over thresholds is needed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import cache, partial
 from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.arrays import BoolArray, FloatArray
-from posecal.engine.block import Block
-from posecal.engine.blocks import per_pose
-from posecal.errors import PoseDataError, did_you_mean
+from posecal.data.arrays import BoolArray, FloatArray, checked_choice, checked_number
+from posecal.engine.block import Block, per_pose
+from posecal.engine.metric import Curve, Metric, Scope, Statistic, entry
 from posecal.geometry.procrustes import Alignment
 from posecal.metrics.position import joint_errors, linked
-
-__all__ = [
-    "AUC_STEP",
-    "AUC_THRESHOLDS",
-    "CPS_MOST",
-    "SELECTIONS",
-    "Selection",
-    "auc",
-    "auc_share",
-    "correct_joints",
-    "correct_share",
-    "cps",
-    "cps_area",
-    "joint_score",
-    "pck",
-    "pose_score",
-]
 
 Selection = Literal["own", "linked", "mean"]
 SELECTIONS: tuple[Selection, ...] = get_args(Selection)
@@ -48,9 +30,6 @@ Score = Callable[[FloatArray], FloatArray]
 
 AUC_STEP, AUC_THRESHOLDS = 5.0, 31
 """AUC's thresholds: 0, 5, … 150 mm."""
-
-CPS_MOST = 300.0
-"""CPS's largest threshold, mm."""
 
 
 def correct_share(errors: FloatArray, threshold: float | FloatArray, *, strict: bool = True) -> FloatArray:
@@ -86,12 +65,6 @@ def auc_share(errors: FloatArray, *, exact: bool = False, strict: bool = True) -
     steps = np.minimum(errors, last + AUC_STEP) / AUC_STEP
     above = AUC_THRESHOLDS - 1 - np.floor(steps) if strict else AUC_THRESHOLDS - np.ceil(steps)
     return np.asarray(np.maximum(above, 0) / AUC_THRESHOLDS)
-
-
-def cps_area(errors: FloatArray) -> FloatArray:
-    """Trapezoid over the thresholds τ = 1, 2, … 300 mm of strict :func:`correct_share`, 0 … 299 mm."""
-    first = np.floor(np.minimum(errors, CPS_MOST)) + 1  # the smallest threshold that is reached, 301 for none
-    return np.asarray(CPS_MOST + 1 - first - 0.5 * (first <= CPS_MOST) - 0.5 * (first <= 1))
 
 
 def joint_score(
@@ -144,52 +117,44 @@ def joint_score(
     return found
 
 
-def pose_score(
-    block: Block,
-    score: Score,
-    select: Selection = "own",
-    align: Alignment = "none",
-    joints: BoolArray | None = None,
-    body: BoolArray | None = None,
-    fit: BoolArray | None = None,
-) -> FloatArray:
-    """Score the largest error among a pose's joints, of the hypothesis that ``select`` takes.
+def _least_of_each_rank(errors: FloatArray) -> FloatArray:
+    """Sort (K, B, N) errors over the K joints and give the smallest of the N hypotheses, (K, B).
 
-    Parameters
-    ----------
-    block, score, select, align, joints, body, fit
-        As for :func:`joint_score`.
-
-    Returns
-    -------
-    array (B, ...)
-        Scores; NaN for poses without a joint that counts.
+    Few joints are sorted by a network of comparisons, each of two whole rows of memory.
     """
-    weights = block.weights(joints)
-    aligned = joint_errors(block, align, None, body if fit is None else fit)
-    errors = np.where(weights[..., None] > 0, aligned, 0)
-    worst = errors.max(axis=1)
-    if select == "own":
-        found = score(worst.min(axis=-1))
-    elif select == "linked":
-        found = score(linked(block, worst, body))
-    else:
-        found = score(worst).mean(axis=1)
-    found = np.asarray(found, dtype=np.float64)
-    found[~weights.any(axis=1)] = np.nan
-    return found
+    if len(errors) > 40:
+        return np.asarray(np.sort(errors, axis=0).min(axis=-1))
+    rows, smaller = list(errors), np.empty_like(errors[0])
+    for i, j in _comparisons(len(rows)):
+        np.minimum(rows[i], rows[j], out=smaller)
+        np.maximum(rows[i], rows[j], out=rows[j])
+        rows[i], smaller = smaller, rows[i]
+    return np.stack([row.min(axis=-1) for row in rows])
+
+
+@cache
+def _comparisons(n: int) -> list[tuple[int, int]]:
+    """Pairs of places that Batcher's odd-even merge sort puts in order, one after another."""
+    return [
+        (i + j, i + j + step)
+        for size in (1 << level for level in range((n - 1).bit_length()))
+        for step in (size >> level for level in range(size.bit_length()))
+        for j in range(step % size, n - step, 2 * step)
+        for i in range(min(step, n - j - step))
+        if (i + j) // (2 * size) == (i + j + step) // (2 * size)
+    ]
 
 
 def _best_ordered(block: Block, align: Alignment, joints: BoolArray | None, fit: BoolArray | None) -> FloatArray:
     """Smallest, over the hypotheses, of the i-th smallest joint error, (B, K); infinite for joints left out."""
 
     def compute() -> FloatArray:
-        errors = joint_errors(block, align, None, fit)
-        counted = block.weights(joints) > 0
-        if joints is not None:
-            errors, counted = errors[:, joints], counted[:, joints]
-        ordered = np.sort(np.where(counted[..., None], errors, np.inf), axis=1)
-        return np.asarray(ordered.min(axis=-1))
+        rows, counted = joint_errors(block, align, None, fit).swapaxes(0, 1), block.weights(joints).T > 0
+        chosen = np.ones(len(rows), dtype=bool) if joints is None else joints
+        rows, counted = rows[chosen], counted[chosen]
+        if not counted.all():
+            rows[~counted] = np.inf
+        return _least_of_each_rank(rows).T
 
     masks = (None if mask is None else mask.tobytes() for mask in (joints, fit))
     return block.share(("best_ordered", align, *masks), compute)
@@ -243,6 +208,11 @@ def pck(
     Differs from the published code: cGNF's function of this name counts a pose only where all joints are within
     the threshold; that is a correct-pose rate.
 
+    See Also
+    --------
+    auc : Mean of PCK over thresholds.
+    posecal.metrics.cps : The same question of whole poses.
+
     References
     ----------
     Mehta et al., arXiv:1611.09813 (150 mm).
@@ -255,10 +225,8 @@ def pck(
     >>> pck(hypotheses, np.zeros((1, 2, 3))), pck(hypotheses, np.zeros((1, 2, 3)), strict=False)
     (array([0.5]), array([1.]))
     """
-    _known(select)
-
-    if not 0 < threshold < float("inf"):
-        raise PoseDataError(f"threshold: {threshold}; expected a length above 0.")
+    checked_choice(select, "select", SELECTIONS)
+    threshold = checked_number(threshold, "threshold", lambda mm: 0 < mm < np.inf, "a length above 0")
     return per_pose(lambda b: correct_joints(b, threshold, select, strict=strict), hypotheses, truth, where, root=root)
 
 
@@ -296,6 +264,10 @@ def auc(
     -----
     Differs from the published code: none.
 
+    See Also
+    --------
+    pck : At one threshold.
+
     References
     ----------
     Mehta et al., arXiv:1611.09813.
@@ -310,7 +282,7 @@ def auc(
     >>> auc(hypotheses, np.zeros((1, 2, 3))) * 62
     array([45.])
     """
-    _known(select)
+    checked_choice(select, "select", SELECTIONS)
 
     def score(errors: FloatArray) -> FloatArray:
         return auc_share(errors, exact=exact, strict=strict)
@@ -318,61 +290,72 @@ def auc(
     return per_pose(lambda b: joint_score(b, score, select), hypotheses, truth, where, root=root)
 
 
-def cps(
-    hypotheses: npt.ArrayLike,
-    truth: npt.ArrayLike,
-    /,
-    *,
-    select: Selection = "own",
-    align: Alignment = "similarity",
-    where: npt.ArrayLike | None = None,
-    root: int | None = None,
-) -> FloatArray:
-    r"""Correct pose score of each pose: CPS.
+# --- metrics --------------------------------------------------------------------------------------------------
 
-    .. math:: \max(0,\; 300 - \lfloor d^* \rfloor - \tfrac12 1[d^* < 300] - \tfrac12 1[d^* < 1]),
-              \qquad d^* = \min_n \max_k d_{nmk}
+THRESHOLDS: FloatArray = np.arange(0, 301, 10.0)
+"""Thresholds of the PCK and CPS curves, mm."""
 
-    which is the trapezoid over τ = 1, 2, … 300 mm of 1[d* < τ].
+SELECTED: dict[Selection, str] = {
+    "own": "best hypothesis",
+    "linked": "minMPJPE's hypothesis",
+    "mean": "mean over hypotheses",
+}
 
-    Parameters
-    ----------
-    hypotheses, truth, select, where, root
-        As for :func:`pck`; Human3.6M's CPS has 16 of 17 joints, all but the spine.
-    align : str
-        See :mod:`posecal.geometry.procrustes`; Procrustes by default.
-
-    Returns
-    -------
-    array (M,)
-        Areas, 0 to 299 mm; higher is better.
-
-    Raises
-    ------
-    PoseDataError
-        For shapes, dtypes, values or names that don't fit.
-
-    Notes
-    -----
-    Procrustes fits the joints that ``where`` names. Differs from the published code: none in value; there is no
-    loop over thresholds.
-
-    References
-    ----------
-    Wandt et al., arXiv:2011.14679.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> hypotheses = np.zeros((1, 1, 2, 3))
-    >>> hypotheses[0, 0, 0, 0] = 110.2
-    >>> cps(hypotheses, np.zeros((1, 2, 3)), align="none")
-    array([189.5])
-    """
-    _known(select)
-    return per_pose(lambda b: pose_score(b, cps_area, select, align), hypotheses, truth, where, root=root)
+_SHARE = partial(
+    Metric,
+    unit="",
+    direction="higher",
+    family="accuracy",
+    finish=entry(),
+    headline=True,
+    source="Mehta et al., arXiv:1611.09813",
+)
 
 
-def _known(select: str) -> None:
-    if select not in SELECTIONS:
-        raise PoseDataError(f"select: {select!r} is not known. {did_you_mean(select, SELECTIONS)}")
+def pck_metrics(scope: Scope) -> Iterator[Metric]:
+    """PCK and AUC."""
+    p, joints, select = scope.protocol, scope.counted(scope.pck), scope.protocol.pck_best
+    strict, exact, threshold = p.pck_rule == "<", p.auc == "integral", f"{p.pck_threshold:g} mm"
+    right = partial(correct_joints, threshold=p.pck_threshold, select=select, strict=strict)
+    yield _SHARE(
+        name="pck",
+        label=f"PCK {threshold}",
+        brief=f"{scope.number(scope.pck)} {p.pck_rule} {threshold}, {SELECTED[select]}",
+        definition=f"mean over poses of the share of {joints} with ‖x − y‖ {p.pck_rule} {threshold}, "
+        f"{SELECTED[select]}",
+        statistic=Statistic("pck", partial(right, joints=scope.pck, body=scope.body)),
+        in_group_table=True,
+        range="0 to 1",
+        reading="The share of joints that are right to the threshold, of the best hypothesis at that: it rises with N.",
+    )
+    grid = "its integral over 0 … 150 mm" if exact else "the thresholds 0, 5, … 150 mm"
+    area = partial(joint_score, score=partial(auc_share, exact=exact, strict=strict), select=select)
+    yield _SHARE(
+        name="auc",
+        label="AUC of PCK",
+        brief=f"mean of PCK over {grid}",
+        definition=f"mean over {grid} of PCK ({p.pck_rule}) over {joints}, {SELECTED[select]} at each threshold",
+        statistic=Statistic("auc", partial(area, joints=scope.pck, body=scope.body)),
+        range="0 to 30/31 with strict thresholds (none is below 0 mm), else 1",
+        reading="PCK without the choice of one threshold.",
+    )
+
+
+def pck_curve(scope: Scope) -> Curve:
+    """PCK against the threshold."""
+    p = scope.protocol
+
+    def reached(errors: FloatArray) -> FloatArray:
+        return correct_share(errors[..., None], THRESHOLDS, strict=p.pck_rule == "<")
+
+    return Curve(
+        name="pck_curve",
+        at=THRESHOLDS,
+        axes=("threshold τ [mm]", "share of correct joints (PCK)"),
+        definition=f"mean over poses of the share of {scope.counted(scope.pck)} with ‖x − y‖ {p.pck_rule} τ, "
+        f"{SELECTED[p.pck_best]} at each τ",
+        statistic=Statistic(
+            "pck_curve",
+            partial(joint_score, score=reached, select=p.pck_best, joints=scope.pck, body=scope.body),
+        ),
+    )

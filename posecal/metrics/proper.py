@@ -1,4 +1,4 @@
-"""Is the whole predicted distribution good? Proper scores, which a model can't improve by lying about its spread.
+"""Proper scores of the whole predicted distribution, which no model can improve by a wrong spread.
 
 The scores here are *fair*: unbiased in N, so that models with different numbers of hypotheses can share a column,
 and the expected score of a sampler is best when it samples from the truth. The energy score looks at whole poses
@@ -14,27 +14,16 @@ Q. J. R. Meteorol. Soc. 140, 1917 (2014), doi:10.1002/qj.2270 (fair scores).
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from functools import partial
+
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.arrays import BoolArray, FloatArray, squared_norms
-from posecal.engine.block import Block
-from posecal.engine.blocks import per_pose
+from posecal.data.arrays import BoolArray, FloatArray, checked, squared_norms
+from posecal.engine.block import Block, per_pose
+from posecal.engine.metric import Metric, Scope, Statistic, entry, mean_over_joints
 from posecal.errors import PoseDataError
-from posecal.metrics.sharpness import mean_over_joints
-
-__all__ = [
-    "brier_counts",
-    "brier_score",
-    "crps",
-    "energy_score",
-    "fair_brier",
-    "joint_crps",
-    "joint_energies",
-    "variogram_score",
-    "variograms",
-]
-
 
 STRIP = 50
 """Points whose distances to all later ones are taken at a time: as many as stay in cache."""
@@ -128,7 +117,7 @@ def variograms(block: Block, joints: BoolArray | None = None) -> FloatArray:
         roots = squared_norms(poses[:, :joint] - poses[:, joint, None])
         np.sqrt(np.sqrt(roots, out=roots), out=roots)
         true = squared_norms((block.truth[:, :joint] - block.truth[:, joint, None])[..., None])
-        roots -= np.sqrt(np.sqrt(true))  # before they are added up, so that little is lost where they differ little
+        roots -= np.sqrt(np.sqrt(true))  # before they are summed, so that little is lost where they differ little
         apart = roots @ shares
         roots -= apart[..., None]
         chance = np.einsum("bkn,bkn->bk", roots, roots) / (n * (n - 1))
@@ -137,45 +126,17 @@ def variograms(block: Block, joints: BoolArray | None = None) -> FloatArray:
     return np.where(pairs > 0, total / np.maximum(pairs, 1), np.nan)
 
 
-def _within(
-    block: Block, joints: BoolArray | None, threshold: float, forecast: Block
-) -> tuple[FloatArray, BoolArray, BoolArray]:
-    """Share of a forecast with every joint near the block's median, whether the truth is, and which poses count."""
-    scored = block.where if joints is None else block.where & joints
-    reach = np.where(scored[..., None], squared_norms(forecast.offsets - block.median[..., None]), 0).max(axis=1)
-    truth = np.where(scored, squared_norms(block.median[..., None])[..., 0], 0).max(axis=1)
-    share: FloatArray = (reach < threshold**2).mean(axis=-1)
-    return share, np.asarray(truth < threshold**2), np.asarray(scored.any(axis=1))
-
-
-def fair_brier(
-    block: Block, joints: BoolArray | None = None, threshold: float = 150.0, *, forecast: Block | None = None
+def fair_per_pose(
+    statistic: Callable[[Block], FloatArray],
+    hypotheses: npt.ArrayLike,
+    truth: npt.ArrayLike,
+    where: npt.ArrayLike | None,
+    root: int | None,
 ) -> FloatArray:
-    """Fair Brier score of "every joint lies within the threshold of the median pose", (B,); NaN for no joint.
-
-    The probability is the share of the forecast's hypotheses, by default the block's own; the median is the block's.
-    """
-    forecast = block if forecast is None else forecast
-    n = forecast.n_hypotheses
-    share, happened, counted = _within(block, joints, threshold, forecast)
-    if n < 2:
-        return np.full(len(share), np.nan)
-    return np.where(counted, (share - happened) ** 2 - share * (1 - share) / (n - 1), np.nan)
-
-
-def brier_counts(block: Block, joints: BoolArray | None = None, threshold: float = 150.0) -> FloatArray:
-    """One-hot table of the predicted share and the outcome, (B, N + 1, 2); its sums give the reliability diagram."""
-    n = block.n_hypotheses
-    share, happened, counted = _within(block, joints, threshold, block)
-    found = np.zeros((len(share), n + 1, 2))
-    found[np.arange(len(share)), np.rint(share * n).astype(int), happened.astype(int)] = 1
-    found[~counted] = np.nan
-    return found
-
-
-def _checked_scores(hypotheses: npt.ArrayLike) -> None:
-    if np.ndim(hypotheses) == 4 and np.shape(hypotheses)[0] < 2:
+    """Compute a fair score of every pose, (M,); refuse fewer than two hypotheses."""
+    if len(checked(hypotheses, truth)[0]) < 2:
         raise PoseDataError("hypotheses: N = 1; fair scores need at least 2.")
+    return per_pose(statistic, hypotheses, truth, where, root=root)
 
 
 def energy_score(
@@ -218,6 +179,12 @@ def energy_score(
     -----
     Differs from the published code: none; the pose papers don't report it.
 
+    See Also
+    --------
+    crps : The same of one coordinate at a time.
+    variogram_score : Of the distances between joints, which the energy score hardly sees.
+    posecal.metrics.mpjpe : The distances alone, which reward hypotheses that all agree.
+
     References
     ----------
     Gneiting and Raftery (2007), doi:10.1198/016214506000001437; Ferro (2014), doi:10.1002/qj.2270.
@@ -231,8 +198,7 @@ def energy_score(
     >>> energy_score(hypotheses, np.zeros((1, 1, 1)))
     array([1.])
     """
-    _checked_scores(hypotheses)
-    return per_pose(lambda b: joint_energies(b)[:, -1], hypotheses, truth, where, root=root)
+    return fair_per_pose(lambda b: joint_energies(b)[:, -1], hypotheses, truth, where, root)
 
 
 def crps(
@@ -267,6 +233,10 @@ def crps(
     -----
     Differs from the published code: none; the pose papers don't report it.
 
+    See Also
+    --------
+    energy_score : The same of whole poses.
+
     References
     ----------
     Gneiting and Raftery (2007), doi:10.1198/016214506000001437; Ferro (2014), doi:10.1002/qj.2270.
@@ -280,8 +250,7 @@ def crps(
     >>> crps(hypotheses, np.zeros((1, 1, 1)))
     array([1.])
     """
-    _checked_scores(hypotheses)
-    return per_pose(lambda b: mean_over_joints(joint_crps(b)), hypotheses, truth, where, root=root)
+    return fair_per_pose(lambda b: mean_over_joints(joint_crps(b)), hypotheses, truth, where, root)
 
 
 def variogram_score(
@@ -320,6 +289,10 @@ def variogram_score(
     Blind to where the pose is and which way it faces. Differs from the published code: the distance between two
     points takes the place of the difference of two numbers.
 
+    See Also
+    --------
+    energy_score : Of whole poses, with where they are.
+
     References
     ----------
     Scheuerer and Hamill (2015), doi:10.1175/MWR-D-14-00269.1.
@@ -335,61 +308,61 @@ def variogram_score(
     >>> variogram_score(hypotheses, np.array([0.0, 4.0]).reshape(1, 2, 1)).round(6)
     array([-1.])
     """
-    _checked_scores(hypotheses)
-    return per_pose(variograms, hypotheses, truth, where, root=root)
+    return fair_per_pose(variograms, hypotheses, truth, where, root)
 
 
-def brier_score(
-    hypotheses: npt.ArrayLike,
-    truth: npt.ArrayLike,
-    /,
-    *,
-    threshold: float = 150.0,
-    where: npt.ArrayLike | None = None,
-    root: int | None = None,
-) -> FloatArray:
-    r"""Fair Brier score of each pose for the event that the median pose is right at every joint.
+# --- metrics --------------------------------------------------------------------------------------------------
 
-    .. math:: (p - o)^2 - \frac{p (1 - p)}{N - 1}
+SCORE = partial(
+    Metric,
+    unit="mm",
+    direction="lower",
+    family="scores",
+    range="single poses may be below 0; the mean is not, but for chance",
+    reading="Proper: a model can't gain by a wrong spread. Only differences and skills mean something; a wide but true "
+    "distribution may lose to a narrow true one, which knows more.",
+    source="Gneiting and Raftery, doi:10.1198/016214506000001437; Ferro, doi:10.1002/qj.2270",
+)
 
-    where o says whether every joint of the truth lies within the threshold of the median of the hypotheses, and p is
-    the share of the hypotheses of which every joint does: the probability that the model gives the event.
 
-    Parameters
-    ----------
-    hypotheses, truth, where, root
-        As for :func:`energy_score`.
-    threshold : float
-        Largest distance that is right, mm.
-
-    Returns
-    -------
-    array (M,)
-        Scores, about 0 to 1; lower is better; NaN for a pose without a joint that counts.
-
-    Raises
-    ------
-    PoseDataError
-        For fewer than two hypotheses, and shapes, dtypes or values that don't fit.
-
-    Notes
-    -----
-    Whether a model knows when its own median can be relied on. The event is each model's own, so models are not ranked
-    by it: one that is always wrong and knows it has a score of 0. Differs from the published code: none; the pose
-    papers don't report it.
-
-    References
-    ----------
-    Brier, Mon. Weather Rev. 78, 1 (1950); Ferro (2014), doi:10.1002/qj.2270.
-
-    Examples
-    --------
-    All three hypotheses lie near their median, and the truth does not.
-
-    >>> import numpy as np
-    >>> hypotheses = np.array([200.0, 201.0, 202.0]).reshape(3, 1, 1, 1)
-    >>> brier_score(hypotheses, np.zeros((1, 1, 1)))
-    array([1.])
-    """
-    _checked_scores(hypotheses)
-    return per_pose(lambda b: fair_brier(b, None, threshold), hypotheses, truth, where, root=root)
+def score_metrics(scope: Scope) -> Iterator[Metric]:
+    """Energy score, CRPS and variogram score."""
+    moving, joints, n = scope.moving, scope.counted(scope.moving), scope.spec.n_hypotheses
+    energies = Statistic("energies", partial(joint_energies, joints=moving), per_joint=True)
+    crps = Statistic("crps", partial(joint_crps, joints=moving), per_joint=True)
+    yield SCORE(
+        name="energy_score",
+        label="energy score",
+        brief=f"fair, whole pose of {scope.number(moving)}",
+        definition=f"mean over poses of mean ‖x − y‖ − ½ mean ‖x − x′‖, norm over {joints}; fair in N={n}",
+        statistic=energies,
+        finish=entry(-1),
+        by_joint=(energies, lambda means: means[..., :-1]),
+    )
+    yield SCORE(
+        name="joint_energy_score",
+        label="energy score of joints",
+        brief="fair, mean over joints of each joint's own",
+        definition=f"mean over poses of mean ‖x − y‖ − ½ mean ‖x − x′‖ of one joint, mean over {joints}; fair in N={n}",
+        statistic=energies,
+        finish=lambda means: mean_over_joints(means[..., :-1]),
+    )
+    yield SCORE(
+        name="crps",
+        label="CRPS",
+        brief="fair, mean over coordinates",
+        definition=f"mean over poses of mean |x − y| − ½ mean |x − x′| of one coordinate, mean over axes and {joints}; "
+        f"fair in N={n}",
+        statistic=crps,
+        finish=mean_over_joints,
+        by_joint=(crps, np.asarray),
+    )
+    yield SCORE(
+        name="variogram_score",
+        label="variogram score",
+        brief="fair, of √distance between joints",
+        definition=f"mean over poses and pairs of {joints} of (√d(y) − mean √d(x))² − var √d(x) / N, d: distance of "
+        f"the pair, N={n}",
+        statistic=Statistic("variogram", partial(variograms, joints=moving)),
+        finish=entry(),
+    )

@@ -1,20 +1,20 @@
-"""How wide do the hypotheses lie, whatever the truth? Diversity and sharpness.
+"""Sharpness: how far the hypotheses lie from each other, whatever the truth.
 
-A calibrated model can be useless, if it says only that a person is somewhere; so spread stands beside every
+A calibrated model can be useless, if it says only that a person is somewhere; so sharpness is reported beside every
 calibration number, in millimetres.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from functools import partial
+
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.arrays import BoolArray, FloatArray, squared_norms
-from posecal.engine.block import Block
-from posecal.engine.blocks import per_pose
-from posecal.errors import PoseDataError
-
-__all__ = ["diversity", "joint_deviations", "joint_radii", "mean_over_joints", "predicted_spread", "radius"]
+from posecal.data.arrays import BoolArray, FloatArray, checked_number, squared_norms
+from posecal.engine.block import Block, per_pose
+from posecal.engine.metric import Metric, Scope, Statistic, mean_over_joints, per_joint
 
 
 def joint_deviations(block: Block, *, population: bool = False) -> FloatArray:
@@ -27,8 +27,9 @@ def joint_deviations(block: Block, *, population: bool = False) -> FloatArray:
     """
     if block.n_hypotheses == 1 and not population:
         return np.full(block.where.shape, np.nan)
-    found = block.offsets.std(axis=-1, ddof=0 if population else 1, dtype=np.float64).mean(axis=-1)
-    return np.where(block.where, found, np.nan)
+    n = block.n_hypotheses
+    deviations = np.sqrt(block.variance * (n / (n if population else n - 1))).mean(axis=-1)
+    return np.where(block.where, deviations, np.nan)
 
 
 def predicted_spread(block: Block, joints: BoolArray | None = None) -> FloatArray:
@@ -49,9 +50,7 @@ def joint_radii(block: Block, shares: tuple[float, ...]) -> FloatArray:
         The ⌈q N⌉-th smallest distance from the per-coordinate median, mm; NaN for joints that don't count.
     """
     n = block.n_hypotheses
-    squares = block.share(
-        "sorted_squares", lambda: np.sort(squared_norms(block.offsets - block.median[..., None]), axis=-1)
-    )
+    squares = block.share("sorted_squares", lambda: np.sort(squared_norms(block.from_median), axis=-1))
     places = [max(1, int(np.ceil(round(share * n, 9)))) - 1 for share in shares]
     found = np.sqrt(squares[..., places], dtype=np.float64)
     found[~block.where] = np.nan
@@ -97,6 +96,10 @@ def diversity(
     Notes
     -----
     Differs from the published code: none; GFPose's script takes ``population=True``.
+
+    See Also
+    --------
+    radius : Radius that holds a share of the hypotheses.
 
     References
     ----------
@@ -153,6 +156,11 @@ def radius(
     -----
     Differs from the published code: none; ours.
 
+    See Also
+    --------
+    diversity : Standard deviation of the hypotheses.
+    posecal.calibration_curve : How often the truth lies within such a ball.
+
     References
     ----------
     Gneiting, Balabdaoui and Raftery, J. R. Stat. Soc. B 69, 243 (2007), doi:10.1111/j.1467-9868.2007.00587.x.
@@ -166,12 +174,63 @@ def radius(
     >>> radius(hypotheses, np.zeros((1, 1, 1)))
     array([1.])
     """
-    if not 0 < share <= 1:
-        raise PoseDataError(f"share: {share}; expected above 0 and at most 1.")
+    share = checked_number(share, "share", lambda share: 0 < share <= 1, "above 0 and at most 1")
     return per_pose(lambda b: mean_over_joints(joint_radii(b, (share,))[..., 0]), hypotheses, truth, where, root=root)
 
 
-def mean_over_joints(values: FloatArray) -> FloatArray:
-    """Mean over the last axis of what is not NaN; NaN where nothing is left."""
-    number = np.isfinite(values).sum(axis=-1)
-    return np.where(number > 0, np.nansum(values, axis=-1) / np.maximum(number, 1), np.nan)
+# --- metrics --------------------------------------------------------------------------------------------------
+
+_SHARPNESS = partial(
+    Metric,
+    unit="mm",
+    direction="none",
+    family="sharpness",
+    headline=True,
+    range="0 mm upwards",
+    reading="Sharpness: smaller is better only among models that are calibrated. It never looks at the truth.",
+    source="Gneiting, Balabdaoui and Raftery, doi:10.1111/j.1467-9868.2007.00587.x",
+)
+
+
+def _mean_of(place: int) -> Callable[[FloatArray], FloatArray]:
+    """Finish by the mean over joints of one entry of each."""
+    return lambda means: mean_over_joints(means[..., place])
+
+
+def sharpness_metrics(scope: Scope) -> Iterator[Metric]:
+    """Radii that hold a share of the hypotheses, and diversity."""
+    joints, n = scope.counted(scope.moving), scope.spec.n_hypotheses
+    population = scope.protocol.deviation == "population"
+    divisor = "n" if population else "n − 1"
+
+    def radii(block: Block) -> FloatArray:
+        return np.where(scope.moving[:, None], joint_radii(block, (0.5, 0.9)), np.nan)
+
+    def deviations(block: Block) -> FloatArray:
+        return np.where(scope.moving, joint_deviations(block, population=population), np.nan)
+
+    statistic = Statistic("radii", radii, per_joint=True)
+    for place, share in enumerate((50, 90)):
+        yield _SHARPNESS(
+            name=f"radius_{share}",
+            label=f"radius of {share} %",
+            brief=f"mean radius about the median, {scope.number(scope.moving)}",
+            definition=f"sharpness: radius about the per-coordinate median that holds {share} % of the N={n} "
+            f"hypotheses, mean over poses, then over {joints}",
+            statistic=statistic,
+            finish=_mean_of(place),
+            by_joint=(statistic, per_joint(place)),
+            in_group_table=share == 50,
+            in_joint_table=True,
+        )
+    statistic = Statistic("deviations", deviations, per_joint=True)
+    yield _SHARPNESS(
+        name="diversity",
+        label="diversity",
+        brief=f"standard deviation of the hypotheses ({divisor})",
+        definition=f"standard deviation over the N={n} hypotheses ({divisor}), mean over axes and poses, then over "
+        f"{joints}",
+        statistic=statistic,
+        finish=mean_over_joints,
+        by_joint=(statistic, np.asarray),
+    )

@@ -1,4 +1,4 @@
-"""Is a wide spread a sign of a large error? What users who act on uncertainty want to know.
+"""Uncertainty: whether the predicted spread of a pose tells how large its error is.
 
 A calibrated model may still give every pose the same spread. Here poses are put in the order of their predicted
 spread and of their error, and the two orders compared: by rank correlation, and by how fast the error falls when
@@ -7,21 +7,29 @@ the most uncertain poses are dropped.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+
 import numpy as np
 import numpy.typing as npt
 
 from posecal.calibration.ranks import shared_ranks
-from posecal.data.arrays import FloatArray
+from posecal.data.arrays import FloatArray, real_array
+from posecal.engine.block import Block
+from posecal.engine.metric import Metric, Scope, Statistic
 from posecal.errors import PoseDataError
+from posecal.metrics.position import pose_errors
+from posecal.metrics.sharpness import predicted_spread
 
-__all__ = ["DROPPED", "rank_correlation", "sparsification", "sparsification_area"]
+Indices = npt.NDArray[np.intp]
 
 DROPPED: FloatArray = np.arange(20) / 20
 """Shares of poses that the sparsification curve drops: 0, 0.05, … 0.95."""
 
 
 def _pair(spread: npt.ArrayLike, error: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
-    s, e = np.asarray(spread, dtype=np.float64), np.asarray(error, dtype=np.float64)
+    s, e = real_array(spread, "spread").astype(np.float64), real_array(error, "error").astype(np.float64)
     if s.ndim != 1 or s.shape != e.shape:
         raise PoseDataError(f"spread {s.shape} and error {e.shape}: expected (M,) both.")
     known = ~(np.isnan(s) | np.isnan(e))
@@ -51,6 +59,10 @@ def rank_correlation(spread: npt.ArrayLike, error: npt.ArrayLike) -> float:
     -----
     Even a perfect sampler does not reach 1: an error is one draw of what the spread describes. Differs from the
     published code: none; ours.
+
+    See Also
+    --------
+    sparsification_area : What dropping poses by their spread loses.
 
     Examples
     --------
@@ -141,3 +153,208 @@ def sparsification_area(spread: npt.ArrayLike, error: npt.ArrayLike) -> float:
     """
     by_spread, by_error = sparsification(spread, error)
     return float((by_spread - by_error).mean())
+
+
+# --- without each sequence ------------------------------------------------------------------------------------
+
+MAX_BINS = 512
+"""In :func:`rank_correlation_without` the term of second order is summed over at most so many classes of ranks."""
+
+
+def rank_correlation_without(spread: FloatArray, error: FloatArray, sequence: Indices) -> FloatArray:
+    r"""Spearman's rank correlation without the poses of each sequence in turn, from one sort of all poses.
+
+    .. math:: \sum_{m \notin s} (u_m - a_m)(v_m - b_m) =
+              \sum_m u_m v_m - \sum_{m \in s} (V_m + U_m) + \sum_m a_m b_m - \sum_{m \in s} (u_m - a_m)(v_m - b_m)
+
+    with the centred ranks u and v among all poses, the centred ranks a and b that the same values would have among the
+    poses of s, and the sums V of v over the poses of larger spread and U of u over those of larger error, ties by half.
+
+    Parameters
+    ----------
+    spread, error : arrays (M,)
+        Of each pose, without NaN.
+    sequence : array of int (M,)
+        0 … S - 1, all of which occur.
+
+    Returns
+    -------
+    array (S,)
+        As :func:`rank_correlation`, NaN where one of the two is constant without the sequence.
+
+    Notes
+    -----
+    Time grows as M log M + S. All is exact but for :math:`\sum_m a_m b_m`, which counts the pairs of poses of the
+    sequence below each pose: there the ranks are grouped into up to :data:`MAX_BINS` classes, fewer with more than
+    1,000 sequences. With no more poses than that it is exact as well; with more, a standard error over 10 sequences is
+    off by less than 1 %, and one over more sequences by less.
+    """
+    S = int(sequence.max(initial=-1)) + 1
+    size = np.bincount(sequence, minlength=S)
+    n_bins = min(MAX_BINS, len(spread), 64 + int(np.sqrt(2e8 / max(S, 1))))
+    first, second = (_RanksWithout.of(values, sequence, size, n_bins) for values in (spread, error))
+    joint = np.bincount(first.bins * n_bins + second.bins, minlength=n_bins**2).reshape(n_bins, n_bins)
+    cross = np.einsum("su,uv,sv->s", first.own_by_bin, joint, second.own_by_bin, optimize=True)
+    changed = first.above(second.rank) + second.above(first.rank)
+    changed += (first.rank - first.own) * (second.rank - second.own)
+    covariance = first.rank @ second.rank + cross - np.bincount(sequence, changed, minlength=S)
+    square = first.squares * second.squares
+    return np.where(square > 0, np.round(covariance / np.sqrt(np.where(square > 0, square, 1)), 12), np.nan)
+
+
+@dataclass(frozen=True)
+class _RanksWithout:
+    """Centred ranks of M values, and what they become without each of S sequences.
+
+    Attributes
+    ----------
+    code : array of int (M,)
+        The number of each value among the distinct ones.
+    rank, own : arrays (M,)
+        Rank among all, and among those of the same sequence, less their mean; ties share the mean.
+    squares : array (S,)
+        Sum of the squared ranks of the others among themselves.
+    bins : array of int (M,)
+        The class of each rank.
+    own_by_bin : array (S, bins)
+        The centred rank that a value of each class would have among those of the sequence.
+    """
+
+    code: Indices
+    rank: FloatArray
+    own: FloatArray
+    squares: FloatArray
+    bins: Indices
+    own_by_bin: FloatArray
+
+    @classmethod
+    def of(cls, values: FloatArray, sequence: Indices, size: Indices, n_bins: int) -> _RanksWithout:
+        M, S = len(values), len(size)
+        _, code, ties = np.unique(values, return_inverse=True, return_counts=True)
+        middle = np.cumsum(ties) - (ties + 1) / 2  # rank of each distinct value, from 0
+        pairs, of_pose, own_ties = np.unique(sequence * len(ties) + code, return_inverse=True, return_counts=True)
+        own_sequence, own_code = np.divmod(pairs, len(ties))
+        before = (np.cumsum(size) - size)[own_sequence]
+        own = np.cumsum(own_ties) - own_ties / 2 - before - size[own_sequence] / 2
+        rest = M - size
+        lost = np.bincount(own_sequence, _cube(ties[own_code]) - _cube(ties[own_code] - own_ties), minlength=S)
+        bins = (middle * n_bins / M).astype(np.intp)
+        table = np.bincount(own_sequence * n_bins + bins[own_code], own_ties, S * n_bins)
+        table = table.reshape(S, n_bins)
+        return cls(
+            code=code,
+            rank=(middle - (M - 1) / 2)[code],
+            own=own[of_pose],
+            squares=_cube(rest) - (_cube(ties).sum() - lost),
+            bins=bins[code],
+            own_by_bin=np.cumsum(table, axis=1) - table / 2 - size[:, None] / 2,
+        )
+
+    def above(self, other: FloatArray) -> FloatArray:
+        """Sum another quantity over the poses of larger values than each pose's, and half of it over equal ones."""
+        by_code = np.bincount(self.code, other)
+        return np.asarray((by_code.sum() - np.cumsum(by_code) + by_code / 2)[self.code])
+
+
+def _cube(number: Indices) -> FloatArray:
+    """(n³ - n) / 12: the sum of squared centred ranks of n values, and what as many ties take from it."""
+    n = number.astype(np.float64)
+    return (n**3 - n) / 12
+
+
+def sparsification_area_without(spread: FloatArray, error: FloatArray, sequence: Indices) -> FloatArray:
+    """Area between the sparsification curves without the poses of each sequence in turn, from one sort of all poses.
+
+    The n poses of smallest spread among the others are the first n + j of all in their order, of which j are the
+    sequence's own: those before which there are fewer than n others.
+
+    Parameters
+    ----------
+    spread, error : arrays (M,)
+        Of each pose, without NaN.
+    sequence : array of int (M,)
+        0 … S - 1, all of which occur.
+
+    Returns
+    -------
+    array (S,)
+        As :func:`sparsification_area`, NaN where no other pose is left. Exact but for rounding.
+    """
+    M, S = len(spread), int(sequence.max(initial=-1)) + 1
+    error = error.astype(np.float64)  # sums of so many in single precision would be off
+    size = np.bincount(sequence, minlength=S)
+    rest = M - size
+    number = np.maximum(np.rint((1 - DROPPED) * rest[:, None]).astype(np.intp), 1)
+    start = np.cumsum(size) - size
+    area = np.zeros(S)
+    for values, sign in ((spread, 1), (error, -1)):
+        order = np.argsort(values, kind="stable")
+        total = np.concatenate([[0.0], np.cumsum(error[order])])
+        own = np.argsort(sequence[order], kind="stable")  # positions in the order, by sequence
+        own_total = np.concatenate([[0.0], np.cumsum(error[order][own])])
+        key = np.repeat(np.arange(S), size)
+        others = own - (np.arange(M) - start[key])  # of other sequences, before each
+        last = np.searchsorted(key * (M + 1) + others, np.arange(S)[:, None] * (M + 1) + number)
+        own_sum = own_total[last] - own_total[start][:, None]
+        area += sign * ((total[np.minimum(number + last - start[:, None], M)] - own_sum) / number).mean(axis=1)
+    mean = (error.sum() - np.bincount(sequence, error, minlength=S)) / np.maximum(rest, 1)
+    known = (rest > 0) & (mean > 0)
+    return np.where(known, area / np.where(known, mean, 1), np.nan)
+
+
+# --- metrics --------------------------------------------------------------------------------------------------
+
+_UNCERTAINTY = partial(Metric, unit="", family="sharpness")
+
+
+def _of_columns(function: Callable[[FloatArray, FloatArray], float]) -> Callable[[FloatArray], float]:
+    """Finish by a function of the spreads and the errors of all poses, (M, 2)."""
+    return lambda values: function(values[:, 0], values[:, 1])
+
+
+def _without(function: Callable[[FloatArray, FloatArray, Indices], FloatArray]) -> Callable[..., FloatArray]:
+    """Leave out sequences by a function of the spreads, the errors and the sequence of all poses."""
+    return lambda values, sequence: function(values[:, 0], values[:, 1], sequence)
+
+
+def uncertainty_metrics(scope: Scope) -> Iterator[Metric]:
+    """Rank correlation and sparsification of the predicted spread and the error of poses."""
+
+    def spread_and_error(block: Block) -> FloatArray:
+        error = pose_errors(block, "none", "mean_pose", scope.body)[:, 0]
+        return np.stack([predicted_spread(block, scope.moving), error], axis=1, dtype=np.float64)
+
+    statistic = Statistic("predicted_spread_and_error", spread_and_error, per_pose=True)
+    about = (
+        f"predicted spread (mean standard deviation of {scope.counted(scope.moving)}) and error of the mean pose (mean "
+        f"over {scope.counted(scope.body)})"
+    )
+    yield _UNCERTAINTY(
+        name="spread_error_correlation",
+        label="rank correlation of spread and error",
+        direction="higher",
+        brief="over poses: whether a wide spread is a sign of error",
+        definition=f"Spearman's rank correlation over poses of {about}",
+        statistic=statistic,
+        finish=_of_columns(rank_correlation),
+        leave_out=_without(rank_correlation_without),
+        headline=True,
+        range="−1 to 1",
+        reading="Whether a wide spread is a sign of error, which is what acting on uncertainty needs. A perfect "
+        "sampler stays below 1, since an error is one draw.",
+        source="posecal",
+    )
+    yield _UNCERTAINTY(
+        name="sparsification_area",
+        label="sparsification area",
+        direction="lower",
+        brief="of the error left when the most uncertain poses are dropped",
+        definition="mean over dropped shares 0 … 0.95 of the error left when poses are dropped by spread, minus by "
+        f"error, over the mean error; {about}",
+        statistic=statistic,
+        finish=_of_columns(sparsification_area),
+        leave_out=_without(sparsification_area_without),
+        range="about 0 (spread orders poses as their errors do) upwards",
+        reading="What is lost, in mean errors, by dropping poses by their spread instead of their error.",
+        source="Ilg et al., arXiv:1802.07095",
+    )

@@ -1,17 +1,18 @@
-"""How far are the steps of the hypotheses from the true steps? The velocity error (MPJVE)."""
+"""Velocity error: distances of the steps of the hypotheses between frames from the true steps (MPJVE)."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.arrays import BoolArray, FloatArray, checked, squared_norms
-from posecal.engine.block import Block
-from posecal.engine.blocks import per_pose
+from posecal.data.arrays import BoolArray, FloatArray, as_array, checked, checked_number, squared_norms
+from posecal.engine.block import Block, per_pose
+from posecal.engine.metric import Metric, Scope, Statistic
 from posecal.errors import PoseDataError
 from posecal.metrics.position import OfPoses
-
-__all__ = ["mpjve", "velocity_errors"]
 
 
 def velocity_errors(block: Block, *, of: OfPoses | None = None, body: BoolArray | None = None) -> FloatArray:
@@ -77,6 +78,10 @@ def mpjve(
     -----
     Differs from the published code: VideoPose3D takes one pose per frame and all frames as one sequence.
 
+    See Also
+    --------
+    posecal.metrics.mpjpe : Error of the positions.
+
     References
     ----------
     Pavllo et al., arXiv:1811.11742.
@@ -91,15 +96,51 @@ def mpjve(
     array([nan,  5.,  5.])
     """
     _, y, _ = checked(hypotheses, truth, where)
-    labels = np.zeros(len(y)) if sequence is None else np.asarray(sequence)
+    labels = np.zeros(len(y)) if sequence is None else as_array(sequence, "sequence")
     if labels.shape != (len(y),):
         raise PoseDataError(f"sequence {labels.shape}: expected (M,) = ({len(y)},).")
-    if fps is not None and not 0 < fps < float("inf"):
-        raise PoseDataError(f"fps: {fps}; expected frames per second above 0.")
+    rate = 1.0 if fps is None else checked_number(fps, "fps", lambda fps: 0 < fps < np.inf, "frames per second above 0")
     follows = np.concatenate([[False], labels[1:] == labels[:-1]])
 
     def statistic(block: Block) -> FloatArray:
         return np.asarray(velocity_errors(block).mean(axis=-1, dtype=np.float64))
 
-    per_frame = per_pose(statistic, hypotheses, truth, where, root=root, follows=follows)
-    return per_frame if fps is None else per_frame * fps
+    return per_pose(statistic, hypotheses, truth, where, root=root, follows=follows) * rate
+
+
+# --- metrics --------------------------------------------------------------------------------------------------
+
+
+def velocity_metrics(scope: Scope) -> Iterator[Metric]:
+    """MPJVE of the hypotheses and of their mean, where poses have sequences."""
+    second, fps = scope.protocol.velocity == "second", scope.spec.fps
+    if "sequence" not in scope.spec.labels:
+        return
+    if second and fps is None:
+        raise PoseDataError("velocity: second needs the frames per second. Store fps in the truth's file.")
+    factor = fps if second and fps is not None else 1.0
+
+    def errors(block: Block, of: OfPoses | None) -> FloatArray:
+        return np.asarray(velocity_errors(block, of=of, body=scope.body).mean(axis=-1))
+
+    kinds: tuple[tuple[str, str, OfPoses | None, str], ...] = (
+        ("mpjve", "MPJVE", None, "the mean over hypotheses, each followed through its sequence, of the"),
+        ("mean_pose_mpjve", "MPJVE, mean pose", "mean_pose", "the mean of the hypotheses, the"),
+    )
+    for name, label, of, words in kinds:
+        yield Metric(
+            name=name,
+            label=label,
+            unit="mm/s" if second else "mm/frame",
+            direction="lower",
+            family="accuracy",
+            brief="of steps between frames",
+            definition=f"mean over consecutive poses of a sequence of {words} mean over {scope.counted(scope.body)} of "
+            "‖Δx − Δy‖",
+            statistic=Statistic(name, partial(errors, of=of)),
+            finish=lambda means: means * factor,
+            range="0 mm upwards",
+            reading="How much the hypotheses jitter against the true motion. Those drawn anew for every frame jitter "
+            "by design.",
+            source="Pavllo et al., arXiv:1811.11742",
+        )

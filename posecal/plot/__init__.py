@@ -1,8 +1,7 @@
-"""How do the numbers look? Reliability diagrams and the rest: ``ax`` in, ``ax`` out.
+"""Pictures of a report, a comparison or poses: reliability diagrams and others, ``ax`` in, ``ax`` out.
 
-Everything here draws what a report, a comparison or an array of poses holds, and computes nothing. Pictures that need
-a file go through the functions that begin with ``draw``, which never touch a display, and
-:func:`posecal.plot.style.save`.
+They draw what is given, and compute nothing. The functions that begin with ``draw`` make a figure without a display;
+:func:`save` writes it.
 """
 
 from __future__ import annotations
@@ -10,50 +9,58 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from posecal.errors import PoseDataError, did_you_mean
 from posecal.plot.comparison import accuracy_and_calibration, draw_comparison
-from posecal.plot.curves import correct, drawn_definition, errors_by_n, event, guide, reliability
-from posecal.plot.rank_tests import deviation, draw_rank_tests
+from posecal.plot.curves import (
+    default_definition,
+    errors_by_n,
+    event_reliability,
+    pck_curves,
+    reliability,
+    sparsification,
+)
+from posecal.plot.rank_tests import draw_rank_tests, rank_test
 from posecal.plot.skeletons import draw_poses, frames_of, poses, signed_areas, with_sign
 from posecal.plot.style import STYLE, check_suffix, figure_bytes, save
-from posecal.report.report import Report
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from posecal.report.report import Report
 
 __all__ = [
     "KINDS",
     "accuracy_and_calibration",
     "check_suffix",
-    "correct",
-    "deviation",
     "draw",
     "draw_comparison",
     "draw_poses",
     "draw_rank_tests",
     "errors_by_n",
-    "event",
+    "event_reliability",
     "figure_bytes",
     "frames_of",
-    "guide",
+    "pck_curves",
     "poses",
+    "rank_test",
     "reliability",
     "save",
     "signed_areas",
+    "sparsification",
 ]
 
-KINDS: dict[str, tuple[Callable[..., Axes], str]] = {
+KINDS: dict[str, tuple[Callable[..., Any], str]] = {
     "reliability": (reliability, "calibration curves against the diagonal"),
     "joints": (signed_areas, "the signed area of every joint, on a skeleton"),
     "errors": (errors_by_n, "minMPJPE against the number of hypotheses"),
-    "correct": (correct, "PCK and CPS against the threshold"),
-    "guide": (guide, "the error left when the most uncertain poses are dropped"),
-    "event": (event, "reliability of: the median pose is right at every joint"),
+    "pck": (pck_curves, "PCK and CPS against the threshold"),
+    "sparsification": (sparsification, "the error left when the most uncertain poses are dropped"),
+    "event": (event_reliability, "reliability of: the median pose is right at every joint"),
+    "rank_tests": (draw_rank_tests, "rank tests for what the ECE can't see"),
 }
-"""The pictures of one axes that a report can be drawn as; ``battery`` is one of several."""
+"""The pictures of a report, by the words of ``posecal plot``: functions of axes, but ``rank_tests`` of a figure."""
 
 
 def draw(report: Report, kind: str = "reliability", *, title: str | None = None) -> Figure:
@@ -64,7 +71,7 @@ def draw(report: Report, kind: str = "reliability", *, title: str | None = None)
     report : Report
         The numbers.
     kind : str
-        A key of :data:`KINDS`, or ``battery``.
+        A key of :data:`KINDS`.
     title : str, optional
         Above the picture.
 
@@ -78,10 +85,10 @@ def draw(report: Report, kind: str = "reliability", *, title: str | None = None)
     PoseDataError
         Where the report lacks what the picture shows.
     """
+    if kind not in KINDS:
+        raise PoseDataError(f"picture: {kind!r} is not known. {did_you_mean(kind, KINDS)}")
     if kind == "rank_tests":
         return draw_rank_tests(report)
-    if kind not in KINDS:
-        raise PoseDataError(f"picture: {kind!r} is not known. {did_you_mean(kind, [*KINDS, 'battery'])}")
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
@@ -119,7 +126,7 @@ def _caption(kind: str, report: Report) -> str:
         )
     if kind == "errors":
         return f"{report.curve('errors_by_n')[0].definition}."
-    if kind == "guide":
+    if kind == "sparsification":
         return f"{report.definition('sparsification_area')}: {report.value('sparsification_area'):.3f}."
     if kind == "event":
         return f"{report.definition('brier')}. Isotonic regression, equal p pooled."
@@ -127,7 +134,7 @@ def _caption(kind: str, report: Report) -> str:
 
 
 def _reliability_caption(report: Report) -> str:
-    definition = drawn_definition(report)
+    definition = default_definition(report)
     metric = report.metrics.get("ece" if definition == "exchangeable" else f"ece_{definition}")
     words = f"{definition.capitalize()} definition."
     if metric is not None:
@@ -135,9 +142,9 @@ def _reliability_caption(report: Report) -> str:
     if "signed_area" in report.metrics:
         words += f" Signed area {with_sign(report.value('signed_area'), 4)}."
     words += " Grey: each joint; dashed: a calibrated sampler."
-    if metric is None or definition != "exchangeable" or math.isnan((found := report.null(metric.name)).p):
+    if metric is None or definition != "exchangeable" or math.isnan((null := report.test(metric.name)).p):
         return words
     return (
-        f"{words} Band: 95 % of calibrated samplers, by sign-flips of {report.totals.units(found.sequences)}; "
-        f"their mean ECE {found.mean:.4f}, p = {found.p:.3f}."
+        f"{words} Band: 95 % of calibrated samplers, by sign-flips of {report.totals.units(null.sequences)}; "
+        f"their mean ECE {null.mean:.4f}, p = {null.p:.3f}."
     )

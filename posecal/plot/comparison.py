@@ -1,4 +1,4 @@
-"""How do models compare on the two axes that matter? Accuracy against calibration."""
+"""Pictures of several models: accuracy against calibration."""
 
 from __future__ import annotations
 
@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING
 
 from posecal.errors import PoseDataError
 from posecal.plot.style import GREEN, INK, STYLE, given
-from posecal.stats.comparison import Comparison
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["accuracy_and_calibration", "draw_comparison"]
+    from posecal.stats.comparison import Comparison
 
 
 def accuracy_and_calibration(comparison: Comparison, *, ax: Axes | None = None) -> Axes:
@@ -48,12 +47,12 @@ def accuracy_and_calibration(comparison: Comparison, *, ax: Axes | None = None) 
         words, at = " ◂ calibrated, but for chance", ax.get_xaxis_transform()
         ax.text(limit, 0.01, words, transform=at, ha="left", va="bottom", fontsize=7, color=GREEN)
     markers = "osD^vP*X"
-    for place, name in enumerate(comparison.names):
+    for number, name in enumerate(comparison.names):
         x, y = comparison.value("ece", name), comparison.value("min_mpjpe", name)
-        sure = comparison.interval("min_mpjpe", name)
-        if not math.isnan(sure.low):
-            ax.plot([x, x], [sure.low, sure.high], color=INK, lw=0.8, zorder=1)
-        ax.plot(x, y, marker=markers[place % len(markers)], color=INK, ms=5, ls="", gid=name)
+        interval = comparison.interval("min_mpjpe", name)
+        if not math.isnan(interval.low):
+            ax.plot([x, x], [interval.low, interval.high], color=INK, lw=0.8, zorder=1)
+        ax.plot(x, y, marker=markers[number % len(markers)], color=INK, ms=5, ls="", gid=name)
         ax.annotate(name, (x, y), xytext=(6, 3), textcoords="offset points", fontsize=7.5)
     most = max(comparison.value("ece", name) for name in comparison.names)
     ax.set(xlabel="ECE (exchangeable)", ylabel="minMPJPE [mm]")

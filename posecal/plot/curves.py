@@ -1,4 +1,4 @@
-"""How do curves look? The reliability diagram, errors against n, correct shares, and what spread says of error."""
+"""Pictures of curves: reliability diagram, errors against N, PCK and CPS, sparsification, reliability of an event."""
 
 from __future__ import annotations
 
@@ -7,16 +7,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from posecal.calibration import DEFINITIONS, Definition
-from posecal.errors import PoseDataError
+from posecal.errors import PoseDataError, option
 from posecal.metrics.best_of import ROUND_SIZES
 from posecal.metrics.uncertainty import DROPPED
 from posecal.plot.style import FAINT, INK, ORANGE, OVER, OVER_TEXT, UNDER, given
-from posecal.report.report import Report
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["correct", "drawn_definition", "errors_by_n", "event", "guide", "reliability"]
+    from posecal.report.report import Report
 
 
 def reliability(
@@ -50,17 +49,17 @@ def reliability(
     PoseDataError
         Where the report has no such curve.
     """
-    definition = definition or drawn_definition(report)
+    definition = definition or default_definition(report)
     curve, middle = report.calibration(definition, group), report.summary_curve(definition, group)
     ax = given(ax)
     ax.fill_between([0, 1], [0, 1], 1, color=UNDER, alpha=0.07, lw=0, zorder=0)
     ax.fill_between([0, 1], 0, [0, 1], color=OVER, alpha=0.11, lw=0, zorder=0)
     ax.text(0.04, 0.93, "underconfident", color=UNDER, va="top")
     ax.text(0.96, 0.07, "overconfident", color=OVER_TEXT, ha="right")
-    for joint, values in zip(report.totals.spec.joints, curve.coverage, strict=True):
+    for joint, values in zip(report.totals.spec.joints, curve.joints, strict=True):
         if not np.isnan(values).any():
             ax.plot(curve.levels, values, color=FAINT, lw=0.8, zorder=1, gid=f"joint {joint}")
-    band = report.null("ece", group).band if definition == "exchangeable" and "ece" in report.metrics else np.nan
+    band = report.test("ece", group).band if definition == "exchangeable" and "ece" in report.metrics else np.nan
     if not np.isnan(band):
         reach = band * np.sqrt(curve.levels * (1 - curve.levels))
         low, high = np.clip(curve.levels - reach, 0, 1), np.clip(curve.levels + reach, 0, 1)
@@ -80,7 +79,7 @@ def reliability(
     return ax
 
 
-def drawn_definition(report: Report) -> Definition:
+def default_definition(report: Report) -> Definition:
     """Choose the definition of a reliability diagram: exchangeable, or another that the report holds curves of.
 
     Raises
@@ -90,10 +89,11 @@ def drawn_definition(report: Report) -> Definition:
     """
     if report.totals.spec.n_hypotheses < 2:
         raise PoseDataError("reliability: calibration needs at least 2 hypotheses; there is 1.")
-    held = [definition for definition in DEFINITIONS if f"inside_{definition}" in report.totals.sums]
-    if not held:
-        raise PoseDataError("reliability: the report has no calibration curves. Evaluate the metrics ece, or default.")
-    return held[0]
+    known = [definition for definition in DEFINITIONS if f"inside_{definition}" in report.totals.sums]
+    if not known:
+        wanted = option("metrics", "ece")
+        raise PoseDataError(f"reliability: the report has no calibration curves. Evaluate with {wanted}.")
+    return known[0]
 
 
 def errors_by_n(report: Report, *, ax: Axes | None = None) -> Axes:
@@ -128,7 +128,7 @@ def errors_by_n(report: Report, *, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def correct(report: Report, *, ax: Axes | None = None) -> Axes:
+def pck_curves(report: Report, *, ax: Axes | None = None) -> Axes:
     """Draw the shares of correct joints (PCK) and of correct poses (CPS) against the threshold.
 
     Parameters
@@ -168,7 +168,7 @@ def correct(report: Report, *, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def guide(report: Report, *, ax: Axes | None = None) -> Axes:
+def sparsification(report: Report, *, ax: Axes | None = None) -> Axes:
     """Draw the error that is left when the most uncertain poses are dropped.
 
     Parameters
@@ -186,7 +186,7 @@ def guide(report: Report, *, ax: Axes | None = None) -> Axes:
     Raises
     ------
     PoseDataError
-        Where the report kept no spreads and errors.
+        Where the report has no spreads and errors.
     """
     ax = given(ax)
     by_spread, by_error = report.sparsification()
@@ -199,7 +199,7 @@ def guide(report: Report, *, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def event(report: Report, *, ax: Axes | None = None) -> Axes:
+def event_reliability(report: Report, *, ax: Axes | None = None) -> Axes:
     """Draw how often the median pose is right at every joint, against the probability that the hypotheses give it.
 
     Parameters
@@ -220,11 +220,11 @@ def event(report: Report, *, ax: Axes | None = None) -> Axes:
         Where the report has no Brier score.
     """
     ax = given(ax)
-    found = report.event_reliability()
+    isotonic = report.event_reliability()
     ax.plot([0, 1], [0, 1], color=INK, lw=0.8, ls=(0, (4, 3)))
-    ax.step(found.predicted, found.observed, where="mid", color=INK, lw=1.8, gid="isotonic")
-    share = 0.15 * found.weight / found.weight.max(initial=1e-9)
-    ax.vlines(found.predicted, 0, share, color=UNDER, lw=1.2, alpha=0.6, gid="weights")
+    ax.step(isotonic.predicted, isotonic.observed, where="mid", color=INK, lw=1.8, gid="isotonic")
+    share = 0.15 * isotonic.weight / isotonic.weight.max(initial=1e-9)
+    ax.vlines(isotonic.predicted, 0, share, color=UNDER, lw=1.2, alpha=0.6, gid="weights")
     ax.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.02), aspect="equal")
     ax.set_xlabel("predicted: share of hypotheses near their median")
     ax.set_ylabel("observed: share of truths near it")

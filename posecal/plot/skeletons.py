@@ -1,4 +1,4 @@
-"""What does a person show? Signed areas of joints on a skeleton, and poses with their hypotheses in 3D."""
+"""Pictures of skeletons: signed areas of the joints, and poses with their hypotheses in 3D."""
 
 from __future__ import annotations
 
@@ -8,18 +8,17 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from posecal.data.arrays import FloatArray
-from posecal.data.pose_data import PoseData
 from posecal.data.skeleton import Skeleton, canonical_name
-from posecal.errors import PoseDataError, did_you_mean, first_few
+from posecal.errors import PoseDataError, did_you_mean, first_few, option
 from posecal.plot.style import FAINT, INK, OVER, STYLE, UNDER, given
-from posecal.report.report import Report
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from mpl_toolkits.mplot3d.axes3d import Axes3D
 
-__all__ = ["draw_poses", "frames_of", "poses", "signed_areas", "with_sign"]
+    from posecal.data.pose_data import PoseData
+    from posecal.report.report import Report
 
 
 def signed_areas(report: Report, *, ax: Axes | None = None) -> Axes:
@@ -40,19 +39,18 @@ def signed_areas(report: Report, *, ax: Axes | None = None) -> Axes:
     Raises
     ------
     PoseDataError
-        Where the report has no signed areas, or its joints have no place on a person.
+        Where the report has no signed areas, or its joints are not those of a person.
     """
     ax = given(ax)
-    report.value("signed_area")
+    report.value("signed_area")  # refuses a report without
     joints = report.totals.spec.joints
     skeleton = Skeleton(joints)
     at = skeleton.rest_pose[:, [0, 2]] * [2.0, 1.0]  # from the front, and broad, so that the numbers have room
     for parent, child in skeleton.bones:
         ax.plot(*at[[parent, child]].T, color=FAINT, lw=3, solid_capstyle="round", zorder=1)
-    values = {row.joint: row.value for row in report.rows if row.metric == "signed_area" and row.joint is not None}
     for joint, (x, y) in zip(joints, at, strict=True):
-        value = values.get(joint)
-        if value is None:
+        value = report.value("signed_area", joint=joint)
+        if np.isnan(value):
             ax.scatter(x, y, s=14, color="white", edgecolor=INK, lw=0.8, zorder=3)
             continue
         area = 20 + 1800 * abs(value)
@@ -71,8 +69,8 @@ def signed_areas(report: Report, *, ax: Axes | None = None) -> Axes:
     ax.set_aspect("equal")
     ax.margins(0.2, 0.05)
     ax.axis("off")
-    for side_name, place in (("right side", 0.08), ("left side", 0.92)):
-        ax.text(place, 0.98, side_name, transform=ax.transAxes, ha="center", fontsize=7.5, color="#666666")
+    for side_name, across in (("right side", 0.08), ("left side", 0.92)):
+        ax.text(across, 0.98, side_name, transform=ax.transAxes, ha="center", fontsize=7.5, color="#666666")
     for word, colour in (("overconfident", OVER), ("underconfident", UNDER)):
         ax.scatter([], [], s=60, color=colour, edgecolor="white", lw=0.8, label=word)
     ax.legend(loc="upper center", bbox_to_anchor=(0.5, 0.03), ncols=2, handletextpad=0.2, columnspacing=1.5)
@@ -126,7 +124,8 @@ def poses(
     bones = list(skeleton.bones)
     if not bones:
         raise PoseDataError(
-            f"joints: no bones between {first_few(joints)}; expected names such as RKnee, RFoot (--joint-names)."
+            f"joints: no bones between {first_few(joints)}; expected names such as RKnee, RFoot. Name them with "
+            f"{option('joints')}."
         )
     if cloud is not None and cloud not in joints:
         raise PoseDataError(f"joint: {cloud!r} is not among the joints. {did_you_mean(cloud, joints)}")
@@ -167,8 +166,8 @@ def _frame(ax: Axes3D, points: FloatArray) -> None:
 
 def _upright(truth: FloatArray, skeleton: Skeleton) -> FloatArray:
     """A rotation of the axes, (3, 3), that puts the axis from the feet to the head upwards."""
-    seen = np.asarray(np.isfinite(truth).all(axis=1))
-    at = {name: place for place, name in enumerate(skeleton.joints) if seen[place]}
+    known = np.asarray(np.isfinite(truth).all(axis=1))
+    at = {name: k for k, name in enumerate(skeleton.joints) if known[k]}
     top = next((at[name] for name in ("Head", "Neck/Nose", "Thorax") if name in at), None)
     low = [at[name] for name in ("LFoot", "RFoot", "LKnee", "RKnee", "Hip") if name in at][:2]
     if top is None or not low:
@@ -182,7 +181,7 @@ def _upright(truth: FloatArray, skeleton: Skeleton) -> FloatArray:
     return turn
 
 
-def frames_of(pairs: PoseData, text: str | None, some: int = 5) -> list[int]:
+def frames_of(data: PoseData, text: str | None, some: int = 5) -> list[int]:
     """Give the numbers of the poses that a user names by frame id or by number; evenly spaced ones by default.
 
     Raises
@@ -191,28 +190,27 @@ def frames_of(pairs: PoseData, text: str | None, some: int = 5) -> list[int]:
         For a name that no pose has.
     """
     if text is None:
-        total = len(pairs.truth)
-        return sorted({total * (2 * place + 1) // (2 * some) for place in range(some)})
-    places = {name: place for place, name in enumerate(pairs.frame_id.tolist())}
-    found = []
-    for word in (part.strip() for part in text.split(",")):
-        if word not in places and not (word.isdecimal() and int(word) < len(places)):
+        total = len(data.truth)
+        return sorted({total * (2 * part + 1) // (2 * some) for part in range(some)})
+    numbers = {name: number for number, name in enumerate(data.frame_id.tolist())}
+    words = [word.strip() for word in text.split(",")]
+    for word in words:
+        if word not in numbers and not (word.isdecimal() and int(word) < len(numbers)):
             raise PoseDataError(
-                f"frames: {word!r} is neither a frame id nor a number below {len(places):,}. "
-                f"The first are {first_few(list(places))}."
+                f"frames: {word!r} is neither a frame id nor a number below {len(numbers):,}. "
+                f"The first are {first_few(list(numbers))}."
             )
-        found.append(places[word] if word in places else int(word))
-    return found
+    return [numbers[word] if word in numbers else int(word) for word in words]
 
 
 def draw_poses(
-    pairs: PoseData, frames: Sequence[int], *, cloud: str | None = None, most: int = 50, columns: int = 5
+    data: PoseData, frames: Sequence[int], *, cloud: str | None = None, most: int = 50, columns: int = 5
 ) -> Figure:
     """Draw some poses with their hypotheses, side by side, without a display.
 
     Parameters
     ----------
-    pairs : PoseData
+    data : PoseData
         Hypotheses and truth.
     frames : sequence of int
         The numbers of the poses.
@@ -241,23 +239,23 @@ def draw_poses(
     width, height = wide * across, tall * down + below
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(width, height))
-        for place, frame in enumerate(frames):
-            row, column = divmod(place, across)
+        for number, frame in enumerate(frames):
+            row, column = divmod(number, across)
             left, bottom = wide * (column + 0.5) - side / 2, height - tall * (row + 1)
             corner = (left / width, bottom / height, side / width, side / height)
             ax = cast("Axes3D", figure.add_axes(corner, projection="3d"))
             ax.patch.set_visible(False)
-            hypotheses, truth = pairs.hypotheses.read(frame, frame + 1)[:, 0], pairs.truth[frame]
-            poses(hypotheses, truth, pairs.joints, cloud=cloud, most=most, ax=ax)
+            hypotheses, truth = data.hypotheses.read(frame, frame + 1)[:, 0], data.truth[frame]
+            poses(hypotheses, truth, data.joints, cloud=cloud, most=most, ax=ax)
             figure.text(
                 wide * (column + 0.5) / width,
                 (bottom + tall - 0.03) / height,
-                str(pairs.frame_id[frame]),
+                str(data.frame_id[frame]),
                 ha="center",
                 va="top",
                 fontsize=7,
             )
-        words = f"blue: truth · grey: {min(most, pairs.shape[0])} of {pairs.shape[0]} hypotheses"
+        words = f"blue: truth · grey: {min(most, data.shape[0])} of {data.shape[0]} hypotheses"
         words += f" · pink: {cloud}" if cloud else ""
         figure.text(0.12 / width, 0.3 * below / height, words, fontsize=6.5, color="#444444")
     return figure

@@ -1,6 +1,6 @@
-"""How do posecal's pictures look, and how do they become files?
+"""Colours and fonts of pictures, and how they are written into files, without a display.
 
-The colours tell over- from underconfidence for colour-blind readers too. Nothing here touches a display.
+The colours tell over- from underconfidence for colour-blind readers too.
 """
 
 from __future__ import annotations
@@ -17,23 +17,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "FAINT",
-    "GREEN",
-    "INK",
-    "ORANGE",
-    "OVER",
-    "OVER_TEXT",
-    "STYLE",
-    "UNDER",
-    "check_suffix",
-    "figure_bytes",
-    "given",
-    "save",
-]
-
 UNDER, OVER, INK, FAINT = "#0072B2", "#CC79A7", "#222222", "#B8B8B8"
-"""Underconfident, overconfident, text and the main line, what stands behind."""
+"""Underconfident; overconfident; text and main lines; lines in the background."""
 
 OVER_TEXT, ORANGE, GREEN = "#9C4A78", "#D55E00", "#009E73"
 """Overconfident as text, and two more lines."""
@@ -72,7 +57,7 @@ def given(ax: Axes | None) -> Axes:
 
 
 def save(figure: Figure, path: str | os.PathLike[str]) -> None:
-    """Write a figure into a file, whole or not at all.
+    """Write a figure into a file, all of it or nothing.
 
     Parameters
     ----------

@@ -1,16 +1,15 @@
-"""By what factor is a spread wrong, and what do hypotheses become when it is undone?
+"""Rescaling of the dispersion of hypotheses about their median, by a factor that calibrates them.
 
 Every hypothesis is moved away from, or towards, the per-coordinate median of its pose, x ← c + s (x - c), by one factor
-s or one per joint; the one that brings the exchangeable curve closest to the diagonal. A mended spread can cost
-minMPJPE, which is what that number rewards.
+s or one per joint: the one that brings the exchangeable calibration curve closest to the diagonal. A wider spread can
+cost minMPJPE, which rewards a spread that is too narrow.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,18 +17,24 @@ import numpy.typing as npt
 from posecal.calibration.curve import inside_table
 from posecal.calibration.ranks import LEVELS
 from posecal.data.arrays import BoolArray, FloatArray
-from posecal.data.pose_data import Hypotheses, PoseData, Rows
-from posecal.engine.accumulate import accumulate, walk
-from posecal.engine.block import Block
-from posecal.engine.blocks import block_length
+from posecal.data.pose_data import PoseData
+from posecal.data.stored_poses import Hypotheses, Rows
+from posecal.engine.block import Block, block_length
+from posecal.engine.chunks import map_blocks
 from posecal.engine.merge import merge_totals
 from posecal.engine.protocol import Protocol
-from posecal.engine.threads import run_in_order
-from posecal.engine.totals import Totals
 from posecal.errors import PoseDataError
-from posecal.recalibration.folds import at_least_two, folds_of, for_joints, moving, sequences
-
-__all__ = ["FACTORS", "RescaledHypotheses", "SpreadMap", "cross_fitted", "fit_spread", "stretched"]
+from posecal.evaluation.call import evaluate
+from posecal.evaluation.sources import Source, as_pose_data
+from posecal.recalibration.folds import (
+    checked_for_map,
+    folds_of,
+    movable_joints,
+    number_of_sequences,
+    refuse_one_hypothesis,
+    values_for_joints,
+)
+from posecal.report.report import Report
 
 FACTORS: FloatArray = np.exp(np.linspace(np.log(0.1), np.log(10), 61))
 """The spread factors that are tried; the best is interpolated between them."""
@@ -47,17 +52,40 @@ class SpreadMap:
         s of each joint; above 1 widens.
     poses, sequences : int
         What it was fitted on.
+    root : int or None
+        The joint that positions were relative to.
     """
 
     joints: tuple[str, ...]
     factors: FloatArray
     poses: int
     sequences: int
+    root: int | None = None
 
-    def applied(self, pairs: PoseData) -> PoseData:
-        """Give pairs whose hypotheses are stretched when they are read."""
-        factors = for_joints(self.joints, self.factors, pairs.joints, pairs.names[0])
-        return replace(pairs, hypotheses=RescaledHypotheses(pairs.hypotheses, factors, pairs.root))
+    def apply(self, hypotheses: npt.ArrayLike, /) -> FloatArray:
+        """Rescale the dispersion of hypotheses.
+
+        Parameters
+        ----------
+        hypotheses : array (N, M, K, D)
+            Hypotheses with the joints of the map, in any unit.
+
+        Returns
+        -------
+        array (N, M, K, D)
+            c + s (x - c), in the same unit; c is the per-coordinate median of a pose's hypotheses.
+
+        Raises
+        ------
+        PoseDataError
+            For another number of joints, and arrays of another shape or type.
+        """
+        return rescaled(checked_for_map(hypotheses, self.joints), self.factors, self.root)
+
+    def rescale(self, data: PoseData) -> PoseData:
+        """Give pose data whose hypotheses are rescaled when they are read."""
+        factors = values_for_joints(self.joints, self.factors, data.joints, data.names[0])
+        return data.replace(hypotheses=RescaledHypotheses(data.hypotheses, factors, data.root))
 
 
 @dataclass(frozen=True)
@@ -88,17 +116,17 @@ class RescaledHypotheses:
         """Bytes of a coordinate."""
         return self.hypotheses.itemsize
 
-    def taken(self, poses: Rows) -> RescaledHypotheses:
+    def select(self, poses: Rows) -> RescaledHypotheses:
         """Keep some poses, by their numbers."""
-        return replace(self, hypotheses=self.hypotheses.taken(poses))
+        return replace(self, hypotheses=self.hypotheses.select(poses))
 
     def read(self, start: int, stop: int) -> FloatArray:
         """Read some poses, (N, stop - start, K, D) in mm."""
         found = self.hypotheses.read(start, stop)
-        return stretched(found, self.factors, self.root)
+        return rescaled(found, self.factors, self.root)
 
 
-def stretched(hypotheses: FloatArray, factors: FloatArray, root: int | None = None) -> FloatArray:
+def rescaled(hypotheses: FloatArray, factors: FloatArray, root: int | None = None) -> FloatArray:
     """Multiply the spread of hypotheses about their per-coordinate median.
 
     Parameters
@@ -128,26 +156,25 @@ def stretched(hypotheses: FloatArray, factors: FloatArray, root: int | None = No
     return moved
 
 
-def _curves(pairs: PoseData, folds: Rows, threads: int | None) -> tuple[FloatArray, npt.NDArray[np.int64]]:
+def _curves(data: PoseData, folds: Rows, threads: int | None) -> tuple[FloatArray, npt.NDArray[np.int64]]:
     """Sums of the ``inside`` weights for every factor, (F, G, K, Q), and their counts (F, K), by part."""
-    mask = moving(pairs)
-    shape = (int(folds.max()) + 1, len(FACTORS), len(pairs.joints), LEVELS.size)
+    mask = movable_joints(data)
+    shape = (int(folds.max()) + 1, len(FACTORS), len(data.joints), LEVELS.size)
     sums, counts = np.zeros(shape), np.zeros((shape[0], shape[2]), dtype=np.int64)
 
-    def measure(poses: slice, lay_out: Callable[[], Block]) -> tuple[slice, FloatArray, BoolArray]:
-        block = lay_out()
+    def measure(block: Block) -> tuple[FloatArray, BoolArray]:
         if block.non_finite.any():
-            raise PoseDataError(f"{pairs.names[0]} has non-finite coordinates; evaluate says where.")
-        found = np.empty((len(block.where), len(FACTORS), len(mask), LEVELS.size))
-        for place, factor in enumerate(FACTORS):
-            found[:, place] = inside_table(block.stretched(factor), "exchangeable", mask)[:, :-1]
-        return poses, found, block.where & mask
+            raise PoseDataError(f"{data.names[0]} has non-finite coordinates; evaluate says where.")
+        tables = [inside_table(block.scale_dispersion(factor), "exchangeable", mask)[:, :-1] for factor in FACTORS]
+        return np.stack(tables, axis=1), block.where & mask
 
-    tasks = (partial(measure, poses, lay_out) for poses, lay_out in walk(pairs))
-    for poses, found, counted in run_in_order(tasks, threads):
-        for fold in np.unique(folds[poses]):
-            chosen = folds[poses] == fold
-            sums[fold] += np.nansum(found[chosen], axis=0)
+    start = 0
+    for weights, counted in map_blocks(data, measure, threads):
+        parts = folds[start : start + len(weights)]
+        start += len(weights)
+        for fold in np.unique(parts):
+            chosen = parts == fold
+            sums[fold] += np.nansum(weights[chosen], axis=0)
             counts[fold] += counted[chosen].sum(axis=0)
     return sums, counts
 
@@ -183,17 +210,27 @@ def _minimum(distance: FloatArray) -> float:
     return float(FACTORS[best] * math.exp(shift * step))
 
 
-def fit_spread(pairs: PoseData, *, per_joint: bool = False, threads: int | None = None) -> SpreadMap:
+def fit_spread(
+    hypotheses: Source | PoseData,
+    truth: Source | None = None,
+    /,
+    *,
+    per_joint: bool = False,
+    threads: int | None = None,
+    **described: Any,
+) -> SpreadMap:
     """Find the factor of the spread that calibrates hypotheses.
 
     Parameters
     ----------
-    pairs : PoseData
-        Hypotheses, N ≥ 2, and truth.
+    hypotheses, truth : arrays, paths or PoseData
+        As for :func:`posecal.evaluate`; at least two hypotheses.
     per_joint : bool
         Whether each joint has its own factor.
     threads : int, optional
-        How many; by default one per core.
+        One per core by default.
+    **described
+        Options that describe the data, as for :func:`posecal.evaluate` (``labels=``, ``joints=``, ``unit=``, …).
 
     Returns
     -------
@@ -208,58 +245,67 @@ def fit_spread(pairs: PoseData, *, per_joint: bool = False, threads: int | None 
     Notes
     -----
     Judge it on other sequences: :func:`cross_fitted`. Differs from the published code: none; ours.
+
+    Examples
+    --------
+    Hypotheses with half the spread of the truth are widened by about 2.
+
+    >>> random = np.random.default_rng(0)
+    >>> truth, hypotheses = random.normal(0, 60, (500, 4, 3)), random.normal(0, 30, (50, 500, 4, 3))
+    >>> spread_map = fit_spread(hypotheses, truth, unit="mm")
+    >>> bool(1.8 < spread_map.factors[0] < 2.2), spread_map.apply(hypotheses).shape
+    (True, (50, 500, 4, 3))
     """
-    at_least_two(pairs)
-    sums, counts = _curves(pairs, np.zeros(len(pairs.truth), dtype=np.intp), threads)
-    factors = _best_factors(sums[0], counts[0], pairs.joints, per_joint=per_joint)
-    return SpreadMap(pairs.joints, factors, len(pairs.truth), sequences(pairs))
+    data = as_pose_data(hypotheses, truth, described)
+    refuse_one_hypothesis(data)
+    sums, counts = _curves(data, np.zeros(len(data.truth), dtype=np.intp), threads)
+    factors = _best_factors(sums[0], counts[0], data.joints, per_joint=per_joint)
+    return SpreadMap(data.joints, factors, len(data.truth), number_of_sequences(data), data.root)
 
 
 def cross_fitted(
-    pairs: PoseData,
-    protocol: Protocol | None = None,
+    hypotheses: Source | PoseData,
+    truth: Source | None = None,
+    /,
     *,
+    protocol: Protocol | str | None = None,
     folds: int = 5,
     per_joint: bool = False,
     threads: int | None = None,
-) -> tuple[Totals, Totals, list[FloatArray]]:
+    **described: Any,
+) -> tuple[Report, Report, list[FloatArray]]:
     """Judge a spread factor on sequences that it was not fitted on.
 
     Parameters
     ----------
-    pairs : PoseData
-        Hypotheses and truth.
-    protocol : Protocol, optional
+    hypotheses, truth, per_joint, threads, **described
+        As for :func:`fit_spread`.
+    protocol : Protocol or str, optional
         What is measured.
     folds : int
-        Parts into which the sequences are cut; each is mended by a factor fitted on the others.
-    per_joint : bool
-        Whether each joint has its own factor.
-    threads : int, optional
-        How many; by default one per core.
+        Parts into which the sequences are cut; each is rescaled by a factor fitted on the others.
 
     Returns
     -------
-    before, after : Totals
-        Over all poses: as they are, and each mended by the factor of the other parts.
+    before, after : Report
+        Over all poses: as they are, and each rescaled by the factor of the other parts.
     factors : list of arrays (K,)
         Of each part.
 
     Raises
     ------
     PoseDataError
-        For fewer sequences than parts.
+        For one hypothesis, and fewer sequences than parts.
     """
-    at_least_two(pairs)
-    part = folds_of(pairs, folds)
-    sums, counts = _curves(pairs, part, threads)
-    before = accumulate(pairs, protocol, threads=threads)
-    after, factors = [], []
+    data = as_pose_data(hypotheses, truth, described)
+    refuse_one_hypothesis(data)
+    part = folds_of(data, folds)
+    sums, counts = _curves(data, part, threads)
+    parts, factors = [], []
     for fold in range(folds):
         others = sums.sum(axis=0) - sums[fold], counts.sum(axis=0) - counts[fold]
-        found = _best_factors(*others, pairs.joints, per_joint=per_joint)
-        held_out = pairs.taken(np.flatnonzero(part == fold))
-        mended = SpreadMap(pairs.joints, found, 0, 0).applied(held_out)
-        after.append(accumulate(mended, protocol, threads=threads))
-        factors.append(found)
-    return before, merge_totals(after), factors
+        best = _best_factors(*others, data.joints, per_joint=per_joint)
+        held_out = SpreadMap(data.joints, best, 0, 0).rescale(data.select(np.flatnonzero(part == fold)))
+        parts.append(evaluate(held_out, protocol=protocol, threads=threads).totals)
+        factors.append(best)
+    return evaluate(data, protocol=protocol, threads=threads), Report(merge_totals(parts)), factors

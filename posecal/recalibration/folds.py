@@ -1,17 +1,17 @@
-"""On which poses is a recalibration fitted, and on which is it judged? On disjoint sequences."""
+"""Folds of whole sequences, on which recalibrations are fitted and judged."""
 
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
-from posecal.data.arrays import BoolArray, FloatArray
-from posecal.data.pose_data import PoseData, Rows
+from posecal.data.arrays import BoolArray, FloatArray, as_array
+from posecal.data.pose_data import PoseData
+from posecal.data.stored_poses import Rows
 from posecal.errors import PoseDataError
 
-__all__ = ["at_least_two", "folds_of", "for_joints", "moving", "sequences"]
 
-
-def folds_of(pairs: PoseData, folds: int = 5) -> Rows:
+def folds_of(data: PoseData, folds: int = 5) -> Rows:
     """Give the part of each pose, (M,), cutting between sequences, the parts alike in poses.
 
     Poses without sequences are cut into runs of consecutive frames.
@@ -21,13 +21,13 @@ def folds_of(pairs: PoseData, folds: int = 5) -> Rows:
     PoseDataError
         For fewer than two parts, or fewer sequences (or poses) than parts.
     """
-    poses, sequence = len(pairs.truth), pairs.labels.get("sequence")
+    poses, sequence = len(data.truth), data.labels.get("sequence")
     names, place, sizes = np.unique(
         np.arange(poses) if sequence is None else sequence, return_inverse=True, return_counts=True
     )
     if not 2 <= folds <= len(names):
         units = "poses" if sequence is None else "sequences"
-        raise PoseDataError(f"folds: {folds}; expected 2 to {len(names)}, the number of {units} of {pairs.names[1]}.")
+        raise PoseDataError(f"folds: {folds}; expected 2 to {len(names)}, the number of {units} of {data.names[1]}.")
     if sequence is None:
         return np.arange(poses) * folds // poses
     load = np.zeros(folds, dtype=np.intp)
@@ -38,15 +38,15 @@ def folds_of(pairs: PoseData, folds: int = 5) -> Rows:
     return of_name[place]
 
 
-def moving(pairs: PoseData) -> BoolArray:
+def movable_joints(data: PoseData) -> BoolArray:
     """Give the joints that are recalibrated, (K,): all but the root."""
-    mask = np.ones(len(pairs.joints), dtype=bool)
-    if pairs.root is not None:
-        mask[pairs.root] = False
+    mask = np.ones(len(data.joints), dtype=bool)
+    if data.root is not None:
+        mask[data.root] = False
     return mask
 
 
-def for_joints(names: tuple[str, ...], values: FloatArray, joints: tuple[str, ...], whose: str) -> FloatArray:
+def values_for_joints(names: tuple[str, ...], values: FloatArray, joints: tuple[str, ...], whose: str) -> FloatArray:
     """Give a map's values, which it has by name, in the order of some joints.
 
     Raises
@@ -60,12 +60,12 @@ def for_joints(names: tuple[str, ...], values: FloatArray, joints: tuple[str, ..
     return values[[names.index(joint) for joint in joints]]
 
 
-def sequences(pairs: PoseData) -> int:
+def number_of_sequences(data: PoseData) -> int:
     """Give the number of labelled sequences."""
-    return len(np.unique(pairs.labels["sequence"])) if "sequence" in pairs.labels else 0
+    return len(np.unique(data.labels["sequence"])) if "sequence" in data.labels else 0
 
 
-def at_least_two(pairs: PoseData) -> None:
+def refuse_one_hypothesis(data: PoseData) -> None:
     """Refuse one hypothesis, which has no spread.
 
     Raises
@@ -73,5 +73,21 @@ def at_least_two(pairs: PoseData) -> None:
     PoseDataError
         For N = 1.
     """
-    if pairs.shape[0] < 2:
-        raise PoseDataError(f"{pairs.names[0]}: 1 hypothesis; recalibration needs at least 2.")
+    if data.shape[0] < 2:
+        raise PoseDataError(f"{data.names[0]}: 1 hypothesis; recalibration needs at least 2.")
+
+
+def checked_for_map(hypotheses: npt.ArrayLike, joints: tuple[str, ...]) -> FloatArray:
+    """Check hypotheses (N, M, K, D) that a map with K joints is applied to.
+
+    Raises
+    ------
+    PoseDataError
+        For another number of joints, and arrays of another shape or type.
+    """
+    x = as_array(hypotheses, "hypotheses")
+    if x.ndim != 4 or x.shape[2] != len(joints) or x.dtype.kind not in "fiu":
+        raise PoseDataError(
+            f"hypotheses: {x.dtype} {x.shape}; expected (N, M, K, D) with the K = {len(joints)} joints of the map."
+        )
+    return x if x.dtype.kind == "f" else x.astype(np.float64)

@@ -1,7 +1,4 @@
-"""How are recalibrations kept? In small JSON files that a person can read, with a version, checked when read.
-
-And how are they applied: a spread map gives a new file of hypotheses, a radius map a file of centres and radii.
-"""
+"""Recalibration maps in small JSON files, and their application to files of hypotheses."""
 
 from __future__ import annotations
 
@@ -16,22 +13,16 @@ import numpy as np
 import numpy.typing as npt
 
 import posecal
-from posecal.data.archive import Archive
 from posecal.data.arrays import FloatArray
-from posecal.data.pose_data import Hypotheses
-from posecal.data.write import write_file
-from posecal.engine.accumulate import WINDOW_BYTES
-from posecal.engine.block import Block
-from posecal.engine.blocks import block_length
+from posecal.data.stored_poses import Hypotheses
+from posecal.data.write import Archive, write_file
+from posecal.engine.chunks import WINDOW_BYTES
 from posecal.errors import PoseFileError
-from posecal.metrics.sharpness import joint_deviations
-from posecal.recalibration.dispersion import SpreadMap, stretched
-from posecal.recalibration.folds import for_joints
-from posecal.recalibration.radius import RadiusMap
+from posecal.recalibration.dispersion import SpreadMap, rescaled
+from posecal.recalibration.folds import values_for_joints
+from posecal.recalibration.radius import RadiusMap, balls
 
-__all__ = ["apply_map", "read_map", "write_map"]
-
-FORMAT = 1
+FORMAT = 2
 """The version of the file format."""
 
 Map = SpreadMap | RadiusMap
@@ -51,6 +42,7 @@ def write_map(map_: Map, path: str | os.PathLike[str]) -> None:
     else:
         unit = "standard deviations" if map_.scaled else "mm"
         about |= {"kind": "radius", "alpha": map_.alpha, "unit": unit, "radii": _by_joint(map_.joints, map_.radii)}
+    about["root"] = None if map_.root is None else map_.joints[map_.root]
     about["fitted_on"] = {"poses": map_.poses, "sequences": map_.sequences}
     text = json.dumps(about, indent=1, ensure_ascii=False) + "\n"
     write_file(path, lambda file: file.write(text.encode()))
@@ -85,7 +77,8 @@ def read_map(path: str | os.PathLike[str]) -> Map:
             raise PoseFileError(f"{name}: format {about['format']}; expected {FORMAT}. Fit it again.")
         numbers = about[{"spread": "factors", "radius": "radii"}[about["kind"]]]
         values = np.array([math.nan if value is None else float(value) for value in numbers.values()])
-        fitted = int(about["fitted_on"]["poses"]), int(about["fitted_on"]["sequences"])
+        root = None if about["root"] is None else list(numbers).index(about["root"])
+        fitted = int(about["fitted_on"]["poses"]), int(about["fitted_on"]["sequences"]), root
         if about["kind"] == "spread":
             if not (np.isfinite(values) & (values > 0)).all():
                 raise PoseFileError(f"{name}: a factor is not above 0; expected positive numbers.")
@@ -131,7 +124,7 @@ def apply_map(
     path : path
         An ``.npz`` file: ``hypotheses`` (M, N, K, D), or ``centre`` (M, K, D) and ``radius`` (M, K), mm.
     members : mapping of arrays
-        What else goes into the file: :attr:`posecal.data.pose_data.Poses.beside`, say.
+        What else goes into the file: :attr:`posecal.data.stored_poses.StoredPoses.frame_members`, say.
     progress : callable, optional
         Called with the number of poses that are done.
 
@@ -145,7 +138,7 @@ def apply_map(
     first = hypotheses.read(0, 1)
     n, _, k, d = first.shape
     values = map_.factors if isinstance(map_, SpreadMap) else map_.radii
-    values = for_joints(map_.joints, values, joints, "hypotheses")
+    values = values_for_joints(map_.joints, values, joints, "hypotheses")
     window = max(1, WINDOW_BYTES // (n * k * d * first.dtype.itemsize))
 
     def windows() -> Iterator[FloatArray]:
@@ -159,11 +152,11 @@ def apply_map(
         with Archive(file) as archive:
             common = {"joints": np.array(joints), "unit": np.array("mm"), **members}
             if isinstance(map_, SpreadMap):
-                parts = (stretched(found, values, root).swapaxes(0, 1) for found in windows())
+                parts = (rescaled(found, values, root).swapaxes(0, 1) for found in windows())
                 archive.add_pieces("hypotheses", (n_poses, n, k, d), first.dtype, parts)
                 common["axes"] = np.array("MNKD")
             else:
-                found = [_balls(found, values, root, scaled=map_.scaled) for found in windows()]
+                found = [balls(found, values, root, scaled=map_.scaled) for found in windows()]
                 common["centre"] = np.concatenate([centre for centre, _ in found])
                 common["radius"] = np.concatenate([radius for _, radius in found])
                 common["alpha"] = np.array(map_.alpha)
@@ -171,17 +164,3 @@ def apply_map(
                 archive.add(name, array)
 
     write_file(path, write)
-
-
-def _balls(
-    hypotheses: FloatArray, radii: FloatArray, root: int | None, *, scaled: bool
-) -> tuple[FloatArray, FloatArray]:
-    """Centres (m, K, D) and radii (m, K) of some poses, mm, relative to the root."""
-    nowhere = np.zeros(hypotheses.shape[1:])
-    size = block_length(hypotheses.shape, hypotheses.dtype)
-    centres, widths = [], []
-    for at in range(0, hypotheses.shape[1], size):
-        block = Block(hypotheses[:, at : at + size], nowhere[at : at + size], root=root)
-        centres.append(block.median)
-        widths.append(radii * (joint_deviations(block) if scaled else np.ones(block.where.shape)))
-    return np.concatenate(centres), np.concatenate(widths)

@@ -1,24 +1,28 @@
-"""Which radius about the median holds the truth? Split conformal prediction, joint by joint."""
+"""Conformal radii about the median that hold the truth, per joint."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from posecal.data.arrays import FloatArray
+from posecal.data.arrays import FloatArray, checked_number
 from posecal.data.pose_data import PoseData
-from posecal.engine.accumulate import walk
-from posecal.engine.block import Block
-from posecal.engine.threads import run_in_order
+from posecal.engine.block import Block, block_length
+from posecal.engine.chunks import map_blocks
 from posecal.errors import PoseDataError
+from posecal.evaluation.sources import Source, as_pose_data
 from posecal.metrics.sharpness import joint_deviations
-from posecal.recalibration.folds import at_least_two, folds_of, moving, sequences
-
-__all__ = ["RadiusMap", "fit_radius", "held_out_coverage"]
+from posecal.recalibration.folds import (
+    checked_for_map,
+    folds_of,
+    movable_joints,
+    number_of_sequences,
+    refuse_one_hypothesis,
+)
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,8 @@ class RadiusMap:
         Whether the radius goes with the predicted spread of each pose.
     poses, sequences : int
         What it was fitted on.
+    root : int or None
+        The joint that positions were relative to.
     """
 
     joints: tuple[str, ...]
@@ -45,21 +51,57 @@ class RadiusMap:
     scaled: bool
     poses: int
     sequences: int
+    root: int | None = None
+
+    def apply(self, hypotheses: npt.ArrayLike, /) -> tuple[FloatArray, FloatArray]:
+        """Give the balls of some poses.
+
+        Parameters
+        ----------
+        hypotheses : array (N, M, K, D)
+            Hypotheses with the joints of the map, mm.
+
+        Returns
+        -------
+        centre : array (M, K, D)
+            The per-coordinate median, relative to the root, mm.
+        radius : array (M, K)
+            mm; NaN for joints without.
+
+        Raises
+        ------
+        PoseDataError
+            For another number of joints, and arrays of another shape or type.
+        """
+        return balls(checked_for_map(hypotheses, self.joints), self.radii, self.root, scaled=self.scaled)
 
 
-def _distances(pairs: PoseData, *, scaled: bool, threads: int | None) -> FloatArray:
+def balls(
+    hypotheses: FloatArray, radii: FloatArray, root: int | None, *, scaled: bool
+) -> tuple[FloatArray, FloatArray]:
+    """Centres (M, K, D) and radii (M, K) of some poses, mm, relative to the root."""
+    nowhere = np.zeros(hypotheses.shape[1:])
+    size = block_length(hypotheses.shape, hypotheses.dtype)
+    centres, widths = [], []
+    for start in range(0, hypotheses.shape[1], size):
+        block = Block(hypotheses[:, start : start + size], nowhere[start : start + size], root=root)
+        centres.append(block.median)
+        widths.append(radii * (joint_deviations(block) if scaled else np.ones(block.where.shape)))
+    return np.concatenate(centres), np.concatenate(widths)
+
+
+def _distances(data: PoseData, *, scaled: bool, threads: int | None) -> FloatArray:
     """Distance of the truth from the median, (M, K), mm or predicted standard deviations; NaN for uncounted ones."""
-    mask = moving(pairs)
+    mask = movable_joints(data)
 
-    def measure(lay_out: Callable[[], Block]) -> FloatArray:
-        block = lay_out()
-        found = np.linalg.norm(block.median.astype(np.float64), axis=-1)
+    def measure(block: Block) -> FloatArray:
+        distances = np.linalg.norm(block.median.astype(np.float64), axis=-1)
         if scaled:
             with np.errstate(divide="ignore", invalid="ignore"):
-                found = found / joint_deviations(block)
-        return np.where(block.where & mask, found, np.nan)
+                distances = distances / joint_deviations(block)
+        return np.where(block.where & mask, distances, np.nan)
 
-    return np.concatenate(list(run_in_order((partial(measure, lay_out) for _, lay_out in walk(pairs)), threads)))
+    return np.concatenate(list(map_blocks(data, measure, threads)))
 
 
 def _radii(distances: FloatArray, alpha: float) -> FloatArray:
@@ -79,7 +121,16 @@ def _radii(distances: FloatArray, alpha: float) -> FloatArray:
     return radii
 
 
-def fit_radius(pairs: PoseData, alpha: float = 0.1, *, scaled: bool = False, threads: int | None = None) -> RadiusMap:
+def fit_radius(
+    hypotheses: Source | PoseData,
+    truth: Source | None = None,
+    /,
+    *,
+    alpha: float = 0.1,
+    scaled: bool = False,
+    threads: int | None = None,
+    **described: Any,
+) -> RadiusMap:
     r"""Find the radius about the median that holds the truth of each joint in a share 1 - α of poses.
 
     .. math:: r_k = d_{(\lceil (n+1)(1-\alpha) \rceil)\,k}, \qquad
@@ -87,15 +138,17 @@ def fit_radius(pairs: PoseData, alpha: float = 0.1, *, scaled: bool = False, thr
 
     Parameters
     ----------
-    pairs : PoseData
-        Hypotheses and truth, n poses.
+    hypotheses, truth : arrays, paths or PoseData
+        As for :func:`posecal.evaluate`; n poses.
     alpha : float
         The share of truths that may lie outside, between 0 and 1.
     scaled : bool
         Whether distances count in multiples of the predicted standard deviation of the pose's joint, so that
         uncertain poses get larger balls.
     threads : int, optional
-        How many; by default one per core.
+        One per core by default.
+    **described
+        Options that describe the data, as for :func:`posecal.evaluate`.
 
     Returns
     -------
@@ -116,22 +169,34 @@ def fit_radius(pairs: PoseData, alpha: float = 0.1, *, scaled: bool = False, thr
     ----------
     Angelopoulos and Bates, arXiv:2107.07511 (split conformal prediction).
     """
-    if not 0 < alpha < 1:
-        raise PoseDataError(f"alpha: {alpha:g}; expected between 0 and 1.")
+    data = _checked(as_pose_data(hypotheses, truth, described), alpha, scaled=scaled)
+    radii = _radii(_distances(data, scaled=scaled, threads=threads), alpha)
+    return RadiusMap(data.joints, radii, alpha, scaled, len(data.truth), number_of_sequences(data), data.root)
+
+
+def _checked(data: PoseData, alpha: float, *, scaled: bool) -> PoseData:
+    checked_number(alpha, "alpha", lambda value: 0 < value < 1, "between 0 and 1")
     if scaled:
-        at_least_two(pairs)
-    radii = _radii(_distances(pairs, scaled=scaled, threads=threads), alpha)
-    return RadiusMap(pairs.joints, radii, alpha, scaled, len(pairs.truth), sequences(pairs))
+        refuse_one_hypothesis(data)
+    return data
 
 
 def held_out_coverage(
-    pairs: PoseData, alpha: float = 0.1, *, scaled: bool = False, folds: int = 5, threads: int | None = None
+    hypotheses: Source | PoseData,
+    truth: Source | None = None,
+    /,
+    *,
+    alpha: float = 0.1,
+    scaled: bool = False,
+    folds: int = 5,
+    threads: int | None = None,
+    **described: Any,
 ) -> FloatArray:
     """Share of held-out truths inside the radius that was fitted on the other sequences, per joint.
 
     Parameters
     ----------
-    pairs, alpha, scaled, threads
+    hypotheses, truth, alpha, scaled, threads, **described
         As for :func:`fit_radius`.
     folds : int
         Parts into which the sequences are cut.
@@ -146,8 +211,9 @@ def held_out_coverage(
     PoseDataError
         As :func:`fit_radius`, and for fewer sequences than parts.
     """
-    part = folds_of(pairs, folds)
-    distances = _distances(pairs, scaled=scaled, threads=threads)
+    data = _checked(as_pose_data(hypotheses, truth, described), alpha, scaled=scaled)
+    part = folds_of(data, folds)
+    distances = _distances(data, scaled=scaled, threads=threads)
     within = np.full(distances.shape, np.nan)
     for fold in range(folds):
         radii = _radii(distances[part != fold], alpha)

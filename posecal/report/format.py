@@ -1,29 +1,65 @@
-"""How is a number written? With its unit, and with no more digits than it is worth."""
+"""Number formatting for tables and sentences: units and significant digits."""
 
 from __future__ import annotations
 
 import math
 
-__all__ = ["brief_number", "counted", "number", "p_value"]
+MISSING = "–"
 
 
 def number(value: float, unit: str = "") -> str:
-    """Write a number: three digits after the point for lengths, five for shares and errors of shares."""
+    """Write a number: three digits after the point with a unit, five without.
+
+    Examples
+    --------
+    >>> number(77.91234, "mm"), number(0.0312346), number(float("nan"))
+    ('77.912 mm', '0.03123', '–')
+    """
     if math.isnan(value):
-        return "–"
+        return MISSING
     return f"{value:z.3f} {unit}" if unit else f"{value:z.5f}"
 
 
+def short_number(value: float, unit: str = "") -> str:
+    """Write a number of a wide table: one digit after the point with a unit, three without.
+
+    Examples
+    --------
+    >>> short_number(77.91234, "mm"), short_number(0.0312346)
+    ('77.9', '0.031')
+    """
+    return MISSING if math.isnan(value) else f"{value:z.{1 if unit else 3}f}"
+
+
+def span(low: float, high: float, unit: str = "") -> str:
+    """Write an interval: one digit after the point with a unit, three without or below 1; empty where there is none.
+
+    Examples
+    --------
+    >>> span(77.01, 78.99, "mm"), span(0.03, 0.04, "mm")
+    ('77.0 to 79.0', '0.030 to 0.040')
+    """
+    digits = 1 if unit and max(abs(low), abs(high)) >= 1 else 3
+    return "" if math.isnan(low) else f"{low:z.{digits}f} to {high:z.{digits}f}"
+
+
 def p_value(value: float) -> str:
-    """Write a p-value."""
+    """Write a p-value for a sentence.
+
+    Examples
+    --------
+    >>> p_value(0.0005), p_value(0.25)
+    ('p < 0.001', 'p = 0.250')
+    """
     return "p < 0.001" if value < 0.001 else f"p = {value:.3f}"
 
 
-def brief_number(value: float, unit: str) -> str:
-    """Write a number of a wide table: one digit after the point for lengths, three for shares."""
-    return "–" if math.isnan(value) else f"{value:z.1f}" if unit else f"{value:z.3f}"
-
-
 def counted(number: int, one: str, many: str = "") -> str:
-    """Write how many there are of something: ``1 pose``, ``2,000 poses``."""
+    """Write how many there are of something.
+
+    Examples
+    --------
+    >>> counted(1, "pose"), counted(2000, "pose"), counted(2, "hypothesis", "hypotheses")
+    ('1 pose', '2,000 poses', '2 hypotheses')
+    """
     return f"{number:,} {one if number == 1 else many or f'{one}s'}"

@@ -1,4 +1,4 @@
-"""How does a report look in a browser? One self-contained page with the tables and the pictures.
+"""A report as one self-contained page with tables and pictures, and as the part of it that notebooks show.
 
 Everything that comes from files is escaped; pictures are inline vector graphics.
 """
@@ -7,18 +7,20 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Callable
 from importlib.resources import files
+from typing import TYPE_CHECKING
 
 from posecal.data.write import write_file
-from posecal.errors import PoseDataError
+from posecal.errors import PoseDataError, for_python
 from posecal.plot import KINDS, draw, figure_bytes
-from posecal.report.report import Report
-from posecal.report.sheets import report_sheet
+from posecal.report.text import report_sheet
 
-__all__ = ["as_html", "write_html"]
+if TYPE_CHECKING:
+    from posecal.report.report import Report
 
 
-def as_html(report: Report, name: str) -> str:
+def as_html(report: Report, name: str, words: Callable[[str], str] = for_python) -> str:
     """Write a report as one page.
 
     Parameters
@@ -27,36 +29,47 @@ def as_html(report: Report, name: str) -> str:
         The numbers.
     name : str
         What the page calls the hypotheses.
+    words : callable
+        How remarks name options: ``for_python`` or ``for_command_line`` of :mod:`posecal.errors`.
 
     Returns
     -------
     str
         HTML that needs no other file.
     """
-    from jinja2 import Environment
-
     pictures = []
-    for kind, (_, about) in {**KINDS, "rank_tests": (None, "tests for what the ECE can't see")}.items():
+    for kind, (_, about) in KINDS.items():
         try:
             svg = figure_bytes(draw(report, kind), ".svg").decode()
         except PoseDataError:
             continue  # the report lacks what the picture shows
-        pictures.append((about, _named_apart(svg[svg.index("<svg") :], kind), kind == "rank_tests"))
+        pictures.append((about, _with_unique_ids(svg[svg.index("<svg") :], kind), kind == "rank_tests"))
+    return _render(report, words, name=name, pictures=pictures)
+
+
+def html_fragment(report: Report) -> str:
+    """Write sentences, remarks and tables of a report as the part of a page that notebooks show."""
+    return _render(report)
+
+
+def _render(report: Report, words: Callable[[str], str] = for_python, **page: object) -> str:
+    from jinja2 import Environment
+
     template = files("posecal.report").joinpath("page.html").read_text(encoding="utf-8")
-    page = Environment(autoescape=True, trim_blocks=True).from_string(template)
-    sheet = report_sheet(report, joints=True, definitions=True)
-    return page.render(name=name, sheet=sheet, remarks=report.remarks, pictures=pictures)
+    sheet = report_sheet(report, joints=bool(page), definitions=bool(page), words=words)
+    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    return environment.from_string(template).render(sheet=sheet, **page)
 
 
-def _named_apart(svg: str, kind: str) -> str:
-    """Leave names only to the parts that a picture refers to, and none that another picture of the page has."""
+def _with_unique_ids(svg: str, kind: str) -> str:
+    """Drop unused ids of a picture and prefix the rest, so that ids are unique in the page."""
     used = set(re.findall(r'(?:href="|url\()#([^")]+)', svg))
-    named = re.sub(r' id="([^"]*)"', lambda found: f' id="{kind}-{found[1]}"' if found[1] in used else "", svg)
+    named = re.sub(r' id="([^"]*)"', lambda match: f' id="{kind}-{match[1]}"' if match[1] in used else "", svg)
     return re.sub(r'(href="|url\()#', rf"\g<1>#{kind}-", named)
 
 
 def write_html(report: Report, path: str | os.PathLike[str], name: str) -> None:
-    """Write :func:`as_html` into a file, whole or not at all.
+    """Write :func:`as_html` into a file, all of it or nothing.
 
     Raises
     ------

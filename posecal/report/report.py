@@ -1,102 +1,346 @@
-"""How is an evaluation handed on? As text, Markdown, CSV, JSON, a data frame, or saved sums."""
+"""Report: numbers, intervals, tests and curves of an evaluation, computed from its sums when they are asked for."""
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 import os
-from dataclasses import asdict, fields
-from typing import TYPE_CHECKING, Literal, get_args
+from collections.abc import Callable, Hashable, Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast, get_args
 
 import numpy as np
 
-from posecal.calibration import DEFINITIONS, LEVELS
 from posecal.data.arrays import FloatArray
+from posecal.engine.cells import label_name
+from posecal.engine.metric import Metric
 from posecal.engine.storage import save_totals
-from posecal.errors import PoseDataError, did_you_mean
-from posecal.report.findings import Findings
-from posecal.report.rows import Row
-from posecal.report.sheets import report_sheet
+from posecal.engine.totals import Cells, Totals
+from posecal.errors import PoseDataError, did_you_mean, for_python, option
+from posecal.metrics.occlusion import OCCLUSION
+from posecal.registry import GROUPS, metrics_of, occlusion_metrics_of
+from posecal.report import curves
+from posecal.report.summary import remarks, summarize
+from posecal.report.table import (
+    AuxiliaryRow,
+    Row,
+    as_csv,
+    as_dict,
+    as_frame,
+    auxiliary_number,
+    auxiliary_rows,
+    tidy_rows,
+)
+from posecal.report.text import report_sheet, short_title
+from posecal.stats.jackknife import Interval
+from posecal.stats.resampling import Null, holm
+from posecal.stats.uncertainty import interval, joint_intervals, joint_p_values, null
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Format", "Report", "Row"]
+Format = Literal["text", "markdown", "latex", "csv", "json"]
+T = TypeVar("T")
 
-Format = Literal["text", "markdown", "csv", "json"]
 
+class Report:
+    """The numbers of an evaluation, with their definitions, intervals and tests.
 
-class Report(Findings):
-    """The numbers of an evaluation, with their definitions, and how they are written.
+    Each is computed when it is asked for, and remembered. A report pickles, and holds sums, never the hypotheses.
 
     Parameters
     ----------
     totals : Totals
         The sums.
-    by : sequence of str
+    by : str or sequence of str
         Labels to group by, beside the numbers over all poses.
+
+    Attributes
+    ----------
+    groups : dict
+        By ``label=value``, the indices of the cells of each group, or None where all cells have poses in it; None
+        itself stands for all poses.
 
     Raises
     ------
     PoseDataError
         For a label that the sums don't hold.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from posecal.evaluation import evaluate
+    >>> report = evaluate(np.zeros((2, 8, 3, 3)) + 4.0, np.zeros((8, 3, 3)) + 1.0)
+    >>> round(report["mpjpe"], 3)
+    5.196
     """
 
-    def frame(self) -> pd.DataFrame:
-        """Give the rows as a pandas data frame."""
-        import pandas as pd
-
-        return pd.DataFrame([asdict(row) for row in self.rows], columns=[field.name for field in fields(Row)])
-
-    def to_dict(self) -> dict[str, object]:
-        """Give the report as plain data, in the documented schema of its JSON."""
-        curves = []
-        for definition in DEFINITIONS:
-            if f"inside_{definition}" not in {s.name for metric in self.metrics.values() for s in metric.statistics}:
+    def __init__(self, totals: Totals, by: str | Sequence[str] = ()) -> None:
+        self.totals = totals
+        self.by = tuple(dict.fromkeys(label_name(entry) for entry in ((by,) if isinstance(by, str) else by)))
+        self.groups: dict[str | None, Cells] = {None: None}
+        self._occlusion: dict[str | None, dict[str, Metric]] = {}
+        self._memory: dict[Hashable, Any] = {}
+        for label in self.by:
+            if label != "occlusion":
+                self.groups |= {f"{label}={value}": cells for value, cells in totals.groups(label)}
                 continue
-            for group in self.groups:
-                curve = self.calibration(definition, group)
-                lines: list[tuple[str | None, FloatArray]] = [(None, self.summary_curve(definition, group))]
-                lines += list(zip(self.totals.spec.joints, curve.coverage, strict=True))
-                curves += [
-                    {
-                        "definition": definition,
-                        "group": group,
-                        "joint": joint,
-                        "levels": LEVELS.tolist(),
-                        "coverage": [_or_none(value) for value in values],
-                    }
-                    for joint, values in lines
-                    if not np.isnan(values).all()
-                ]
+            for which, metrics in occlusion_metrics_of(totals.protocol, totals.spec).items():
+                if any(metric.statistic.name not in totals.sums for metric in metrics.values()):
+                    raise PoseDataError(
+                        f"by: this result holds no numbers by occlusion. Evaluate with {option('by', 'occlusion')}."
+                    )
+                self.groups[f"occlusion={which}"], self._occlusion[f"occlusion={which}"] = None, metrics
+
+    def __reduce__(self) -> tuple[type[Report], tuple[Totals, tuple[str, ...]]]:
+        return type(self), (self.totals, self.by)
+
+    @cached_property
+    def metrics(self) -> dict[str, Metric]:
+        """The metrics by name, in the order of the report."""
+        return metrics_of(self.totals.protocol, self.totals.spec, own=self.totals.own_metrics)
+
+    @cached_property
+    def auxiliary(self) -> dict[str, AuxiliaryRow]:
+        """The numbers beside the metrics, such as the p-values of calibration errors, by name."""
+        return auxiliary_rows(self.metrics)
+
+    def metrics_in(self, group: str | None) -> dict[str, Metric]:
+        """Give the metrics of a group, which by occlusion are others.
+
+        Raises
+        ------
+        PoseDataError
+            For a group that the report doesn't have.
+        """
+        if group not in self.groups:
+            known = [name for name in self.groups if name is not None]
+            raise PoseDataError(f"group: {group!r} is not in the report. {did_you_mean(str(group), known)}")
+        return self._occlusion.get(group, self.metrics)
+
+    @property
+    def headline_metrics(self) -> dict[str, Metric]:
+        """The metrics of the first tables: the headlines, and those that were asked for by name or family."""
+        words = set(self.totals.protocol.wanted)
         return {
-            "posecal": self.totals.version,
-            "signature": self.signature,
-            "hypotheses": self.totals.spec.n_hypotheses,
-            "poses": int(self.totals.poses.sum()),
-            "joints": list(self.totals.spec.joints),
-            "rows": [_plain(row) for row in self.rows],
-            "curves": curves,
+            name: metric
+            for name, metric in self.metrics.items()
+            if metric.headline or name in words - set(GROUPS) or metric.family in words or "all" in words
         }
 
-    def render(self, form: Format = "text", *, joints: bool = False, definitions: bool = False) -> str:
-        """Write the report as text.
+    @property
+    def signature(self) -> str:
+        """One line that is equal for two reports exactly where their numbers can be compared."""
+        return self.totals.signature
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a careful reader should know about the data and about what can be tested on them."""
+        return remarks(self)
+
+    @property
+    def summary(self) -> tuple[str, ...]:
+        """The calibration of the model in sentences."""
+        return tuple(summarize(self))
+
+    @cached_property
+    def rows(self) -> tuple[Row, ...]:
+        """Every number, with its interval and definition; computes all that is not computed yet."""
+        return tuple(tidy_rows(self))
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """The rows as a pandas data frame; remarks and signature are in its ``attrs``."""
+        table = as_frame(self.rows)
+        table.attrs = {"remarks": list(self.remarks), "signature": self.signature}
+        return table
+
+    # --- numbers ----------------------------------------------------------------------------------------------
+
+    calibration = curves.calibration
+    summary_curve = curves.summary_curve
+    curve = curves.curve
+    rank_curves = curves.rank_curves
+    sparsification = curves.sparsification
+    event_reliability = curves.event_reliability
+
+    def __getitem__(self, name: str) -> float:
+        """Give a number over all poses; see :meth:`value`."""
+        return self.value(name)
+
+    def value(self, name: str, group: str | None = None, joint: str | None = None) -> float:
+        """Give one number.
+
+        Parameters
+        ----------
+        name : str
+            Of a metric, or of a number beside one, such as ``ece_p``.
+        group : str, optional
+            ``label=value``; all poses by default.
+        joint : str, optional
+            A joint; the summary over joints by default.
+
+        Returns
+        -------
+        float
+            The number; NaN where nothing counts.
+
+        Raises
+        ------
+        PoseDataError
+            Where the report has no such number.
+        """
+        metric, cells = self._find(name, group)
+        if joint is not None:
+            return float(self._joint_values(name, group)[self._joint(joint)])
+        if name in self.auxiliary:
+            return self.once(("value", name, group), lambda: auxiliary_number(self, self.auxiliary[name], group))[0]
+        return self.once(("value", name, group), lambda: self.totals.value(metric, cells))
+
+    def interval(self, name: str, group: str | None = None, joint: str | None = None) -> tuple[float, float]:
+        """Give the 95 % interval of a number over repetitions of the sequences.
+
+        Parameters
+        ----------
+        name, group, joint
+            As for :meth:`value`.
+
+        Returns
+        -------
+        low, high : float
+            NaN with fewer than two sequences, and for calibration errors, which are never below 0 and have a
+            :meth:`test` instead.
+
+        Raises
+        ------
+        PoseDataError
+            Where the report has no such number.
+        """
+        metric, cells = self._find(name, group)
+        if name in self.auxiliary or metric.deviation is not None:
+            return math.nan, math.nan
+        if joint is None:
+            both: Interval = self.once(("interval", name, group), lambda: interval(self.totals, metric, cells))
+            return both.low, both.high
+        self._joint_values(name, group)
+        low, high = self.once(("intervals", name, group), lambda: joint_intervals(self.totals, metric, cells))
+        return float(low[self._joint(joint)]), float(high[self._joint(joint)])
+
+    def test(self, name: str, group: str | None = None) -> Null:
+        """Compare a calibration error with those of calibrated samplers, by random signs of entire sequences.
+
+        Parameters
+        ----------
+        name : str
+            A calibration error or a rank test.
+        group : str, optional
+            ``label=value``; all poses by default.
+
+        Returns
+        -------
+        Null
+            The observed error, mean and 95 % quantile of a calibrated sampler's, p-value and band; NaN p with too few
+            sequences.
+
+        Raises
+        ------
+        PoseDataError
+            Where the report has no such error.
+        """
+        metric, cells = self._find(name, group)
+        if name in self.auxiliary or metric.deviation is None:
+            tested = [name for name, metric in self.metrics.items() if metric.deviation is not None]
+            raise PoseDataError(f"test: {name} is no calibration error or rank test. {did_you_mean(name, tested)}")
+        return self.once(("test", name, group), lambda: null(self.totals, metric, cells))
+
+    def rank_tests(self) -> dict[str, tuple[Null, float]]:
+        """Give each rank test with its p-value, adjusted for their number (Holm)."""
+        names = [name for name, metric in self.metrics.items() if metric.family == "rank_tests"]
+        nulls = [self.test(name) for name in names]
+        return dict(zip(names, zip(nulls, holm([null.p for null in nulls]), strict=True), strict=True))
+
+    def joint_tests(self) -> dict[str, tuple[float, float]]:
+        """Test the calibration curve of each joint.
+
+        Returns
+        -------
+        dict
+            By joint: its signed area, and its p-value by random signs of entire sequences, adjusted for the number of
+            joints (Holm). Empty without calibration, or with too few sequences.
+        """
+        metric = self.metrics.get("ece") or self.metrics.get("signed_area")
+        if metric is None:
+            return {}
+        areas = self.calibration().joint_signed_area()
+        p = self.once(("joint p",), lambda: joint_p_values(self.totals, metric))
+        scored = np.flatnonzero(~np.isnan(areas))
+        joints, adjusted = self.totals.spec.joints, holm(p[scored].tolist())
+        return {joints[k]: (float(areas[k]), q) for k, q in zip(scored, adjusted, strict=True) if not math.isnan(q)}
+
+    def scalars(self) -> dict[str, float]:
+        """Give the headline metrics over all poses as plain floats by name, for a logger."""
+        return {name: float(self[name]) for name in self.headline_metrics}
+
+    def count(self, name: str, group: str | None = None, joint: str | None = None) -> int:
+        """Give the number of poses that count in a number: at a joint, or at the joint where most do."""
+        metric, cells = self._find(name, group)
+        if joint is None:
+            row = OCCLUSION.index(str(group).partition("=")[2]) if group in self._occlusion else None
+            return self.totals.count(metric.statistic, cells, row)
+        counts = self.totals.counts[metric.statistics[-1].name]
+        at_joints = (counts if cells is None else counts[cells]).sum(axis=0)
+        return int(np.broadcast_to(at_joints, (*at_joints.shape, 1)[:1])[self._joint(joint)])
+
+    def definition(self, name: str, group: str | None = None) -> str:
+        """Give the definition of a number, in one line.
+
+        Raises
+        ------
+        PoseDataError
+            Where it is not in the report.
+        """
+        metric, _ = self._find(name, group)
+        if name not in self.auxiliary:
+            return metric.definition
+        row = self.auxiliary[name]
+        return row.definition + self.once(("value", name, group), lambda: auxiliary_number(self, row, group))[1]
+
+    # --- written ----------------------------------------------------------------------------------------------
+
+    def to_dict(self) -> dict[str, object]:
+        """Give the report as plain data, by the JSON schema ``posecal/report/schema.json``."""
+        return as_dict(self)
+
+    def render(
+        self,
+        form: Format = "text",
+        *,
+        joints: bool = False,
+        definitions: bool = False,
+        width: int = 120,
+        colour: bool = False,
+        words: Callable[[str], str] = for_python,
+    ) -> str:
+        """Write the report.
 
         Parameters
         ----------
         form : str
-            ``text``, ``markdown``, ``csv`` (the tidy rows) or ``json`` (rows and curves).
-        joints : bool
-            In text and Markdown, add the table per joint.
-        definitions : bool
-            In text and Markdown, add the full definition of every number.
+            ``text``, ``markdown``, ``latex`` (tables for a paper), ``csv`` (the rows, and a row per remark) or ``json``
+            (rows and curves).
+        joints, definitions : bool
+            In text, Markdown and LaTeX, add the table per joint, and the definition of every number.
+        width : int
+            Of text: columns of the terminal.
+        colour : bool
+            Of text: whether to use the terminal's colours.
+        words : callable
+            How remarks name options: ``for_python`` or ``for_command_line`` of :mod:`posecal.errors`.
 
         Returns
         -------
         str
-            The whole text.
+            All of it, without a final line break.
 
         Raises
         ------
@@ -104,23 +348,29 @@ class Report(Findings):
             For another form.
         """
         if form == "json":
-            return json.dumps(self.to_dict(), ensure_ascii=False, indent=1)
+            return json.dumps(as_dict(self, words), ensure_ascii=False, indent=1)
         if form == "csv":
-            text = io.StringIO()
-            writer = csv.DictWriter(text, [field.name for field in fields(Row)], lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(asdict(row) for row in self.rows)
-            return text.getvalue().rstrip("\n")
+            return as_csv(self, words)
         if form not in get_args(Format):
             raise PoseDataError(f"format: {form!r} is not known. {did_you_mean(form, get_args(Format))}")
-        sheet = report_sheet(self, joints=joints, definitions=definitions)
-        return sheet.text() if form == "text" else sheet.markdown()
+        sheet = report_sheet(self, joints=joints, definitions=definitions, words=words)
+        if form == "text":
+            return sheet.text(width, colour=colour)
+        return sheet.markdown() if form == "markdown" else sheet.latex()
 
     def __str__(self) -> str:
         return self.render("text")
 
+    def __repr__(self) -> str:
+        return short_title(self)
+
+    def _repr_html_(self) -> str:
+        from posecal.report.html import html_fragment
+
+        return html_fragment(self)
+
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Keep the sums in a file, from which any report can be made later.
+        """Write the sums into a file, from which any report can be made later.
 
         Raises
         ------
@@ -129,10 +379,37 @@ class Report(Findings):
         """
         save_totals(self.totals, path)
 
+    # --- lookups ----------------------------------------------------------------------------------------------
 
-def _plain(row: Row) -> dict[str, object]:
-    return {**asdict(row), **{key: _or_none(getattr(row, key)) for key in ("value", "low", "high")}}
+    def once(self, key: Hashable, compute: Callable[[], T]) -> T:
+        """Compute what is not remembered."""
+        if key not in self._memory:
+            self._memory[key] = compute()
+        return cast(T, self._memory[key])
 
+    def _find(self, name: str, group: str | None) -> tuple[Metric, Cells]:
+        """Look up a metric, or that of an auxiliary number, and the cells of a group."""
+        metrics = self.metrics_in(group)
+        metric = metrics.get(self.auxiliary[name].metric if name in self.auxiliary else name)
+        if metric is None:
+            of = "" if group is None else f" of {group}"
+            raise PoseDataError(
+                f"metric: {name!r} is not in the report{of}. {did_you_mean(name, [*metrics, *self.auxiliary])}"
+            )
+        return metric, self.groups[group]
 
-def _or_none(value: float) -> float | None:
-    return None if math.isnan(value) else float(value)
+    def _joint_values(self, name: str, group: str | None) -> FloatArray:
+        metric, cells = self._find(name, group)
+        if name in self.auxiliary or metric.by_joint is None:
+            known = [name for name, metric in self.metrics.items() if metric.by_joint is not None]
+            raise PoseDataError(f"joint: {name} has no values per joint. {did_you_mean(name, known)}")
+        return self.once(("joints", name, group), lambda: self.totals.by_joint(metric, cells))
+
+    def _joint(self, joint: str) -> int:
+        if joint not in self._joint_numbers:
+            raise PoseDataError(f"joint: {joint!r} is not in the report. {did_you_mean(joint, self._joint_numbers)}")
+        return self._joint_numbers[joint]
+
+    @cached_property
+    def _joint_numbers(self) -> dict[str, int]:
+        return {joint: k for k, joint in enumerate(self.totals.spec.joints)}

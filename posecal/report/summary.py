@@ -1,25 +1,64 @@
-"""What do the numbers say, in words? Once, and no more than they carry.
-
-Whether the model is over- or underconfident, whether beyond chance, at which joints, and what the calibration error
-alone would have missed.
-"""
+"""Sentences: what the numbers of a report say about calibration, and remarks on what they rest on."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
-from posecal.report.findings import Findings
+from posecal.errors import for_python
 from posecal.report.format import p_value
+from posecal.stats.resampling import MIN_SEQUENCES
 
-__all__ = ["summarize"]
+if TYPE_CHECKING:
+    from posecal.report.report import Report
 
 LEVEL = 0.05
-"""What counts as beyond chance."""
+"""P-values below this are called beyond chance."""
+
+ONE_SIDED = 0.5
+"""Share of an ECE above which the signed area names a side: |∫ (ω − q) dq| ≤ ∫ |ω − q| dq, and where it is more than
+half of that, more than three quarters of the deviation lie on one side of the diagonal."""
+
+FEW_HYPOTHESES = 20
+"""With fewer hypotheses than this a perfect sampler's ECE (paper) is above 0.018, however many poses there are."""
+
+NEITHER = "miscalibrated, on neither side throughout"
 
 
-def summarize(report: Findings) -> list[str]:
-    """Say what a report's calibration comes down to.
+def remarks(report: Report, words: Callable[[str], str] = for_python) -> tuple[str, ...]:
+    """Say what a careful reader should know about the data and about what can be tested on them.
+
+    Parameters
+    ----------
+    report : Report
+        The numbers.
+    words : callable
+        How options are named: ``for_python`` or ``for_command_line`` of :mod:`posecal.errors`.
+    """
+    return tuple(words(remark) for remark in (*report.totals.remarks, *_of_statistics(report)))
+
+
+def _of_statistics(report: Report) -> Iterator[str]:
+    totals, units = report.totals, report.totals.units()
+    if not totals.has_sequences:
+        consecutive = units.replace("of frames", "of consecutive frames")
+        yield f"no sequence labels: {consecutive} are taken as independent. In a video they are not."
+    sequences = totals.n_sequences
+    if sequences < MIN_SEQUENCES:
+        yield (
+            f"{units} allow{'s' * (sequences == 1)} no test: even if all err alike, chance would do that in "
+            f"{2 / 2**sequences:.0%} of cases. At least {MIN_SEQUENCES} are needed for a p-value."
+        )
+    n = totals.spec.n_hypotheses
+    if n < 2:
+        yield "calibration and spread need at least 2 hypotheses; there is 1."
+    elif n < FEW_HYPOTHESES and any(metric.family == "calibration" for metric in report.metrics.values()):
+        yield f"N = {n} hypotheses are few: look at what a perfect sampler would show before reading an ECE (paper)."
+
+
+def summarize(report: Report) -> list[str]:
+    """Say in sentences whether the model is calibrated, at which joints it is not, and what the ECE can't see.
 
     Parameters
     ----------
@@ -30,54 +69,73 @@ def summarize(report: Findings) -> list[str]:
     -------
     list of str
         Sentences; none without calibration.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from posecal.evaluation import evaluate
+    >>> summarize(evaluate(np.zeros((1, 8, 3, 3)), np.zeros((8, 3, 3))))
+    []
     """
-    if "ece" not in report.metrics or "signed_area" not in report.metrics:
+    if not {"ece", "signed_area"} <= report.metrics.keys() or math.isnan(report["ece"]):
         return []
-    return [*_whole(report), *_joints(report), *_battery(report)]
+    return [_of_curve(report), *_of_joints(report), *_of_rank_tests(report)]
 
 
-def _side(area: float) -> str:
+def side_of(area: float, error: float) -> str:
+    """Name the side on which a curve lies: of the signed area, where it is more than half of the error, else neither.
+
+    Parameters
+    ----------
+    area, error : float
+        Signed area and ECE of the same curve.
+
+    Returns
+    -------
+    str
+        ``overconfident``, ``underconfident`` or :data:`NEITHER`.
+
+    Examples
+    --------
+    >>> side_of(-0.03, 0.04), side_of(0.01, 0.04)
+    ('overconfident', 'miscalibrated, on neither side throughout')
+    """
+    if abs(area) <= ONE_SIDED * error:
+        return NEITHER
     return "overconfident" if area < 0 else "underconfident"
 
 
-def _whole(report: Findings) -> Iterator[str]:
-    error, area = report.value("ece"), report.value("signed_area")
-    if math.isnan(error):
-        return
-    coverage = report.value("coverage_90") if "coverage_90" in report.metrics else math.nan
-    share = "" if math.isnan(coverage) else f"; the 90\u00a0% balls hold {100 * coverage:.0f}\u00a0% of the truths"
-    found = report.null("ece")
-    if math.isnan(found.p):
-        yield f"Looks {_side(area)} (signed area {area:+.3f}{share}); whether by chance can't be tested here."
-    elif found.p < LEVEL:
-        clear = abs(area) > error / 2
-        what = _side(area).capitalize() if clear else "Miscalibrated, on neither side throughout"
-        yield (
-            f"{what}, beyond chance: ECE {error:.3f} where a calibrated sampler would show {found.mean:.3f} "
-            f"({p_value(found.p)}){share}."
+def _of_curve(report: Report) -> str:
+    error, area, test = report["ece"], report["signed_area"], report.test("ece")
+    share = ""
+    if "coverage_90" in report.metrics:
+        share = f"; the 90\u00a0% balls hold {100 * report['coverage_90']:.0f}\u00a0% of the truths"
+    if math.isnan(test.p):
+        side = "overconfident" if area < 0 else "underconfident"
+        return f"Looks {side} (signed area {area:+.3f}{share}); whether by chance can't be tested here."
+    if test.p < LEVEL:
+        return (
+            f"{side_of(area, error).capitalize()}, beyond chance: ECE {error:.3f} where a calibrated sampler would "
+            f"show {test.mean:.3f} ({p_value(test.p)}){share}."
         )
-    else:
-        yield (
-            f"Not miscalibrated beyond chance: ECE {error:.3f}, and a calibrated sampler would show up to "
-            f"{found.high:.3f} on these {report.totals.units(found.sequences)} ({p_value(found.p)}){share}."
-        )
+    return (
+        f"Not miscalibrated beyond chance: ECE {error:.3f}, and a calibrated sampler would show up to {test.high:.3f} "
+        f"on these {report.totals.units(test.sequences)} ({p_value(test.p)}){share}."
+    )
 
 
-def _joints(report: Findings) -> Iterator[str]:
+def _of_joints(report: Report) -> Iterator[str]:
     tests = report.joint_tests()
-    sides: dict[str, list[str]] = {"overconfident": [], "underconfident": [], "off, on neither side throughout,": []}
+    sides: dict[str, list[str]] = {"overconfident": [], "underconfident": [], NEITHER: []}
     for joint, (area, p) in sorted(tests.items(), key=lambda entry: -abs(entry[1][0])):
         if p < LEVEL:
-            clear = abs(area) > report.value("ece", joint=joint) / 2
-            sides[_side(area) if clear else "off, on neither side throughout,"].append(joint)
-    named = [f"{side} at {_several(joints)}" for side, joints in sides.items() if joints]
+            sides[side_of(area, report.value("ece", joint=joint))].append(joint)
+    named = [f"{side}{',' * (side == NEITHER)} at {_several(joints)}" for side, joints in sides.items() if joints]
     if named:
         yield f"Joint by joint: {', '.join(named)} (adjusted for {len(tests)} joints)."
-    if "ece_mean" in report.metrics and report.null("ece_mean").p < LEVEL <= report.null("ece").p:
-        yield (
-            f"The median over joints hides it: the joints' own errors average {report.value('ece_mean'):.3f} "
-            f"({p_value(report.null('ece_mean').p)})."
-        )
+    if "ece_mean" in report.metrics and report.test("ece").p >= LEVEL > (p := report.test("ece_mean").p):
+        mean = report["ece_mean"]
+        yield f"The median over joints hides it: the joints' own errors average {mean:.3f} ({p_value(p)})."
 
 
 def _several(joints: list[str], most: int = 6) -> str:
@@ -86,14 +144,14 @@ def _several(joints: list[str], most: int = 6) -> str:
     return ", ".join(joints[:-1]) + (" and " if len(joints) > 1 else "") + joints[-1]
 
 
-def _battery(report: Findings) -> Iterator[str]:
+def _of_rank_tests(report: Report) -> Iterator[str]:
     tests = report.rank_tests()
-    fired = [name for name, (_, p) in tests.items() if p < LEVEL]
-    labels = ", ".join(report.metrics[name].label for name in fired)
-    if fired and report.null("ece").p < LEVEL:
-        yield f"The battery fires as well: {labels}. Mend the spread first, and look again."
-    elif fired:
-        meanings = dict.fromkeys(report.metrics[name].rejection for name in fired)
-        yield f"What the ECE does not see, the battery does ({labels}): {'; '.join(meanings)}."
+    rejected = [report.metrics[name] for name, (_, p) in tests.items() if p < LEVEL]
+    labels = ", ".join(metric.label for metric in rejected)
+    if rejected and report.test("ece").p < LEVEL:
+        yield f"Rank tests reject as well: {labels}. Recalibrate the spread first, then rerun the rank tests."
+    elif rejected:
+        meanings = dict.fromkeys(metric.rejection for metric in rejected)
+        yield f"Rank tests reject what the ECE can't see ({labels}): {'; '.join(meanings)}."
     elif tests and not any(math.isnan(p) for _, p in tests.values()):
-        yield "The battery finds nothing more. A model that ignores the image would pass it too: look at a score."
+        yield "No rank test rejects. A model that ignores the image would pass them too: look at a proper score."

@@ -1,34 +1,40 @@
-"""Which of two models is better, and is it more than chance? The same poses, paired by sequence.
+"""Comparison of models on the same poses, paired by sequence: differences, intervals, p-values and ranks.
 
-The difference of two models is far surer than either number, because both meet the same easy and hard sequences. So
-every metric's difference is left-one-sequence-out, and its interval and p-value come from that. Models whose numbers
-were not made alike, or on other poses, are refused.
+Both models meet the same easy and hard sequences, so their difference is less uncertain than either number: every
+metric's difference is jackknifed over sequences, and its interval and p-value come from that. Models whose numbers were
+not made alike, or on other poses, are refused.
 """
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import asdict, dataclass, field, fields
+from functools import cached_property
 from itertools import combinations
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from posecal.data.arrays import FloatArray
 from posecal.engine.metric import SUM_OF_TRUE_POSES, Metric
-from posecal.engine.totals import Totals, difference_of_signatures
-from posecal.errors import PoseDataError
+from posecal.engine.totals import Totals, difference_of_signatures, sum_by
+from posecal.errors import PoseDataError, did_you_mean, option
 from posecal.registry import metrics_of
-from posecal.stats.leave_one_out import without
-from posecal.stats.resampling import Interval, holm, jackknife, paired_p
+from posecal.stats.jackknife import Interval, jackknife, leave_one_out, paired_p
+from posecal.stats.resampling import Null, holm
 from posecal.stats.uncertainty import null
 
-__all__ = ["Comparison", "Difference", "compare"]
+if TYPE_CHECKING:
+    import pandas as pd
 
 LEVEL = 0.05
 """Differences with an adjusted p-value below this count in the ranks."""
+
+FORMATS = ("csv", "json", "latex", "markdown")
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -61,9 +67,9 @@ class Difference:
     better: str | None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Comparison:
-    """Several models on the same poses.
+    """Several models on the same poses; each number is computed when it is asked for, once.
 
     Attributes
     ----------
@@ -71,27 +77,55 @@ class Comparison:
         The models.
     totals : tuple of Totals
         Their sums.
-    metrics : dict of Metric
-        What all of them report.
-    differences : tuple of Difference
-        Of every pair of models, for every metric.
     """
 
     names: tuple[str, ...]
     totals: tuple[Totals, ...]
-    metrics: dict[str, Metric]
-    differences: tuple[Difference, ...]
+    _memory: dict[Hashable, Any] = field(default_factory=dict, init=False, compare=False)
+
+    def __repr__(self) -> str:
+        first = self.totals[0]
+        return f"<Comparison of {', '.join(self.names)}: M = {first.poses.sum():,}, {first.units()}>"
+
+    def __str__(self) -> str:
+        return self.table.to_string(index=False)
+
+    def _repr_html_(self) -> str:
+        return self.table.to_html(index=False)
+
+    @cached_property
+    def metrics(self) -> dict[str, Metric]:
+        """The metrics that all models report, by name."""
+        known = [metrics_of(totals.protocol, totals.spec, own=totals.own_metrics) for totals in self.totals]
+        return {name: metric for name, metric in known[0].items() if all(name in other for other in known)}
 
     def value(self, metric: str, model: str) -> float:
         """Give a model's number."""
-        return self.totals[self.names.index(model)].value(self.metrics[metric])
+        one, totals = self._find(metric, model)
+        return self._once(("value", metric, model), lambda: totals.value(one))
 
     def interval(self, metric: str, model: str) -> Interval:
         """Give the 95 % interval of a model's number; NaN for calibration errors, which have none."""
-        found, totals = self.metrics[metric], self.totals[self.names.index(model)]
-        if found.deviation is not None:
+        if self._find(metric, model)[0].deviation is not None:
             return Interval(math.nan, math.nan, math.nan, 0)
-        return jackknife(totals.value(found), without(totals, found))
+        return jackknife(self.value(metric, model), self._without(metric, model))
+
+    def differences_of(self, metric: str) -> tuple[Difference, ...]:
+        """Give the differences of every pair of models for one metric."""
+        return self._once(("differences", metric), lambda: tuple(self._compare(metric)))
+
+    @property
+    def differences(self) -> tuple[Difference, ...]:
+        """The differences of every pair of models, for every metric."""
+        return tuple(difference for metric in self.metrics for difference in self.differences_of(metric))
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """The differences as a data frame: a row for each metric and pair of models."""
+        import pandas as pd
+
+        columns = [column.name for column in fields(Difference)]
+        return pd.DataFrame([asdict(difference) for difference in self.differences], columns=columns)
 
     def feasible(self, metric: str = "ece") -> float:
         """Give the largest calibration error that a calibrated sampler would show here: its 95 % quantile.
@@ -99,26 +133,34 @@ class Comparison:
         Each model's own deviations give one; this is the smallest, a guide for the eye. Whether a model is beyond it by
         chance says :meth:`calibrated`.
         """
-        return min(null(totals, self.metrics[metric]).high for totals in self.totals)
+        return min(self._null(metric, name).high for name in self.names)
 
     def calibrated(self, metric: str = "ece") -> list[str]:
         """Name the models whose calibration error is not beyond what chance would show them."""
-        tests = [null(totals, self.metrics[metric]).p for totals in self.totals]
-        return [name for name, p in zip(self.names, tests, strict=True) if p >= LEVEL]
+        return [name for name in self.names if self._null(metric, name).p >= LEVEL]
 
     def rank(self, metric: str, model: str) -> int:
         """Give a model's rank: 1 and how many are better beyond chance."""
-        beaten = [d for d in self.differences if d.metric == metric and model in (d.first, d.second)]
-        return 1 + sum(d.better is not None and d.better != model for d in beaten)
+        self._find(metric, model)
+        pairs = [pair for pair in self.differences_of(metric) if model in (pair.first, pair.second)]
+        return 1 + sum(pair.better not in (None, model) for pair in pairs)
 
     def render(self, form: str) -> str:
-        """Write the comparison as ``json`` (values, ranks and all differences) or ``csv`` (the differences)."""
+        """Write the differences as ``csv``, ``markdown`` or ``latex``; as ``json``, with all values and ranks.
+
+        Raises
+        ------
+        PoseDataError
+            For another form.
+        """
         if form == "csv":
-            text = io.StringIO()
-            writer = csv.DictWriter(text, [field.name for field in fields(Difference)], lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(asdict(difference) for difference in self.differences)
-            return text.getvalue().rstrip("\n")
+            return self.table.to_csv(index=False, lineterminator="\n").rstrip("\n")
+        if form == "markdown":
+            return self.table.to_markdown(index=False)
+        if form == "latex":
+            return self.table.to_latex(index=False, escape=True)
+        if form != "json":
+            raise PoseDataError(f"format: {form!r} is not known. {did_you_mean(form, FORMATS)}")
         values = [
             {"metric": name, "model": model, "value": _plain(self.value(name, model)), "rank": self.rank(name, model)}
             for name in self.metrics
@@ -128,12 +170,52 @@ class Comparison:
         about = {"signature": self.totals[0].signature, "models": self.names, "values": values}
         return json.dumps({**about, "differences": differences}, ensure_ascii=False, indent=1)
 
+    def _find(self, metric: str, model: str) -> tuple[Metric, Totals]:
+        if metric not in self.metrics:
+            raise PoseDataError(f"{metric} is not in the comparison. {did_you_mean(metric, self.metrics)}")
+        if model not in self.names:
+            raise PoseDataError(f"{model} is not in the comparison. {did_you_mean(model, self.names)}")
+        return self.metrics[metric], self.totals[self.names.index(model)]
+
+    def _once(self, key: Hashable, compute: Callable[[], T]) -> T:
+        if key not in self._memory:
+            self._memory[key] = compute()
+        value: T = self._memory[key]
+        return value
+
+    def _without(self, metric: str, model: str) -> FloatArray:
+        one, totals = self._find(metric, model)
+        return self._once(("without", metric, model), lambda: leave_one_out(totals, one))
+
+    def _null(self, metric: str, model: str) -> Null:
+        one, totals = self._find(metric, model)
+        return self._once(("null", metric, model), lambda: null(totals, one))
+
+    def _compare(self, metric: str) -> list[Difference]:
+        direction, names = self._find(metric, self.names[0])[0].direction, self.names
+        values = [self.value(metric, name) for name in names]
+        without = [self._without(metric, name) for name in names]
+        if direction == "zero":  # nearer to 0 is better: the distances from it are compared
+            values, without = [abs(value) for value in values], [np.abs(some) for some in without]
+        pairs = list(combinations(range(len(names)), 2))
+        intervals = [jackknife(values[a] - values[b], without[a] - without[b]) for a, b in pairs]
+        differences = []
+        for (a, b), interval, p in zip(pairs, intervals, holm([paired_p(each) for each in intervals]), strict=True):
+            better = None
+            if p < LEVEL and direction != "none":
+                better = names[a if (values[a] < values[b]) == (direction != "higher") else b]
+            difference = values[a] - values[b]
+            differences.append(
+                Difference(metric, names[a], names[b], difference, interval.low, interval.high, p, better)
+            )
+        return differences
+
 
 def _plain(value: object) -> object:
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
-def compare(totals: Sequence[Totals], names: Sequence[str]) -> Comparison:
+def compare_totals(totals: Sequence[Totals], names: Sequence[str]) -> Comparison:
     """Compare models on the same poses.
 
     Parameters
@@ -151,7 +233,7 @@ def compare(totals: Sequence[Totals], names: Sequence[str]) -> Comparison:
     Raises
     ------
     PoseDataError
-        Where two were not made alike or not on the same poses; all differences at once.
+        Where two were not made alike or not on the same poses.
     """
     if len(totals) < 2:
         raise PoseDataError(f"compare: {len(totals)} model; expected at least 2.")
@@ -161,36 +243,10 @@ def compare(totals: Sequence[Totals], names: Sequence[str]) -> Comparison:
         if other.signature != first.signature:
             raise PoseDataError(
                 f"{names[0]} and {name} were not made alike: {difference_of_signatures(first, other)}. "
-                "Evaluate both with the same options; --hypotheses takes as many hypotheses of each."
+                f"Evaluate both with the same options; {option('n_hypotheses')} takes as many hypotheses of each."
             )
         _check_same_poses(first, other, names[0], name)
-    known = [metrics_of(t.protocol, t.spec) for t in totals]
-    shared = {name: metric for name, metric in known[0].items() if all(name in other for other in known)}
-    pairs = list(combinations(range(len(totals)), 2))
-    differences = []
-    for metric in shared.values():
-        values = [t.value(metric) for t in totals]
-        left_out = [without(t, metric) for t in totals]
-        if metric.direction == "zero":  # nearer to 0 is better: the distances from it are compared
-            values, left_out = [abs(value) for value in values], [np.abs(some) for some in left_out]
-        found = [jackknife(values[a] - values[b], left_out[a] - left_out[b]) for a, b in pairs]
-        adjusted = holm([paired_p(interval) for interval in found])
-        for (a, b), interval, p in zip(pairs, found, adjusted, strict=True):
-            better = None
-            if p < LEVEL and (least := _better(metric, values[a], values[b])) is not None:
-                better = names[a] if least else names[b]
-            difference = values[a] - values[b]
-            differences.append(
-                Difference(metric.name, names[a], names[b], difference, interval.low, interval.high, p, better)
-            )
-    return Comparison(tuple(names), tuple(totals), shared, tuple(differences))
-
-
-def _better(metric: Metric, first: float, second: float) -> bool | None:
-    """Whether the first number is the better one; None where no direction is."""
-    if metric.direction == "none":
-        return None
-    return (first < second) == (metric.direction != "higher")
+    return Comparison(tuple(names), tuple(totals))
 
 
 def _check_same_poses(first: Totals, other: Totals, name: str, other_name: str) -> None:
@@ -199,16 +255,20 @@ def _check_same_poses(first: Totals, other: Totals, name: str, other_name: str) 
     Raises
     ------
     PoseDataError
-        Where sequences, numbers of poses, or the true poses differ.
+        Where the sequences, their numbers of poses, or their true poses differ.
     """
-    counts = [t.by_sequence(SUM_OF_TRUE_POSES) for t in (first, other)]
-    labels = [sorted(set(t.cells["sequence"].tolist())) for t in (first, other)]
-    if labels[0] != labels[1] or not np.array_equal(counts[0][1], counts[1][1]):
-        poses = [int(t.poses.sum()) for t in (first, other)]
+    both = (first, other)
+    labels = [np.unique(totals.cells["sequence"]).tolist() for totals in both]
+    poses = [np.bincount(totals.sequence_of, totals.poses).tolist() for totals in both]
+    if labels[0] != labels[1] or poses[0] != poses[1]:
+        numbers = [f"{totals.poses.sum():,} in {totals.units()}" for totals in both]
         raise PoseDataError(
-            f"{name} and {other_name} hold other poses: {poses[0]:,} in {first.units()} and {poses[1]:,} in "
-            f"{other.units()}. Compare models on the same frames; --missing skip may have left some out."
+            f"{name} and {other_name} hold other poses: {numbers[0]} and {numbers[1]}. Compare models on the same "
+            f"frames, in the same sequences; {option('missing', 'skip')} may have left some out."
         )
-    scale = np.abs(counts[0][0]).max() + 1
-    if np.abs(counts[0][0] - counts[1][0]).max() > 1e-4 * scale:
-        raise PoseDataError(f"{name} and {other_name} were held against different true poses; expected the same.")
+    key = SUM_OF_TRUE_POSES.name
+    sums = [sum_by(totals.sequence_of, totals.n_sequences, totals.sums[key]) for totals in both]
+    counts = [sum_by(totals.sequence_of, totals.n_sequences, totals.counts[key]) for totals in both]
+    differs = np.abs(sums[0] - sums[1]).max() > 1e-4 * (np.abs(sums[0]).max() + 1)
+    if differs or not np.array_equal(counts[0], counts[1]):
+        raise PoseDataError(f"{name} and {other_name} were evaluated against different true poses; expected the same.")

@@ -1,70 +1,49 @@
-"""How sure is a number? Statements of uncertainty that take whole sequences as the units of chance.
+"""Tests of calibration errors by random signs of entire sequences, and the variance between sequences.
 
-Frames of a video resemble their neighbours, so a thousand frames may be worth twenty. Everything here resamples,
-leaves out or flips whole sequences and needs nothing but their sums.
+Frames of a video resemble their neighbours, so a thousand frames may say as much as twenty independent ones.
+Everything here flips entire sequences and needs nothing but their sums.
 
-- A mean, or anything that is finished from means: the delete-one-sequence jackknife with Student's t.
-- A calibration error, which is never negative and never 0 even for a perfect sampler: *sequence sign-flips*. Under
-  calibration a sequence's summed deviation from the diagonal is as likely to be what it is as its opposite;
-  multiplying sequences by random signs shows what a calibrated sampler would show on this data. From the same
-  flips come the null ECE, a p-value and a band about the diagonal.
-
-With fewer than six sequences no sign-flip test can reject at 5 %, and none is made.
+A calibration error is never negative, and never 0 even for a perfect sampler. Under calibration a sequence's summed
+deviation from the diagonal is as likely to be what it is as its opposite; multiplying sequences by random signs shows
+what a calibrated sampler would show on this data. From the same flips come the null ECE, a p-value and a band about the
+diagonal. With fewer than six sequences no such test can reject at 5 %, and none is made.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache, partial
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from posecal.calibration.curve import joint_median
 from posecal.calibration.ranks import LEVELS
 from posecal.data.arrays import FloatArray
 from posecal.engine.metric import Deviation
+from posecal.engine.threads import run_in_order
+from posecal.engine.totals import Counts, slices, split_by
 
-__all__ = [
-    "FEWEST",
-    "Interval",
-    "Null",
-    "effective_poses",
-    "holm",
-    "jackknife",
-    "paired_p",
-    "sign_flips",
-    "squared_error",
-]
-
-FEWEST = 6
+MIN_SEQUENCES = 6
 """Fewer sequences than this allow no test: of 2⁵ sign patterns two are as extreme as any, and 2/32 is above 5 %."""
 
 DRAWS = 2000
 """Random sign patterns; with so few sequences that there are fewer patterns, all of them."""
 
-Counts = npt.NDArray[np.integer] | FloatArray
+MIN_DRAWS = 199
+"""For meshes of many thousand joints there are fewer random patterns, but at least so many."""
 
+MAX_VALUES = 30_000_000
+"""There are fewer than :data:`DRAWS` random patterns where patterns × curves × levels would be more than this."""
 
-@dataclass(frozen=True)
-class Interval:
-    """A 95 % interval of a number, over repetitions of the sequences.
+CHUNK = 4_000_000
+"""So many mean deviations are held at a time."""
 
-    Attributes
-    ----------
-    low, high : float
-        Its ends; NaN with fewer than two sequences.
-    error : float
-        Standard error.
-    sequences : int
-        How many there are.
-    """
+MAX_CURVES = 4096
+"""So many curves are tested at a time."""
 
-    low: float
-    high: float
-    error: float
-    sequences: int
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -93,78 +72,56 @@ class Null:
     sequences: int
 
 
-@cache
-def _student(freedom: int) -> float:
-    from scipy.special import stdtrit
-
-    return float(stdtrit(freedom, 0.975))
+# --- sign-flips ---------------------------------------------------------------------------------------------------
 
 
-def jackknife(value: float, without: FloatArray) -> Interval:
-    r"""Interval of a number from its values with each sequence left out.
-
-    .. math:: \hat\theta \pm t_{S-1}\, \sqrt{\tfrac{S-1}{S} \sum_s (\hat\theta_{(s)} - \bar\theta_{(\cdot)})^2}
-
-    Parameters
-    ----------
-    value : float
-        The number over all sequences.
-    without : array (S,)
-        The number with each sequence left out.
-
-    Returns
-    -------
-    Interval
-        NaN ends with fewer than two sequences, or where the number is not defined without one of them.
-
-    Notes
-    -----
-    For a ratio of sums this is the cluster-robust t interval. Differs from the published code: none; papers report
-    spread over sampling seeds, which says nothing about other people or clips.
-
-    References
-    ----------
-    Efron and Stein, Ann. Stat. 9, 586 (1981), doi:10.1214/aos/1176345462.
-
-    Examples
-    --------
-    The mean of 1 and 3: left-out values 3 and 1, standard error 1, and t with one degree of freedom is 12.7.
-
-    >>> found = jackknife(2.0, np.array([3.0, 1.0]))
-    >>> round(found.error, 6), round(found.high, 3)
-    (1.0, 14.706)
-    """
-    sequences = len(without)
-    if sequences < 2 or np.isnan(value) or np.isnan(without).any():
-        return Interval(np.nan, np.nan, np.nan, sequences)
-    spread = ((without - without.mean()) ** 2).sum()
-    error = float(np.sqrt((sequences - 1) / sequences * spread))
-    reach = _student(sequences - 1) * error
-    return Interval(value - reach, value + reach, error, sequences)
-
-
-@cache
-def _signs(sequences: int, draws: int, seed: int) -> npt.NDArray[np.float32]:
+@lru_cache(maxsize=8)
+def _signs(sequences: int, draws: int, seed: int) -> npt.NDArray[np.int8]:
     """Sign patterns, (patterns, sequences); the first is the observed one. All of them where that is few."""
     if sequences < 2 or 2 ** (sequences - 1) <= draws:
         patterns = np.arange(2 ** max(sequences - 1, 0))  # a pattern and its opposite give the same size
         bits = patterns[:, None] >> np.arange(sequences) & 1
-        return np.where(bits == 0, 1, -1).astype(np.float32)
+        return np.where(bits == 0, 1, -1).astype(np.int8)
     random = np.random.default_rng(seed)
     signs = random.integers(0, 2, (draws, sequences), dtype=np.int8) * 2 - 1
     signs[0] = 1
-    return signs.astype(np.float32)
+    return signs
 
 
-def judged_curves(deviation: Deviation, mean: FloatArray) -> FloatArray:
-    """Curves whose distance from the diagonal counts, (P, R, Q), of mean deviations (P, J, Q)."""
-    return joint_median(mean)[:, None] if deviation.over == "median" else mean
+def n_draws(draws: int, values: int) -> int:
+    """How many random patterns to draw where each gives so many values."""
+    return min(draws, max(MIN_DRAWS, MAX_VALUES // values))
 
 
-def error_of_curves(deviation: Deviation, curves: FloatArray) -> FloatArray:
-    """Reduce the curves (P, R, Q) to the error, (P,)."""
-    each = np.abs(curves).mean(axis=-1)
-    return np.asarray(each.max(axis=-1) if deviation.over == "worst" else each.mean(axis=-1))
+def _reduce_flips(
+    reduce: Callable[[FloatArray], Result],
+    deviations: FloatArray,
+    counts: Counts,
+    signs: npt.NDArray[np.int8],
+    offset: FloatArray | None,
+) -> list[Result]:
+    """Reduce the mean deviations (patterns, J, Q) at sign patterns, some patterns at a time."""
+    sums = deviations.reshape(len(deviations), -1).astype(np.float32)
+    total = counts.sum(axis=0)[:, None].astype(np.float32)
+
+    def reduce_some(signs: npt.NDArray[np.int8]) -> Result:
+        mean = (signs.astype(np.float32) @ sums).reshape(-1, *deviations.shape[1:])
+        mean /= total
+        if offset is not None:
+            mean += offset.astype(np.float32)
+        return reduce(mean)
+
+    step = max(1, CHUNK // sums.shape[1])
+    tasks = (partial(reduce_some, signs[at : at + step]) for at in range(0, len(signs), step))
+    return list(run_in_order(tasks, None if len(signs) > step else 1))
+
+
+def _median(curves: FloatArray) -> FloatArray:
+    """Median over J curves (patterns, J, Q), which are reordered."""
+    middle = curves.shape[1] // 2
+    curves.partition(middle, axis=1)
+    upper: FloatArray = curves[:, middle]
+    return upper if curves.shape[1] % 2 else (curves[:, :middle].max(axis=1) + upper) / 2
 
 
 def sign_flips(
@@ -194,14 +151,16 @@ def sign_flips(
     offset : array (Q,), optional
         What a perfect sampler's curve is off by at this N, for definitions that are biased.
     draws : int
-        Sign patterns.
+        Sign patterns. Where 2\ :sup:`S - 1` is no more, all of them are tried. For more than some 700 curves there are
+        fewer: as many as give :data:`MAX_VALUES` mean deviations, and at least :data:`MIN_DRAWS`, so that p can't be
+        below 0.005 for a mesh.
     seed : int
         Of the generator.
 
     Returns
     -------
     Null
-        With NaN p, quantile and band where there are fewer than :data:`FEWEST` sequences.
+        With NaN p, quantile and band where there are fewer than :data:`MIN_SEQUENCES` sequences.
 
     Notes
     -----
@@ -216,50 +175,97 @@ def sign_flips(
     --------
     Six sequences that all deviate alike: only the all-plus pattern, of 32, is as extreme.
 
-    >>> found = sign_flips(np.ones((6, 1, 21)), np.ones((6, 1), int), Deviation())
-    >>> found.p
+    >>> null = sign_flips(np.ones((6, 1, 21)), np.ones((6, 1), int), Deviation())
+    >>> null.p
     0.03125
     """
     judged = slice(deviation.first, deviation.last)
-    deviations, counts = _counting(deviations[:, judged], counts[:, judged])
-    total = counts.sum(axis=0)
-    D = deviations.astype(np.float32)
+    D, counts = _counting(deviations[:, judged], counts[:, judged])
     sequences = len(D)
     if not sequences:
         return Null(np.nan, np.nan, np.nan, np.nan, np.nan, 0)
-    signs = _signs(sequences, draws, seed)
-    mean = (signs @ D.reshape(sequences, -1)).reshape(len(signs), *D.shape[1:]) / total[:, None].astype(np.float32)
-    if offset is not None:
-        mean += offset.astype(np.float32)
-    curves = judged_curves(deviation, mean)
-    found = error_of_curves(deviation, curves).astype(np.float64)
-    if sequences < FEWEST:
-        return Null(float(found[0]), np.nan, np.nan, np.nan, np.nan, sequences)
     inner = slice(1, LEVELS.size - 1)
     weights = np.sqrt(LEVELS[inner] * (1 - LEVELS[inner])).astype(np.float32)
-    sup = np.abs(curves[..., inner] / weights).max(axis=(1, 2))
+
+    def reduce(mean: FloatArray) -> FloatArray:
+        curves = _median(mean)[:, None] if deviation.over == "median" else mean
+        each = np.abs(curves).mean(axis=-1)
+        error = each.max(axis=-1) if deviation.over == "worst" else each.mean(axis=-1)
+        return np.stack([error, np.abs(curves[..., inner] / weights).max(axis=(1, 2))])
+
+    signs = _signs(sequences, n_draws(draws, D[0].size), seed)
+    tested = sequences >= MIN_SEQUENCES
+    parts = _reduce_flips(reduce, D, counts, signs if tested else signs[:1], offset)
+    errors, sup = np.concatenate(parts, axis=1).astype(np.float64)
+    if not tested:
+        return Null(float(errors[0]), np.nan, np.nan, np.nan, np.nan, sequences)
     return Null(
-        observed=float(found[0]),
-        mean=float(found.mean()),
-        high=float(np.quantile(found, 0.95)),
-        p=float((found >= found[0] * (1 - 1e-5)).mean()),
+        observed=float(errors[0]),
+        mean=float(errors.mean()),
+        high=float(np.quantile(errors, 0.95)),
+        p=float(_share_as_large(errors)),
         band=float(np.quantile(sup, 0.95)),
         sequences=sequences,
     )
 
 
+def sign_flips_of_each(
+    deviations: FloatArray, counts: Counts, *, offset: FloatArray | None = None, draws: int = DRAWS, seed: int = 0
+) -> FloatArray:
+    """Give the p-value of each curve's own calibration error, as :func:`sign_flips` of it alone has it.
+
+    Parameters
+    ----------
+    deviations, counts, offset, draws, seed
+        As for :func:`sign_flips`; curves over the same sequences share their sign patterns.
+
+    Returns
+    -------
+    array (J,)
+        p-values; NaN for curves that count in fewer than :data:`MIN_SEQUENCES` sequences.
+    """
+    p = np.full(counts.shape[1], np.nan)
+    most = n_draws(draws, max(1, deviations[:1].size))
+    sets, of_curve = np.unique(counts > 0, axis=1, return_inverse=True)
+    for used, members in zip(sets.T, split_by(of_curve.ravel(), sets.shape[1]), strict=True):
+        if used.sum() < MIN_SEQUENCES:
+            continue
+        signs = _signs(int(used.sum()), most, seed)
+        for curves in np.split(members, range(MAX_CURVES, len(members), MAX_CURVES)):
+            some = np.ix_(used, curves)
+            errors = _reduce_flips(_error_of_each, deviations[some], counts[some], signs, offset)
+            p[curves] = _share_as_large(np.concatenate(errors))
+    return p
+
+
+def _error_of_each(mean: FloatArray) -> FloatArray:
+    return np.asarray(np.abs(mean, out=mean).mean(axis=-1))
+
+
+def _share_as_large(errors: FloatArray) -> FloatArray:
+    """Share of sign patterns (patterns, …) at which an error is at least as large as at the first, but for rounding."""
+    return np.asarray((errors >= errors[0] * (1 - 1e-5)).mean(axis=0))
+
+
+# --- variance between sequences -----------------------------------------------------------------------------------
+
+
 def _counting(deviations: FloatArray, counts: Counts) -> tuple[FloatArray, Counts]:
     """Leave out sequences and curves without a pose that counts."""
-    kept, used = counts.any(axis=1), counts.any(axis=0)
-    return deviations[kept][:, used], counts[kept][:, used]
+    rows, columns = counts.any(axis=1), counts.any(axis=0)
+    if rows.all() and columns.all():
+        return deviations, counts
+    return deviations[rows][:, columns], counts[rows][:, columns]
 
 
 def _variances(deviations: FloatArray, counts: Counts) -> tuple[FloatArray, FloatArray]:
     """Mean deviations (J, Q), and their variances over sequences."""
     S, total = len(deviations), counts.sum(axis=0)[:, None]
     mean = deviations.sum(axis=0) / total
-    residual = deviations - counts[..., None] * mean
-    return mean, S / (S - 1) * (residual**2).sum(axis=0) / total**2
+    squares = np.zeros(mean.shape)
+    for some in slices(S, mean.nbytes):
+        squares += ((deviations[some] - counts[some, :, None] * mean) ** 2).sum(axis=0)
+    return mean, S / (S - 1) * squares / total**2
 
 
 def squared_error(deviations: FloatArray, counts: Counts) -> float:
@@ -294,7 +300,7 @@ def squared_error(deviations: FloatArray, counts: Counts) -> float:
 
 
 def effective_poses(deviations: FloatArray, counts: Counts) -> float:
-    r"""Number of independent poses that would be worth as much as these, for a calibration curve.
+    r"""Number of independent poses whose calibration curve would vary as much as that of these sequences.
 
     .. math:: \sum_{k,q} \omega_k(q) (1 - \omega_k(q)) \Big/ \sum_{k,q} \widehat{\operatorname{Var}}\, \omega_k(q)
 
@@ -306,7 +312,7 @@ def effective_poses(deviations: FloatArray, counts: Counts) -> float:
     Returns
     -------
     float
-        StoredPoses, at most as many as there are; NaN with fewer than two sequences.
+        At most as many as there are poses; NaN with fewer than two sequences.
 
     Notes
     -----
@@ -314,7 +320,7 @@ def effective_poses(deviations: FloatArray, counts: Counts) -> float:
 
     Examples
     --------
-    Two sequences that deviate oppositely, whatever their number of frames, are worth about two poses.
+    Two sequences that deviate oppositely, whatever their number of frames, count as about two poses.
 
     >>> deviations = np.stack([np.full((1, 21), 3.0), np.full((1, 21), -3.0)])
     >>> round(effective_poses(deviations, np.full((2, 1), 10)), 1)
@@ -331,16 +337,7 @@ def effective_poses(deviations: FloatArray, counts: Counts) -> float:
     return min(poses, float((coverage * (1 - coverage)).sum() / chance)) if chance > 0 else poses
 
 
-def paired_p(difference: Interval) -> float:
-    """Two-sided p-value of a difference, from its standard error over sequences; NaN with fewer than two."""
-    from scipy.special import stdtr
-
-    if np.isnan(difference.error):
-        return float("nan")
-    middle = (difference.low + difference.high) / 2
-    if difference.error == 0:
-        return 1.0 if middle == 0 else 0.0
-    return float(2 * stdtr(difference.sequences - 1, -abs(middle) / difference.error))
+# --- p-values -----------------------------------------------------------------------------------------------------
 
 
 def holm(p: Sequence[float]) -> list[float]:
@@ -369,9 +366,9 @@ def holm(p: Sequence[float]) -> list[float]:
     >>> holm([0.01, 0.04, 0.03])
     [0.03, 0.06, 0.06]
     """
-    tested = [index for index, value in enumerate(p) if not np.isnan(value)]
-    found, least = [float("nan")] * len(p), 0.0
-    for place, index in enumerate(sorted(tested, key=lambda index: p[index])):
-        least = max(least, min(1.0, (len(tested) - place) * p[index]))
-        found[index] = least
-    return found
+    values = np.asarray(p, dtype=np.float64)
+    order = np.argsort(values)  # NaN last
+    steps = np.maximum((~np.isnan(values)).sum() - np.arange(len(values)), 1) * values[order]
+    adjusted = np.empty(len(values))
+    adjusted[order] = np.maximum.accumulate(np.minimum(steps, 1.0))
+    return adjusted.tolist()

@@ -1,7 +1,7 @@
-"""What would a model show that knows nothing of the image? Climatology, the reference of skill scores.
+"""References of skill scores: climatology, which knows nothing of the image, or another model.
 
 A skill score is 1 - S / S_ref for a score S and that of a reference: 0 is no better than the reference, 1 is perfect.
-Climatology is the reference that anyone has: hypotheses drawn from the true poses of other sequences.
+Climatology is the reference that anyone has: hypotheses sampled from the true poses of other sequences.
 """
 
 from __future__ import annotations
@@ -11,15 +11,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from posecal.data.arrays import FloatArray
-from posecal.data.pose_data import PoseData, Rows
-from posecal.errors import PoseDataError
-
-__all__ = ["climatology", "with_reference"]
+from posecal.data.pose_data import PoseData
+from posecal.data.stored_poses import Rows
+from posecal.errors import PoseDataError, option
 
 
 @dataclass(frozen=True)
 class ClimatologySample:
-    """Hypotheses drawn from true poses.
+    """Hypotheses sampled from true poses.
 
     Attributes
     ----------
@@ -47,18 +46,18 @@ class ClimatologySample:
         found: FloatArray = self.truth[self.donors[start:stop]].swapaxes(0, 1)
         return found
 
-    def taken(self, poses: Rows) -> ClimatologySample:
+    def select(self, poses: Rows) -> ClimatologySample:
         """Keep some poses, by their numbers."""
         return replace(self, donors=self.donors[poses])
 
 
 def climatology(pairs: PoseData, n_hypotheses: int | None = None, seed: int = 0) -> PoseData:
-    """Replace the hypotheses by true poses of other sequences, drawn at random.
+    """Replace the hypotheses by random true poses of other sequences.
 
     Parameters
     ----------
     pairs : PoseData
-        M poses. Without sequences, any other pose may be drawn; never one that lacks a joint.
+        M poses. Without sequences, any other pose may be sampled; never one that lacks a joint.
     n_hypotheses : int, optional
         How many; as many as there were by default.
     seed : int
@@ -72,39 +71,33 @@ def climatology(pairs: PoseData, n_hypotheses: int | None = None, seed: int = 0)
     Raises
     ------
     PoseDataError
-        Where there are no whole poses of other sequences.
+        Where there are no complete poses of other sequences.
     """
     n = n_hypotheses or pairs.shape[0]
     m = len(pairs.truth)
-    whole = np.isfinite(pairs.truth).all(axis=(1, 2))
+    complete = np.isfinite(pairs.truth).all(axis=(1, 2))
     if pairs.where is not None:
-        whole &= pairs.where.all(axis=1)
-    sequence = pairs.labels.get("sequence", np.arange(m).astype(np.str_))
-    _, place = np.unique(sequence, return_inverse=True)
-    order = np.flatnonzero(whole)[np.argsort(place[whole], kind="stable")]
-    size = np.bincount(place[whole], minlength=place.max() + 1)
-    others = len(order) - size[place]
+        complete &= pairs.where.all(axis=1)
+    sequence = np.unique(pairs.labels.get("sequence", np.arange(m)), return_inverse=True)[1]
+    order = np.flatnonzero(complete)[np.argsort(sequence[complete], kind="stable")]
+    size = np.bincount(sequence[complete], minlength=sequence.max() + 1)
+    others = len(order) - size[sequence]
     if not others.all():
-        what = "one sequence" if place.max() == 0 else "too few true poses without missing joints"
+        what = "one sequence" if sequence.max() == 0 else "too few true poses without missing joints"
         raise PoseDataError(
-            f"{pairs.names[1]}: {what}; climatology draws whole poses of other sequences. Give another file of "
-            "hypotheses as the reference."
+            f"{pairs.names[1]}: {what}; climatology samples complete poses of other sequences. Give another file of "
+            f"hypotheses as the {option('reference')}."
         )
     random = np.random.default_rng(seed)
     draws = random.integers(0, others[:, None], (m, n))
-    own_first, own_size = (np.cumsum(size) - size)[place][:, None], size[place][:, None]
-    donors = order[np.where(draws >= own_first, draws + own_size, draws)]  # over the gap that one's own sequence is
-    return replace(
-        pairs,
-        hypotheses=ClimatologySample(pairs.truth, donors),
-        scores=None,
-        names=("climatology", pairs.names[1]),
-        remarks=(),
-    )
+    own_first, own_size = (np.cumsum(size) - size)[sequence][:, None], size[sequence][:, None]
+    donors = order[np.where(draws >= own_first, draws + own_size, draws)]  # skip the poses of one's own sequence
+    sample = ClimatologySample(pairs.truth, donors)
+    return pairs.replace(hypotheses=sample, scores=None, names=("climatology", pairs.names[1]), remarks=())
 
 
 def with_reference(pairs: PoseData, reference: PoseData) -> PoseData:
-    """Put the hypotheses of a reference beside a model's, so that skills are reported with the metrics ``scores``.
+    """Add the hypotheses of a reference to a model's, so that skills are reported with the metrics ``scores``.
 
     Parameters
     ----------
@@ -114,34 +107,35 @@ def with_reference(pairs: PoseData, reference: PoseData) -> PoseData:
     Returns
     -------
     PoseData
-        The model's, with the reference at hand.
+        The model's, with the reference.
 
     Raises
     ------
     PoseDataError
         Where the two are not over the same frames, joints, root and true poses, or the reference has one hypothesis.
     """
-    ours, theirs = pairs.names[0], reference.names[0]
+    model, other = pairs.names[0], reference.names[0]
     if reference.shape[0] < 2:
-        raise PoseDataError(f"{theirs}: N = 1; fair scores need at least 2. Give a reference with more hypotheses.")
+        raise PoseDataError(f"{other}: N = 1; fair scores need at least 2. Give a reference with more hypotheses.")
     if pairs.joints != reference.joints:
         differ = sorted(set(pairs.joints) ^ set(reference.joints)) or ["their order"]
         raise PoseDataError(
-            f"{theirs} and {ours} hold other joints: {', '.join(differ)}. Score those in both with --joints, for both."
+            f"{other} and {model} hold other joints: {', '.join(differ)}. Score those in both with "
+            f"{option('shared_joints', 'common')}, for both."
         )
     if pairs.root != reference.root:
         roots = ["none" if p.root is None else p.joints[p.root] for p in (reference, pairs)]
         raise PoseDataError(
-            f"{theirs} and {ours} have other root joints: {' and '.join(roots)}; expected the same. Name it for both."
+            f"{other} and {model} have other root joints: {' and '.join(roots)}; expected the same. Name it for both."
         )
     if not np.array_equal(pairs.frame_id, reference.frame_id):
-        alone = [frame for frame in pairs.frame_id if frame not in set(reference.frame_id)]
-        alone = alone or [frame for frame in reference.frame_id if frame not in set(pairs.frame_id)] or ["their order"]
+        first, second = pairs.frame_id, reference.frame_id
+        alone = [*first[~np.isin(first, second)], *second[~np.isin(second, first)], "their order"]
         raise PoseDataError(
-            f"{theirs} and {ours} hold other frames: {len(reference.truth):,} and {len(pairs.truth):,} (first: "
+            f"{other} and {model} hold other frames: {len(reference.truth):,} and {len(pairs.truth):,} (first: "
             f"{alone[0]}). A skill needs both on the same frames: evaluate those in both."
         )
     if not np.array_equal(pairs.truth, reference.truth, equal_nan=True):
-        raise PoseDataError(f"{theirs} and {ours} are held against different true poses; expected the same.")
-    remarks = [f"{theirs}: {remark}" for remark in reference.remarks if remark not in pairs.remarks]
-    return replace(pairs, reference=reference, remarks=(*pairs.remarks, *remarks))
+        raise PoseDataError(f"{other} and {model} were evaluated against different true poses; expected the same.")
+    remarks = [f"{other}: {remark}" for remark in reference.remarks if remark not in pairs.remarks]
+    return pairs.replace(reference=reference, remarks=(*pairs.remarks, *remarks))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.checks import TINY, like_metres, size_of
+from posecal.data.checks import TINY, metres_message, pose_size
 from posecal.errors import PoseDataError
 
 __all__ = ["check_millimetres"]
@@ -35,6 +35,6 @@ def check_millimetres(poses: npt.NDArray[np.floating], which: str, advice: str =
     Traceback (most recent call last):
     posecal.errors.PoseDataError: m.npz looks like metres: joints lie 0.3 from the middle of the pose; expected...
     """
-    size = size_of(poses)
+    size = pose_size(poses)
     if 0 < size < TINY:
-        raise PoseDataError(f"{like_metres(which, size)} {advice}".rstrip())
+        raise PoseDataError(f"{metres_message(which, size)} {advice}".rstrip())

@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.archive import Archive
 from posecal.data.skeleton import JOINT_SETS, Skeleton
+from posecal.data.write import Archive
 
 N, K = 200, 17
 KINDS = ("NMKD", "MNKD", "compressed")

@@ -19,8 +19,7 @@ from scipy.spatial.distance import cdist, pdist
 
 from posecal.calibration import LEVELS
 from posecal.data.arrays import FloatArray
-from posecal.engine.block import Block
-from posecal.engine.blocks import iter_blocks
+from posecal.engine.block import Block, iter_blocks
 from posecal.metrics.proper import fair_brier, joint_crps, joint_energies, variograms
 from posecal.stats.resampling import Deviation, sign_flips
 

@@ -18,12 +18,9 @@ import numpy as np
 from posecal.calibration import DEFINITIONS, LEVELS
 from posecal.calibration.ranks import inside
 from posecal.data.arrays import FloatArray
-from posecal.data.layout import MemoryArray
-from posecal.data.match import join
-from posecal.data.pose_data import StoredPoses
-from posecal.engine.accumulate import accumulate
-from posecal.engine.block import Block
-from posecal.engine.blocks import iter_blocks
+from posecal.data.pose_data import PoseData
+from tests.helpers.sums import accumulate
+from posecal.engine.block import Block, iter_blocks
 from posecal.engine.protocol import Protocol
 from posecal.engine.threads import available_cores, run_in_order
 from posecal.geometry.procrustes import aligned_errors
@@ -141,8 +138,7 @@ def main() -> None:
         ours = seconds(lambda threads=threads: fast_procrustes(x, y, threads), asked.times)
         row(f"Procrustes, blocks, {threads} thread(s)", ours, svd_time, "faster than SVD")
 
-    ours = StoredPoses("hypotheses", MemoryArray(x), axes="NMKD", unit="mm")
-    pairs = join(ours, StoredPoses("truth", MemoryArray(y), axes="MKD", unit="mm"))
+    pairs = PoseData(x, y, axes="NMKD", unit="mm")
     families = {
         "position": "min_mpjpe, mpjpe, mean_pose_mpjpe",
         "Procrustes": "pa_min_mpjpe, cps",

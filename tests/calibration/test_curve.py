@@ -1,4 +1,4 @@
-"""Is the calibration curve the mean of the weights, and its summary the median over joints?"""
+"""Calibration curves: means of the weights, and their summaries over joints."""
 
 from __future__ import annotations
 
@@ -38,24 +38,24 @@ def test_curves_are_means_over_the_poses_in_which_a_joint_counts(
     weights = oracles.inside(x, y, w, definition)
     found = calibration_curve(*arrays, definition=definition, where=where, root=root)
     assert found.definition == definition
-    np.testing.assert_allclose(found.coverage, oracles.curves(weights), atol=1e-12)
+    np.testing.assert_allclose(found.joints, oracles.curves(weights), atol=1e-12)
     np.testing.assert_allclose(found.pooled, oracles.pooled_curve(weights), atol=1e-12)
-    np.testing.assert_allclose(found.median, oracles.over_joints(found.coverage, found.pooled, "median"), atol=1e-12)
+    np.testing.assert_allclose(found.median, oracles.over_joints(found.joints, found.pooled, "median"), atol=1e-12)
 
 
-def test_a_pooled_curve_gives_each_pose_one_vote() -> None:
-    """Pose 0 has three joints inside, pose 1 one joint outside: each joint's vote is not the same."""
+def test_a_pooled_curve_weights_each_pose_alike() -> None:
+    """Pose 0 has three joints inside, pose 1 one joint outside: the joints do not weigh the same."""
     x = np.array([-1.0, 1.0, -2.0, 2.0]).reshape(4, 1, 1, 1) * np.ones((4, 2, 3, 1))
     y = np.zeros((2, 3, 1))
     y[1, 0] = 100
     where = np.array([[True, True, True], [True, False, False]])
     curve = calibration_curve(x, y, where=where, definition="paper")
     np.testing.assert_allclose(curve.pooled[10], 1 / 2)
-    np.testing.assert_allclose(curve.coverage[:, 10], [1 / 2, 1, 1])
+    np.testing.assert_allclose(curve.joints[:, 10], [1 / 2, 1, 1])
 
 
 def test_the_root_carries_no_information_and_is_left_out(arrays: tuple[Array, Array]) -> None:
-    found = calibration_curve(*arrays, root=2).coverage
+    found = calibration_curve(*arrays, root=2).joints
     assert np.isnan(found[2]).all()
     assert not np.isnan(np.delete(found, 2, axis=0)).any()
 
@@ -63,14 +63,14 @@ def test_the_root_carries_no_information_and_is_left_out(arrays: tuple[Array, Ar
 def test_curves_do_not_depend_on_the_blocks(
     arrays: tuple[Array, Array], where: Mask, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = calibration_curve(*arrays, where=where)
-    monkeypatch.setattr("posecal.engine.blocks.BLOCK_BYTES", 1)
-    np.testing.assert_array_equal(calibration_curve(*arrays, where=where).coverage, whole.coverage)
+    entire = calibration_curve(*arrays, where=where)
+    monkeypatch.setattr("posecal.engine.block.BLOCK_BYTES", 1)
+    np.testing.assert_array_equal(calibration_curve(*arrays, where=where).joints, entire.joints)
 
 
 def test_of_one_hypothesis_nothing_is_known(arrays: tuple[Array, Array]) -> None:
     found = calibration_curve(arrays[0][:1], arrays[1])
-    assert np.isnan(found.coverage).all()
+    assert np.isnan(found.joints).all()
     assert np.isnan(found.pooled).all()
     assert np.isnan(found.median).all()
 

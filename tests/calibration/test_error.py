@@ -1,4 +1,4 @@
-"""Are the numbers that are read off a curve the ones that the loops read, and those that were published?"""
+"""Numbers that are read off calibration curves, against loops and published values."""
 
 from __future__ import annotations
 
@@ -10,19 +10,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from posecal.calibration import (
-    LEVELS,
-    OVER_JOINTS,
-    CalibrationCurve,
-    OverJoints,
-    coverage_at,
-    ece,
-    joint_ece,
-    signed_area,
-)
-from posecal.calibration.entries import curve_of, summary
+from posecal.calibration import LEVELS, OVER_JOINTS, CalibrationCurve, OverJoints, calibration_curve, ece
+from posecal.calibration.curve import coverage_at, curve_of, ece_over_joints, joint_ece, signed_area, summary_curve
 from posecal.errors import PoseDataError
 from tests.helpers import oracles
+from tests.helpers.random_worlds import skewed
 
 Array = npt.NDArray[np.floating]
 
@@ -42,34 +34,45 @@ def curve() -> CalibrationCurve:
 
 
 def test_the_ece_of_a_joint_is_its_mean_distance_from_the_diagonal(curve: CalibrationCurve) -> None:
-    np.testing.assert_allclose(joint_ece(curve.coverage), [oracles.curve_ece(row) for row in curve.coverage])
+    expected = [oracles.curve_ece(row) for row in curve.joints]
+    np.testing.assert_allclose(joint_ece(curve.joints), expected)
+    np.testing.assert_allclose(curve.joint_ece(), expected)
 
 
 @pytest.mark.parametrize("over", OVER_JOINTS)
 def test_the_ece_over_joints_is_the_summary_s(curve: CalibrationCurve, over: OverJoints) -> None:
-    np.testing.assert_allclose(ece(curve, over), oracles.ece(curve.coverage, curve.pooled, over))
+    np.testing.assert_allclose(curve.ece(over), oracles.ece(curve.joints, curve.pooled, over))
 
 
 @pytest.mark.parametrize("over", OVER_JOINTS)
 def test_the_summary_curve_is_the_loops(curve: CalibrationCurve, over: OverJoints) -> None:
-    mean = np.concatenate([curve.coverage, curve.pooled[None]])
-    np.testing.assert_allclose(summary(mean, over), oracles.over_joints(curve.coverage, curve.pooled, over))
-    np.testing.assert_array_equal(curve_of(mean, "paper").coverage, curve.coverage)
-    np.testing.assert_array_equal(curve_of(mean, "paper").pooled, curve.pooled)
+    expected = oracles.over_joints(curve.joints, curve.pooled, over)
+    table = np.concatenate([curve.joints, curve.pooled[None]])
+    np.testing.assert_allclose(summary_curve(table, over), expected)
+    np.testing.assert_allclose(curve.summary(over), expected)
+    np.testing.assert_allclose(curve.signed_area(over), oracles.curve_area(expected))
+    np.testing.assert_array_equal(curve_of(table, "paper").joints, curve.joints)
+    np.testing.assert_array_equal(curve_of(table, "paper").pooled, curve.pooled)
 
 
 def test_the_ece_is_of_the_median_unless_it_is_said(curve: CalibrationCurve) -> None:
-    assert ece(curve) == ece(curve, "median")
+    assert curve.ece() == curve.ece("median") != curve.ece("mean")
+    assert curve.signed_area() == curve.signed_area("median") != curve.signed_area("mean")
+    assert curve.coverage(0.9) == curve.coverage(0.9, "median") != curve.coverage(0.9, "mean")
 
 
 def test_the_signed_area_is_the_trapezoid(curve: CalibrationCurve) -> None:
-    np.testing.assert_allclose(signed_area(curve.coverage), [oracles.curve_area(row) for row in curve.coverage])
+    expected = [oracles.curve_area(row) for row in curve.joints]
+    np.testing.assert_allclose(signed_area(curve.joints), expected)
+    np.testing.assert_allclose(curve.joint_signed_area(), expected)
 
 
 @pytest.mark.parametrize("level", [0, 0.5, 0.8, 0.9, 0.95, 1.0, 0.33, 0.999, 1e-3])
 def test_coverage_at_a_level_is_interpolated(curve: CalibrationCurve, level: float) -> None:
-    expected = [np.interp(level, LEVELS, row) for row in curve.coverage]
-    np.testing.assert_allclose(coverage_at(curve.coverage, level), expected)
+    expected = [np.interp(level, LEVELS, row) for row in curve.joints]
+    np.testing.assert_allclose(coverage_at(curve.joints, level), expected)
+    np.testing.assert_allclose(curve.joint_coverage(level), expected)
+    np.testing.assert_allclose(curve.coverage(level), np.interp(level, LEVELS, np.nanmedian(curve.joints, axis=0)))
 
 
 # --- extremes --------------------------------------------------------------------------------------------------------
@@ -94,16 +97,16 @@ def test_below_the_diagonal_is_overconfident_and_negative() -> None:
 def test_joints_that_err_in_opposite_ways_cancel_in_the_median_and_not_in_the_mean() -> None:
     coverage = np.stack([LEVELS - 0.5 * LEVELS * (1 - LEVELS), LEVELS + 0.5 * LEVELS * (1 - LEVELS)])
     found = CalibrationCurve("exchangeable", coverage, LEVELS)
-    np.testing.assert_allclose(ece(found), 0, atol=1e-15)
+    np.testing.assert_allclose(found.ece(), 0, atol=1e-15)
     # the mean of q (1 - q) over 21 levels is 133/840 = 19/120
-    np.testing.assert_allclose([ece(found, "mean"), ece(found, "worst")], 0.5 * 19 / 120)
+    np.testing.assert_allclose([found.ece("mean"), found.ece("worst")], 0.5 * 19 / 120)
 
 
 @pytest.mark.parametrize("over", OVER_JOINTS)
 def test_where_nothing_counts_there_is_no_number(over: OverJoints) -> None:
     nothing = CalibrationCurve("paper", np.full((3, 21), np.nan), np.full(21, np.nan))
-    assert np.isnan(ece(nothing, over))
-    assert np.isnan(summary(np.full((4, 21), np.nan), over)).all()
+    assert np.isnan([nothing.ece(over), nothing.signed_area(over), nothing.coverage(0.5, over)]).all()
+    assert np.isnan(nothing.summary(over)).all()
 
 
 # --- published numbers -----------------------------------------------------------------------------------------------
@@ -126,7 +129,7 @@ PUBLISHED = json.loads((Path(__file__).parents[1] / "fixtures" / "published_cali
 )
 def test_published_curves_have_their_published_ece(model: str, number: float) -> None:
     median = np.array(PUBLISHED[model])
-    found = ece(CalibrationCurve("reference", median[None], median))
+    found = CalibrationCurve("reference", median[None], median).ece()
     np.testing.assert_allclose(found, number, atol=5e-5)
     np.testing.assert_allclose(found, np.mean([abs(w - i / 20) for i, w in enumerate(PUBLISHED[model])]))
 
@@ -148,11 +151,57 @@ def test_the_summaries_are_those_of_the_type() -> None:
 
 
 def test_an_unknown_summary_is_refused_with_the_nearest(curve: CalibrationCurve) -> None:
-    with pytest.raises(PoseDataError, match=r"over: 'medain' is not known\. Did you mean median\?"):
-        ece(curve, "medain")  # type: ignore[arg-type]
+    words = r"over: 'medain' is not known\. Did you mean median\?"
+    calls = (curve.ece, curve.summary, curve.signed_area, lambda over: curve.coverage(0.5, over))
+    for call in (*calls, lambda over: ece(*skewed(0, 3, 2, 2), over=over)):
+        with pytest.raises(PoseDataError, match=words):
+            call("medain")  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("level", [-0.01, 1.01, float("nan")])
-def test_a_level_is_a_share(level: float) -> None:
-    with pytest.raises(PoseDataError, match=r"level: .*; expected a share from 0 to 1\."):
-        coverage_at(LEVELS, level)
+@pytest.mark.parametrize("level", [-0.01, 1.01, float("nan"), True, "0.5", None, 0.5j, [0.5]])
+def test_a_level_is_a_share(curve: CalibrationCurve, level: object) -> None:
+    for call in (curve.coverage, curve.joint_coverage):
+        with pytest.raises(PoseDataError, match=r"level: .*; expected a share from 0 to 1\."):
+            call(level)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "curves", [None, "curve", 3.0, [1.0, 2.0], LEVELS * 1j, CalibrationCurve("paper", LEVELS, LEVELS)]
+)
+def test_what_is_no_curve_is_refused(curves: object) -> None:
+    for function in (joint_ece, signed_area):
+        with pytest.raises(PoseDataError, match=r"^curves"):
+            function(curves)  # type: ignore[arg-type]
+
+
+# --- of arrays, and of stacks ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("over", OVER_JOINTS)
+@pytest.mark.parametrize("definition", ["exchangeable", "paper", "reference"])
+def test_the_ece_of_arrays_is_that_of_their_curve(over: OverJoints, definition: str) -> None:
+    x, y = skewed(3, 7, 30, 4)
+    where = np.random.default_rng(0).random((30, 4)) < 0.8
+    options = {"definition": definition, "where": where, "root": 1}
+    found = ece(x, y, over=over, **options)  # type: ignore[arg-type]
+    assert type(found) is float
+    assert found == calibration_curve(x, y, **options).ece(over)  # type: ignore[arg-type]
+    x, y = oracles.relative(x, 1), oracles.relative(y, 1)
+    weights = oracles.inside(x, y, where & (np.arange(4) != 1), definition)
+    np.testing.assert_allclose(found, oracles.ece(oracles.curves(weights), oracles.pooled_curve(weights), over))
+
+
+@pytest.mark.parametrize("K", [1, 2, 4, 5])
+@pytest.mark.parametrize("over", OVER_JOINTS)
+def test_a_stack_of_tables_is_summarized_one_by_one(over: OverJoints, K: int) -> None:
+    """Joints that don't count are NaN in all tables, or in some of them only; in the first none counts."""
+    random = np.random.default_rng(K)
+    tables = random.random((2, 6, K + 1, 21))
+    tables[..., :-1, :][random.random((2, 6, K)) < 0.4] = np.nan
+    tables[0, 0] = np.nan
+    tables[np.isnan(tables[..., :-1, 0]).all(axis=-1)] = np.nan
+    for index in np.ndindex(2, 6):
+        by_joint, pooled = tables[index][:-1], tables[index][-1]
+        expected = oracles.over_joints(by_joint, pooled, over)
+        np.testing.assert_allclose(summary_curve(tables, over)[index], expected)
+        np.testing.assert_allclose(ece_over_joints(tables, over)[index], oracles.ece(by_joint, pooled, over))

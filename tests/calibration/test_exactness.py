@@ -1,4 +1,4 @@
-"""Is E ω(q) = q, exactly, for a perfect sampler of any distribution, at any N, and are the other two off as tabulated?
+"""E ω(q) = q, exactly, for a perfect sampler of any distribution, at any N; the other two are off as tabulated.
 
 Truth and hypotheses are drawn exchangeably; the truth is the last of N + 1 points. Every tolerance is five standard
 errors of a mean of M independent weights in [0, 1] with the mean q: at most √(q (1 - q) / M) each. Of the some
@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from posecal.calibration import LEVELS, CalibrationCurve, calibration_curve, ece, signed_area
+from posecal.calibration import LEVELS, CalibrationCurve, calibration_curve
 from posecal.calibration.ranks import nearness
 from posecal.engine.block import Block
 
@@ -74,7 +74,7 @@ def tolerance(mean: Array, M: int) -> Array:
 @pytest.mark.parametrize("N", SIZES)
 def test_the_exchangeable_curve_of_a_perfect_sampler_is_the_diagonal(N: int, D: int) -> None:
     x, y = arrays(N, D)
-    found = calibration_curve(x, y).coverage
+    found = calibration_curve(x, y).joints
     allowed = tolerance(LEVELS, len(y)) + 1e-12
     for pool, curve in zip(POOLS, found, strict=True):
         np.testing.assert_array_less(np.abs(curve - LEVELS), allowed + 1e-15, err_msg=pool.__name__)
@@ -99,7 +99,7 @@ def test_exchangeable_ranks_are_uniform(N: int, D: int) -> None:
 @pytest.mark.parametrize("N", SIZES[:4])
 def test_this_test_would_see_the_bias_of_the_other_definitions(N: int, definition: str) -> None:
     x, y = arrays(N, 3)
-    found = calibration_curve(x, y, definition=definition).coverage[0]  # type: ignore[arg-type]
+    found = calibration_curve(x, y, definition=definition).joints[0]  # type: ignore[arg-type]
     assert (np.abs(found - LEVELS) > tolerance(LEVELS, len(y)) + 1e-12).any()
 
 
@@ -110,14 +110,14 @@ def test_hypotheses_and_truth_may_be_swapped_in_the_pool(N: int) -> None:
     weights = []
     for truth in range(N + 1):
         others = np.delete(points, truth, axis=0)
-        weights.append(calibration_curve(others, points[truth]).coverage)
+        weights.append(calibration_curve(others, points[truth]).joints)
     np.testing.assert_allclose(np.mean(weights, axis=0), np.broadcast_to(LEVELS, (3, 21)), atol=1e-12)
 
 
 @pytest.mark.parametrize("N", [4, 5])
 def test_the_same_holds_exactly_where_points_tie(N: int) -> None:
     points = np.random.default_rng(N).integers(-1, 2, (N + 1, 60, 3, 2)).astype(float)
-    weights = [calibration_curve(np.delete(points, t, axis=0), points[t]).coverage for t in range(N + 1)]
+    weights = [calibration_curve(np.delete(points, t, axis=0), points[t]).joints for t in range(N + 1)]
     np.testing.assert_allclose(np.mean(weights, axis=0), np.broadcast_to(LEVELS, (3, 21)), atol=1e-12)
 
 
@@ -129,6 +129,6 @@ def test_too_narrow_is_overconfident_and_too_wide_is_underconfident(N: int, widt
     y = random.standard_normal((M, K, 3))
     curve = calibration_curve(width * random.standard_normal((N, M, K, 3)), y)
     # The area is a mean over M poses of a number in [-1/2, 1/2], so its standard error is at most 1/(2 √M).
-    assert (sign * signed_area(curve.coverage) > 5 / (2 * np.sqrt(M))).all()
-    assert sign * signed_area(curve.median) > 0
-    assert ece(curve) > ece(CalibrationCurve("exchangeable", LEVELS[None], LEVELS))
+    assert (sign * curve.joint_signed_area() > 5 / (2 * np.sqrt(M))).all()
+    assert sign * curve.signed_area() > 0
+    assert curve.ece() > CalibrationCurve("exchangeable", LEVELS[None], LEVELS).ece()

@@ -1,4 +1,4 @@
-"""Is the floor of a perfect sampler what simulations of perfect samplers show?"""
+"""Finite-N floors, against simulations of perfect samplers."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from posecal.calibration import (
     Definition,
     OverJoints,
     calibration_curve,
-    ece,
     expected_curve,
     perfect_sampler,
 )
+from posecal.calibration.expected import _floor
 from posecal.errors import PoseDataError
 
 Array = npt.NDArray[np.floating]
@@ -100,7 +100,7 @@ def test_measured_curves_of_a_perfect_sampler_are_the_expected_ones(N: int, defi
     found = calibration_curve(random.standard_normal((N, M, K, 3)), y, definition=definition)
     expected = expected_curve(N, definition)
     allowed = 5 * np.sqrt(expected * (1 - expected) / M) + 1e-3 / N
-    np.testing.assert_array_less(np.abs(found.coverage - expected), np.broadcast_to(allowed, (K, 21)))
+    np.testing.assert_array_less(np.abs(found.joints - expected), np.broadcast_to(allowed, (K, 21)))
 
 
 def test_the_exchangeable_curve_is_the_diagonal() -> None:
@@ -134,7 +134,7 @@ N, M, K, SETS = 10, 60, 5, 150
 @cache
 def simulated_eces(definition: Definition, over: OverJoints) -> Array:
     """ECE of test sets of a perfect sampler."""
-    return np.array([ece(curve, over) for curve in simulated_curves(definition)])
+    return np.array([curve.ece(over) for curve in simulated_curves(definition)])
 
 
 @cache
@@ -177,7 +177,7 @@ def test_with_endless_poses_only_the_bias_is_left() -> None:
 
 def test_the_floor_is_the_same_on_every_call() -> None:
     first = perfect_sampler(7, 40, 3, draws=20)
-    perfect_sampler.cache_clear()
+    _floor.cache_clear()
     assert perfect_sampler(7, 40, 3, draws=20) == first
 
 
@@ -187,15 +187,15 @@ def test_the_floor_is_the_same_on_every_call() -> None:
 @pytest.mark.parametrize("definition", DEFINITIONS)
 @pytest.mark.parametrize("n", [1, 0, -3])
 def test_calibration_needs_two_hypotheses(n: int, definition: Definition) -> None:
-    with pytest.raises(PoseDataError, match=rf"hypotheses: N = {n}; calibration needs at least 2\."):
+    with pytest.raises(PoseDataError, match=rf"n_hypotheses: {n}; expected a whole number of at least 2\."):
         expected_curve(n, definition)
-    with pytest.raises(PoseDataError, match=rf"hypotheses: N = {n}"):
+    with pytest.raises(PoseDataError, match=rf"n_hypotheses: {n}; expected"):
         perfect_sampler(n, 10, 3, definition)
 
 
 @pytest.mark.parametrize(("M", "K"), [(0, 3), (3, 0), (-1, 3)])
 def test_a_floor_needs_poses_and_joints(M: int, K: int) -> None:
-    with pytest.raises(PoseDataError, match=rf"poses: M = {M}, K = {K}; expected at least one of each\."):
+    with pytest.raises(PoseDataError, match=r"n_(poses|joints): .*; expected a whole number of at least 1\."):
         perfect_sampler(10, M, K)
 
 

@@ -1,14 +1,13 @@
-"""The battery: every planted fault is seen by what should see it, perfect samplers are rejected as often as meant.
+"""Rank tests: every planted fault is seen by what should see it, perfect samplers are rejected as often as meant.
 
 The faults are planted in two worlds, of joints that are independent and of joints that move together (correlation
-0.3). Where they move together every test fires that fired when the faults were first simulated; where they are
+0.3). Where they move together every test rejects that did so when the faults were first simulated; where they are
 independent three don't (``BLIND``). In both, three are too weak for 1,000 poses (``WEAK``).
 """
 
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,16 +16,13 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from posecal.calibration import LEVELS
-from posecal.calibration.rank_tests import RANK_TESTS, load_prerank, user_weights, weights_of_ranks
-from posecal.engine.accumulate import accumulate
-from posecal.engine.block import Block
-from posecal.engine.blocks import iter_blocks
-from posecal.engine.protocol import Protocol
+from posecal.calibration.rank_tests import RANK_TESTS, user_weights, weights_of_ranks
+from posecal.engine.block import Block, iter_blocks
 from posecal.errors import PoseDataError
-from posecal.report.report import Report
+from posecal.evaluation import evaluate
 from posecal.stats.resampling import Deviation, sign_flips
 from tests.helpers.random_worlds import skewed
-from tests.helpers.samplers import gaussian, pairs_of, sequences
+from tests.helpers.samplers import gaussian, sequences
 from tests.helpers.score_oracles import PRERANKS, box_share, rank_inside, sides, tarp_box
 from toy.experiments.fault_table import COLUMNS, Found, evaluate_faults
 from toy.faults import FAULTS
@@ -51,10 +47,10 @@ TABLE: dict[str, tuple[float, str, float]] = {
     "depth-modes": (0.007, "coordinate_pit average_rank band_depth pair_distance", 1.10),
     "ignored-image": (0.004, "", 3.78),
 }
-"""What was simulated before posecal, with other draws: the ECE, the tests that fire, the energy score over the best."""
+"""What was simulated before posecal, with other draws: ECE, tests that reject, energy score over the best."""
 
 WORLDS = {"apart": 0.0, "together": 0.3}
-"""The correlation between joints. All that fires in the table fires where joints move together."""
+"""The correlation between joints. All that rejects in the table does where joints move together."""
 
 BLIND = {("shifted", "mahalanobis"), ("one-sided", "mahalanobis"), ("one-sided", "tarp")}
 """What shows only where joints move together; apart, 4,000 poses find the .02 that a shift leaves to Mahalanobis."""
@@ -63,7 +59,7 @@ WEAK = {("shifted", "band_depth"), ("cancelling-joints", "tarp"), ("cancelling-j
 """What misses the diagonal by .02 to .04, in both worlds or in one of them.
 
 A perfect sampler misses it by .01 on average over 1,000 poses, and by .027 once in a thousand times, so that whether
-these fire there is chance. They are tested with four times as many, where joints move together.
+these reject there is chance. They are tested with four times as many, where joints move together.
 """
 
 
@@ -78,30 +74,33 @@ def found_in_more_poses() -> dict[str, Found]:
     return evaluate_faults(0, N=N, M=4 * M, joint_correlation=WORLDS["together"], faults=faults)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("world", "fault", "test"),
     [
         (world, fault, test)
         for world in WORLDS
-        for fault, (_, fires, _) in TABLE.items()
-        for test in fires.split()
+        for fault, (_, tests, _) in TABLE.items()
+        for test in tests.split()
         if (fault, test) not in WEAK and (world == "together" or (fault, test) not in BLIND)
     ],
 )
 def test_a_fault_is_seen_by_the_tests_that_should_see_it(
     found: dict[str, dict[str, Found]], world: str, fault: str, test: str
 ) -> None:
-    assert found[world][fault].report.null(test).p < 1e-3
+    assert found[world][fault].report.test(test).p < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("fault", "test"), sorted(WEAK))
 def test_a_fault_that_shows_little_is_seen_in_more_poses(
     found_in_more_poses: dict[str, Found], fault: str, test: str
 ) -> None:
     assert test in TABLE[fault][1].split()
-    assert found_in_more_poses[fault].report.null(test).p < 1e-3
+    assert found_in_more_poses[fault].report.test(test).p < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("world", WORLDS)
 @pytest.mark.parametrize("fault", TABLE)
 def test_the_ece_stays_where_the_fault_leaves_it(found: dict[str, dict[str, Found]], world: str, fault: str) -> None:
@@ -109,29 +108,32 @@ def test_the_ece_stays_where_the_fault_leaves_it(found: dict[str, dict[str, Foun
     # joints by 1.25/√16 of that, and that of joints that move as one by all of it.
     apart = world == "apart" and "correlation" not in fault
     stray = math.sqrt(2 / math.pi) * math.pi / 8 / math.sqrt(M) * (1.25 / 4 if apart else 1)
-    assert abs(found[world][fault].report.value("ece") - TABLE[fault][0]) < 3 * math.sqrt(2) * stray  # two simulations
+    assert abs(found[world][fault].report["ece"] - TABLE[fault][0]) < 3 * math.sqrt(2) * stray  # two simulations
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("world", WORLDS)
 @pytest.mark.parametrize("fault", TABLE)
 def test_the_energy_score_pays_for_a_fault_as_much_as_it_should(
     found: dict[str, dict[str, Found]], world: str, fault: str
 ) -> None:
     one = found[world][fault]
-    ratio = one.report.value("energy_score") / one.least_energy
-    interval = next(row for row in one.report.rows if row.metric == "energy_score")
-    error = (interval.high - interval.low) / 2 / one.least_energy
+    ratio = one.report["energy_score"] / one.least_energy
+    low, high = one.report.interval("energy_score")
+    error = (high - low) / 2 / one.least_energy
     assert abs(ratio - TABLE[fault][2]) < 0.005 + 2 * error  # two simulations, and two digits
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("world", WORLDS)
 @pytest.mark.parametrize("fault", ["perfect", "ignored-image"])
 def test_who_samples_from_the_prior_passes_every_calibration_test_as_a_perfect_sampler_does(
     found: dict[str, dict[str, Found]], world: str, fault: str
 ) -> None:
-    assert min(found[world][fault].report.null(column).p for column in COLUMNS) > 0.01 / len(COLUMNS)
+    assert min(found[world][fault].report.test(column).p for column in COLUMNS) > 0.01 / len(COLUMNS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("world", WORLDS)
 @pytest.mark.parametrize("fault", [fault for fault in TABLE if fault not in {"perfect", "ignored-image"}])
 def test_every_other_fault_is_seen_after_adjusting_for_the_number_of_tests(
@@ -140,6 +142,7 @@ def test_every_other_fault_is_seen_after_adjusting_for_the_number_of_tests(
     assert min(p for _, p in found[world][fault].report.rank_tests().values()) < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("fault", "test"), sorted(BLIND))
 def test_in_independent_isotropic_joints_a_distance_is_blind_to_a_shift(
     found: dict[str, dict[str, Found]], fault: str, test: str
@@ -148,8 +151,8 @@ def test_in_independent_isotropic_joints_a_distance_is_blind_to_a_shift(
     # model's variance, (48 + 16 · 1.2²) / 1.23² = 46.96 where the model's own is 48, and scatters by √96 = 9.8.
     # With correlation 0.3 one direction of 16 has the variance 0.7 + 16 · 0.3 = 5.5, and the shift lies along it:
     # (47 + (5.5 + 16 · 1.2²) / 5.5) / 1.23² = 34.5.
-    assert found["apart"][fault].report.value(test) < 0.05
-    assert found["together"][fault].report.value(test) > found["apart"][fault].report.value(test)
+    assert found["apart"][fault].report[test] < 0.05
+    assert found["together"][fault].report[test] > found["apart"][fault].report[test]
 
 
 def test_where_joints_move_together_there_must_be_more_poses_than_hypotheses() -> None:
@@ -194,6 +197,7 @@ def rejections() -> dict[str, int]:
     return counts
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("test", TESTS)
 def test_perfect_samplers_are_rejected_as_often_as_meant(rejections: dict[str, int], test: str) -> None:
     low, high = stats.binom(REPLICATES, 0.03).ppf(5e-4), stats.binom(REPLICATES, 0.07).ppf(1 - 5e-4)
@@ -211,7 +215,7 @@ def test_weights_are_those_of_the_rank_among_all_points_ties_shared(prerank: lis
 
 @pytest.mark.parametrize("name", PRERANKS)
 @pytest.mark.parametrize("N", [3, 6])
-def test_a_test_of_the_battery_is_its_definition(name: str, N: int) -> None:
+def test_a_rank_test_is_its_definition(name: str, N: int) -> None:
     x, y = skewed(N, N, 7, 4)
     where = np.random.default_rng(N).random((7, 4)) < 0.7
     where[0], where[1] = False, True
@@ -269,8 +273,8 @@ def test_a_prerank_of_ones_own_is_ranked_like_the_others() -> None:
 
 def test_a_prerank_of_ones_own_is_reported_with_its_p_value_among_the_others() -> None:
     x, y = gaussian(7, 20, 60, 4, bias=[0, 0, 80.0])
-    pairs = pairs_of(x, y, labels={"sequence": sequences(60, 12)})
-    report = Report(accumulate(pairs, Protocol(metrics="rank_tests"), preranks={"height": height}))
+    options = {"unit": "mm", "metrics": "rank_tests", "preranks": {"height": height}}
+    report = evaluate(x, y, labels={"sequence": sequences(60, 12)}, **options)
     null, adjusted = report.rank_tests()["height"]
     assert len(report.rank_tests()) == len(RANK_TESTS) + 1
     assert null.p < 0.01
@@ -303,31 +307,7 @@ def test_a_prerank_that_fails_is_refused_with_what_it_said() -> None:
         user_weights(Block(x, y), np.ones(2, dtype=bool), lambda pool: pool[:, 9, 0])
 
 
-def test_a_prerank_is_loaded_from_a_file(tmp_path: Path) -> None:
-    (tmp_path / "own.py").write_text("def span(pool):\n    return pool.max(axis=(1, 2)) - pool.min(axis=(1, 2))\n")
-    name, prerank = load_prerank(f"{tmp_path}/own.py:span")
-    assert name == "span"
-    np.testing.assert_array_equal(prerank(np.array([[[1.0, 2]], [[5, 3]]])), [1, 2])
-
-
-@pytest.mark.parametrize(
-    ("entry", "words"),
-    [
-        ("own.py", r"prerank: 'own.py'; expected FILE\.py:FUNCTION"),
-        ("own.txt:span", r"expected FILE\.py:FUNCTION"),
-        ("own.py:a b", r"expected FILE\.py:FUNCTION"),
-        ("{}/none.py:span", r"none\.py can't be read \(No such file or directory\)"),
-        ("{}/own.py:other", r"own\.py has no function 'other'; expected one that takes a pool of poses"),
-        ("{}/own.py:number", r"own\.py has no function 'number'"),
-    ],
-)
-def test_a_prerank_that_is_not_there_is_refused(tmp_path: Path, entry: str, words: str) -> None:
-    (tmp_path / "own.py").write_text("number = 3\n")
-    with pytest.raises(PoseDataError, match=words):
-        load_prerank(entry.format(tmp_path))
-
-
-def test_a_prerank_file_that_fails_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "own.py").write_text("def span(pool:\n")
-    with pytest.raises(PoseDataError, match=r"own\.py can't be run \(SyntaxError"):
-        load_prerank(f"{tmp_path}/own.py:span")
+def test_a_prerank_of_a_saved_result_has_no_function() -> None:
+    x, y = skewed(9, 5, 3, 2)
+    with pytest.raises(PoseDataError, match=r"prerank: 'height' is known from a saved result only; expected its func"):
+        user_weights(Block(x, y), np.ones(2, dtype=bool), None, "height")

@@ -1,18 +1,29 @@
-"""Are two arrays checked before anything is measured, and measured alike in every type and layout?"""
+"""Arrays are checked before anything is measured, and tensors, lists, types and layouts are measured alike."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 import pytest
+import torch
 
-from posecal.data.arrays import checked, working_dtype
+from posecal.data.arrays import (
+    as_array,
+    as_labels,
+    checked,
+    checked_choice,
+    checked_number,
+    checked_root,
+    working_dtype,
+)
 from posecal.errors import PoseDataError
 from posecal.metrics import min_mpjpe
-from tests.helpers.random_worlds import Array, skewed
+from tests.helpers.random_worlds import Array, mostly, skewed
 
 N, M, K, D = 5, 7, 4, 3
 
@@ -68,14 +79,19 @@ def test_a_mask_of_another_type_or_shape_is_refused(where: npt.ArrayLike, found:
         checked(np.zeros((2, 3, 4, 3)), np.zeros((3, 4, 3)), where)
 
 
-@pytest.mark.parametrize("root", [4, -5, 99])
-def test_a_root_beyond_the_joints_is_refused(root: int, arrays: tuple[Array, Array]) -> None:
-    with pytest.raises(PoseDataError, match=rf"root: {root}; expected the index of one of 4 joints"):
+@pytest.mark.parametrize("root", [4, -5, 99, "Hip", 1.5, 1.0, True, np.True_, [0], "0", np.array([1])])
+def test_a_root_that_is_no_index_of_a_joint_is_refused(root: Any, arrays: tuple[Array, Array]) -> None:
+    words = re.escape(f"root: {root!r}; expected the index of one of 4 joints.")
+    with pytest.raises(PoseDataError, match=f"^{words}$"):
         min_mpjpe(*arrays, root=root)
 
 
-def test_a_root_may_be_counted_from_the_end(arrays: tuple[Array, Array]) -> None:
-    np.testing.assert_allclose(min_mpjpe(*arrays, root=-1), min_mpjpe(*arrays, root=K - 1))
+@pytest.mark.parametrize("root", [-1, np.int64(3), np.array(3), torch.tensor(-1)])
+def test_a_root_is_any_whole_number_and_may_be_counted_from_the_end(root: Any, arrays: tuple[Array, Array]) -> None:
+    np.testing.assert_array_equal(min_mpjpe(*arrays, root=root), min_mpjpe(*arrays, root=K - 1))
+    assert checked_root(root, K) == K - 1
+    assert type(checked_root(root, K)) is int
+    assert checked_root(None, K) is None
 
 
 @pytest.mark.parametrize(
@@ -98,8 +114,156 @@ def test_every_type_of_number_gives_what_double_gives(dtype: str, root: int | No
     np.testing.assert_allclose(found, expected, atol=12 * 1200 * 2.0 ** -(24 if dtype[-2:] in {"f2", "f4"} else 49))
 
 
-def test_lists_are_taken_as_arrays() -> None:
-    assert min_mpjpe([[[[3, 4, 0]]]], [[[0, 0, 0]]]).tolist() == [5.0]
+# --- tensors and lists ----------------------------------------------------------------------------------------
+
+
+class OnDevice:
+    """A tensor that must leave its graph and its device before it can be read."""
+
+    def __init__(self, tensor: torch.Tensor, place: str = "graph") -> None:
+        self.tensor, self.place = tensor, place
+
+    def detach(self) -> OnDevice:
+        return OnDevice(self.tensor, "device")
+
+    def cpu(self) -> torch.Tensor:
+        if self.place != "device":
+            raise RuntimeError("still on the graph")
+        return self.tensor
+
+    def __array__(self, *_: Any, **__: Any) -> Any:
+        raise TypeError("can't convert a device tensor")
+
+
+class Exchanged:
+    """An array of another library that offers nothing but the exchange protocol."""
+
+    def __init__(self, array: Array) -> None:
+        self.array = array
+
+    def __dlpack__(self, **options: Any) -> Any:
+        return self.array.__dlpack__(**options)
+
+    def __dlpack_device__(self) -> Any:
+        return self.array.__dlpack_device__()
+
+
+class Arrayed:
+    """An array of another library that NumPy can read, such as one of JAX."""
+
+    def __init__(self, array: Array) -> None:
+        self.array = array
+
+    def __array__(self, *_: Any, **__: Any) -> Array:
+        return self.array
+
+
+@pytest.mark.parametrize(
+    "convert",
+    [
+        torch.tensor,
+        lambda x: torch.tensor(x, requires_grad=True) * 1,
+        lambda x: torch.tensor(np.asfortranarray(x)).swapaxes(0, 1).contiguous().swapaxes(0, 1),
+        lambda x: torch._neg_view(torch.tensor(-x)),
+        lambda x: OnDevice(torch.tensor(x)),
+        lambda x: [torch.tensor(part, requires_grad=True) for part in x],
+        lambda x: tuple(x),
+        lambda x: x.tolist(),
+        Exchanged,
+        Arrayed,
+        lambda x: [Arrayed(part) for part in x],
+    ],
+    ids=["tensor", "graph", "strided", "negated", "device", "tensors", "arrays", "numbers", "dlpack", "array", "parts"],
+)
+def test_tensors_and_lists_are_measured_as_arrays(convert: Any, arrays: tuple[Array, Array]) -> None:
+    where = mostly(M, K)
+    expected = min_mpjpe(*arrays, where=where, root=1)
+    np.testing.assert_array_equal(min_mpjpe(*map(convert, arrays), where=where, root=1), expected)
+    np.testing.assert_array_equal(min_mpjpe(*arrays, where=torch.tensor(where), root=1), expected)
+    np.testing.assert_array_equal(min_mpjpe(*arrays, where=where.tolist(), root=1), expected)
+
+
+@pytest.mark.parametrize("dtype", [torch.bfloat16, torch.float16, torch.float8_e4m3fn])
+def test_tensors_of_few_bits_are_measured_in_single(dtype: torch.dtype, arrays: tuple[Array, Array]) -> None:
+    tensors = [torch.tensor(array / 4).to(dtype) for array in arrays]
+    singles = [tensor.float().numpy() for tensor in tensors]
+    for tensor, single in zip(tensors, singles, strict=True):
+        found = as_array(tensor, "truth")
+        assert found.dtype == np.float32
+        np.testing.assert_array_equal(found, single)
+    np.testing.assert_array_equal(min_mpjpe(*tensors), min_mpjpe(*singles))
+
+
+def test_whole_numbers_and_truth_values_stay_what_they_are() -> None:
+    assert as_array(torch.tensor([1, 2]), "sizes").dtype == np.int64
+    assert as_array(torch.tensor([True]), "where").dtype == bool
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ([[1.0, 2.0], [3.0]], "truth: lists of unequal lengths; expected an array. Pad them and mask that."),
+        ([torch.zeros(2), torch.zeros(3)], "truth: lists of unequal lengths; expected an array."),
+        (torch.zeros(3, device="meta"), "truth: a Tensor that can't be read ("),
+        (torch.zeros(3, 3).to_sparse(), "truth: a Tensor that can't be read ("),
+        (torch.zeros(3, dtype=torch.complex64), "truth: dtype complex64; expected real numbers such as float32."),
+        (torch.zeros(3, dtype=torch.complex64).conj(), "truth: a Tensor that can't be read ("),
+        (torch.zeros(3, dtype=torch.bool), "truth: dtype bool; expected real numbers such as float32."),
+        (None, "truth: NoneType; expected real numbers such as float32."),
+        ("gt.npz", "truth: str; expected real numbers such as float32."),
+        ([None, 1], "truth: dtype object; expected real numbers such as float32."),
+        (np.ma.masked_equal([1.0, 2.0], 2.0), "truth: masked numbers; expected an array without."),
+    ],
+    ids=str,
+)
+def test_what_can_not_be_read_is_one_clear_error(values: Any, words: str) -> None:
+    with pytest.raises(PoseDataError, match=f"^{re.escape(words)}"):
+        checked(np.zeros((2, 3, 4, 3)), values)
+
+
+def test_a_masked_array_without_masked_numbers_is_an_array() -> None:
+    assert as_array(np.ma.masked_equal([1.0, 2.0], 5.0), "truth").tolist() == [1.0, 2.0]
+
+
+def test_an_array_in_memory_is_not_copied(arrays: tuple[Array, Array]) -> None:
+    assert np.shares_memory(as_array(arrays[0], "hypotheses"), arrays[0])
+    tensor = torch.tensor(arrays[0])
+    assert as_array(tensor, "hypotheses").ctypes.data == tensor.data_ptr()
+
+
+# --- single values --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("value", [2.5, np.float32(2.5), np.array(2.5), torch.tensor(2.5)])
+def test_a_number_is_any_real_number(value: Any) -> None:
+    assert checked_number(value, "threshold", lambda length: length > 0, "a length above 0") == 2.5
+
+
+@pytest.mark.parametrize("value", [0, -1.0, "wide", None, True, [1.0], 2j, np.nan])
+def test_a_number_that_is_none_or_not_valid_is_refused(value: Any) -> None:
+    with pytest.raises(PoseDataError, match=rf"^threshold: {re.escape(repr(value))}; expected a length above 0\.$"):
+        checked_number(value, "threshold", lambda length: length > 0, "a length above 0")
+
+
+@pytest.mark.parametrize("value", ["medain", None, 3, ["median"], ("median",)])
+def test_a_word_that_is_not_known_is_refused(value: Any) -> None:
+    assert checked_choice("median", "over", ("median", "mean")) == "median"
+    with pytest.raises(PoseDataError, match=rf"^over: {re.escape(repr(value))} is not known\. (Did you|Known: median)"):
+        checked_choice(value, "over", ("median", "mean"))
+
+
+def test_text_is_read_from_any_kind_of_array() -> None:
+    for values in (["a", "b"], [b"a", b"b"], np.array(["a", "b"], dtype=object), pd.Series(["a", "b"])):
+        assert as_labels(values, "action").tolist() == ["a", "b"]
+    assert as_labels(pd.Categorical(["a", "b"]), "action").tolist() == ["a", "b"]
+    assert as_labels(torch.tensor([3, 1]), "take").tolist() == ["3", "1"]
+    assert as_labels("walk", "action", or_one=True).tolist() == "walk"
+    with pytest.raises(
+        PoseDataError, match=r"^action: <U4 \(\); expected one word or whole number per pose, \(M,\)\.$"
+    ):
+        as_labels("walk", "action")
+    with pytest.raises(PoseDataError, match=r"^action: object \(2,\); expected one word or whole number per pose"):
+        as_labels(["a", None], "action")
 
 
 def layouts(x: Array) -> Iterator[Array]:

@@ -1,15 +1,18 @@
 """Numbers that can't be people in millimetres are refused where no unit was declared, and remarked on where one was."""
 
 import math
+import re
 import statistics
 
 import numpy as np
 import pytest
 
+from posecal.data.checks import pose_size
+from posecal.data.declarations import Declarations
 from posecal.data.layout import MemoryArray
-from posecal.data.match import Declarations, join
-from posecal.data.pose_data import PoseData, StoredPoses
+from posecal.data.pose_data import PoseData, match_poses
 from posecal.data.skeleton import Skeleton
+from posecal.data.stored_poses import StoredPoses
 from posecal.errors import PoseDataError
 from tests.helpers.small_files import JOINTS, hypotheses, truth
 
@@ -21,7 +24,7 @@ def joined(
     true_unit: str | None = None,
     how: Declarations | None = None,
 ) -> PoseData:
-    return join(
+    return match_poses(
         StoredPoses("hyps.npz", MemoryArray(hypotheses() * np.float32(scale)), unit=unit, joints=JOINTS),
         StoredPoses("gt.npz", MemoryArray(truth() * np.float32(true_scale)), unit=true_unit, joints=JOINTS),
         how,
@@ -32,19 +35,73 @@ def test_millimetres_are_taken_without_a_word() -> None:
     assert joined().remarks == ()
 
 
-def test_metres_in_both_files_are_refused_with_the_flag() -> None:
-    looks = r"looks like metres: joints lie 0\.\d+ from the middle of the pose; expected some 400 \(mm\)\."
-    with pytest.raises(PoseDataError, match=rf"^gt\.npz {looks} hyps\.npz {looks} Pass --unit m, or store unit in "):
-        joined(0.001, 0.001)
+LOOKS = "looks like metres: joints lie 0.53 from the middle of the pose; expected some 400 (mm)."
+TRUTH_LOOKS = LOOKS.replace("0.53", "0.51")
 
 
-def test_metres_in_one_file_are_refused_by_its_name() -> None:
-    with pytest.raises(
-        PoseDataError, match=r"^hyps\.npz looks like metres: .*Pass --unit m, or store unit in the files"
-    ):
-        joined(0.001, 1)
-    with pytest.raises(PoseDataError, match=r"^gt\.npz looks like metres: .*; --unit mm if it is right\.$"):
-        joined(1, 0.001)
+@pytest.mark.parametrize(
+    ("scale", "true_scale", "true_unit", "words", "advised"),
+    [
+        (0.001, 0.001, None, [f"gt.npz {TRUTH_LOOKS}", f"hyps.npz {LOOKS}", 'Pass unit="m", or', 'unit="mm" if'], "m"),
+        (0.001, 1, None, [f"hyps.npz {LOOKS}", 'Pass unit="m" and truth_unit="mm", or', 'unit="mm" if'], "m mm"),
+        (0.001, 1, "mm", [f"hyps.npz {LOOKS}", 'Pass unit="m", or', 'unit="mm" if'], "m"),
+        (1, 0.001, None, [f"gt.npz {TRUTH_LOOKS}", 'Pass truth_unit="m", or', 'truth_unit="mm" if'], "- m"),
+    ],
+    ids=["both", "hypotheses", "hypotheses beside a declared truth", "truth"],
+)
+def test_metres_are_refused_by_name_with_advice_that_helps(
+    scale: float, true_scale: float, true_unit: str | None, words: list[str], advised: str
+) -> None:
+    *looks, first, second = words
+    expected = f"{' '.join(looks)} {first} store unit in the files; {second} it is right."
+    with pytest.raises(PoseDataError, match=f"^{re.escape(expected)}$"):
+        joined(scale, true_scale, true_unit=true_unit)
+    unit, own = [*(None if word == "-" else word for word in advised.split()), None][:2]
+    assert joined(scale, true_scale, true_unit=true_unit, how=Declarations(unit=unit, truth_unit=own)).remarks == ()
+
+
+def standing(size: float, joints: tuple[str, ...] | None = None) -> StoredPoses:
+    """Poses of two joints that lie so far, in mm, from their middle."""
+    poses = np.array([[[size, 0, 0], [-size, 0, 0]]] * 3)
+    return StoredPoses("gt.npz", MemoryArray(poses), joints=joints)
+
+
+def hypotheses_of(size: float) -> StoredPoses:
+    """Two hypotheses of as many poses, alike."""
+    poses = standing(size).array.part((slice(0, 3), slice(0, 2), slice(0, 3)))
+    return StoredPoses("hyps.npz", MemoryArray(np.stack([poses, poses])))
+
+
+@pytest.mark.parametrize("size", [0.4, 1.0, 1.5, 5.0, 9.99])
+def test_poses_below_a_centimetre_are_taken_for_metres(size: float) -> None:
+    assert pose_size(np.array([[[size, 0, 0], [-size, 0, 0]]])) == pytest.approx(size)
+    with pytest.raises(PoseDataError, match=rf"^gt\.npz looks like metres: joints lie {size:.2g} from the middle"):
+        match_poses(hypotheses_of(100), standing(size))
+    with pytest.raises(PoseDataError, match=rf"^hyps\.npz looks like metres: joints lie {size:.2g} from the middle"):
+        match_poses(hypotheses_of(size), standing(100))
+
+
+@pytest.mark.parametrize("size", [0.0, 10.0, 11.0])
+def test_larger_poses_and_those_at_one_point_are_not_taken_for_metres(size: float) -> None:
+    for predicted, true in ((size, 100), (100, size), (size, size)):
+        assert not any("metres" in r for r in match_poses(hypotheses_of(predicted), standing(true)).remarks)
+
+
+@pytest.mark.parametrize(("scale", "refused"), [(20.5, True), (19.5, False), (1 / 19.5, False), (1 / 20.5, True)])
+def test_sizes_may_differ_twentyfold_before_they_are_taken_for_two_units(scale: float, refused: bool) -> None:
+    if refused:
+        with pytest.raises(PoseDataError, match=r"^hyps\.npz and gt\.npz differ in size by a factor of (20|21); expec"):
+            match_poses(hypotheses_of(300 * scale), standing(300))
+    else:
+        match_poses(hypotheses_of(300 * scale), standing(300))
+
+
+@pytest.mark.parametrize(("length", "remarked"), [(49.9, True), (50, False), (700, False), (700.1, True)])
+def test_bones_from_5_to_70_centimetres_are_taken_without_a_word(length: float, remarked: bool) -> None:
+    data = match_poses(hypotheses_of(length / 2), standing(length / 2, ("RHip", "RKnee")))
+    assert [remark for remark in data.remarks if "bone" in remark] == [
+        f"the median bone of gt.npz is {length:.1f} mm long; expected 50 to 700. Is its unit right?"
+    ] * remarked
 
 
 def test_metres_in_one_file_beside_declared_millimetres_are_refused() -> None:
@@ -90,7 +147,7 @@ def test_bones_of_no_person_are_remarked_on(scale: float) -> None:
 
 
 def test_joints_without_names_have_no_bones_to_look_at() -> None:
-    pairs = join(
+    pairs = match_poses(
         StoredPoses("hyps.npz", MemoryArray(hypotheses() / 10)),
         StoredPoses("gt.npz", MemoryArray(truth() / 10)),
         Declarations(),
@@ -102,12 +159,12 @@ def test_poses_with_missing_coordinates_are_looked_at_by_the_others() -> None:
     some = truth() / 1000
     some[0, 3] = np.nan
     with pytest.raises(PoseDataError, match=r"^gt\.npz looks like metres"):
-        join(StoredPoses("hyps.npz", MemoryArray(hypotheses())), StoredPoses("gt.npz", MemoryArray(some)))
+        match_poses(StoredPoses("hyps.npz", MemoryArray(hypotheses())), StoredPoses("gt.npz", MemoryArray(some)))
 
 
 def test_poses_that_are_all_unknown_or_all_at_one_point_say_nothing_of_their_unit() -> None:
     for array in (np.full_like(truth(), np.nan), np.zeros_like(truth())):
-        pairs = join(
+        pairs = match_poses(
             StoredPoses("hyps.npz", MemoryArray(hypotheses())),
             StoredPoses("gt.npz", MemoryArray(array), joints=JOINTS),
         )
@@ -115,6 +172,6 @@ def test_poses_that_are_all_unknown_or_all_at_one_point_say_nothing_of_their_uni
 
 
 def test_one_unit_for_both_is_no_word_for_files_that_differ_a_thousandfold() -> None:
-    with pytest.raises(PoseDataError, match=r"differ in size by a factor of 971; .*--truth-unit for the other\.$"):
+    with pytest.raises(PoseDataError, match=r"differ in size by a factor of 971; .*truth_unit for the other\.$"):
         joined(0.001, 1, how=Declarations(unit="m"))
     assert joined(0.001, 1, how=Declarations(unit="m", truth_unit="mm")).remarks == ()

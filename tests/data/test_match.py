@@ -1,13 +1,15 @@
 """Frames join by id and joints by name; everything that does not fit is said, all at once."""
 
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from posecal.data.match import Declarations, alone, join
-from posecal.data.pose_data import PoseData
+from posecal.data.declarations import Declarations
+from posecal.data.match import resolve_hypotheses
+from posecal.data.pose_data import PoseData, match_poses
 from posecal.errors import PoseDataError
 from tests.helpers.small_files import (
     FRAMES,
@@ -16,12 +18,12 @@ from tests.helpers.small_files import (
     M,
     N,
     coordinates,
+    gt,
     hypotheses,
     hypotheses_file,
+    hyps,
     ids,
-    opened,
-    ours,
-    theirs,
+    read_data,
     truth,
     truth_file,
 )
@@ -30,33 +32,33 @@ from tests.helpers.small_files import (
 
 
 def test_numbers_of_frames_that_differ_are_said_with_the_way_to_join_them() -> None:
-    with pytest.raises(PoseDataError, match=r"^hyps\.npz has M = 6 poses and gt\.npz 7; expected as many\. Store a"):
-        join(ours(hypotheses()[:, :6]), theirs())
-    with pytest.raises(PoseDataError, match=r"to join them \(hyps\.npz and gt\.npz without\)\.$"):
-        join(ours(hypotheses()[:, :6]), theirs())
-    with pytest.raises(PoseDataError, match=r"to join them \(gt\.npz without\)\.$"):
-        join(ours(hypotheses()[:, :6], frame_id=ids(*FRAMES[:6])), theirs())
+    with pytest.raises(
+        PoseDataError, match=r"^hyps\.npz has M = 6 poses and gt\.npz 7; expected as many\. Give both a"
+    ):
+        match_poses(hyps(hypotheses()[:, :6]), gt())
+    with pytest.raises(PoseDataError, match=r"to match them by \(hyps\.npz and gt\.npz without\)\.$"):
+        match_poses(hyps(hypotheses()[:, :6]), gt())
+    with pytest.raises(PoseDataError, match=r"to match them by \(gt\.npz without\)\.$"):
+        match_poses(hyps(hypotheses()[:, :6], frame_id=ids(*FRAMES[:6])), gt())
 
 
 def test_a_declared_layout_that_fits_worse_than_another_is_hinted_at() -> None:
-    with pytest.raises(
-        PoseDataError, match=r"M = 5 poses and gt\.npz 7; expected as many\. The shapes fit the axes NM"
-    ):
-        join(ours(axes="MNKD"), theirs())
+    with pytest.raises(PoseDataError, match=r"M = 5 poses and gt\.npz 7; expected as many\. The shapes fit axes=.NMK"):
+        match_poses(hyps(axes="MNKD"), gt())
 
 
 def test_missing_frames_are_counted_and_the_first_are_named() -> None:
     first = r"\(first: S9/walk/009, S9/walk/001, S9/walk/000 and 2 more\)"
-    words = rf"^hyps\.npz lacks 5 of the 7 frames of gt\.npz {first}\. Pass --missing skip to score the rest\.$"
+    words = rf"^hyps\.npz lacks 5 of the 7 frames of gt\.npz {first}\. Pass missing=.skip. to score the rest\.$"
     with pytest.raises(PoseDataError, match=words):
-        join(ours(hypotheses()[:, :2], frame_id=ids(*FRAMES[:2])), theirs(frame_id=ids(*FRAMES)))
+        match_poses(hyps(hypotheses()[:, :2], frame_id=ids(*FRAMES[:2])), gt(frame_id=ids(*FRAMES)))
 
 
 def test_skipping_scores_the_frames_that_both_have_and_says_how_many_are_left_out() -> None:
     other = ["x", *FRAMES[4:1:-1]]
-    found = join(
-        ours(hypotheses()[:, [0, 4, 3, 2]], frame_id=ids(*other)),
-        theirs(frame_id=ids(*FRAMES)),
+    found = match_poses(
+        hyps(hypotheses()[:, [0, 4, 3, 2]], frame_id=ids(*other)),
+        gt(frame_id=ids(*FRAMES)),
         Declarations(missing="skip"),
     )
     np.testing.assert_array_equal(coordinates(found), hypotheses()[:, 2:5])
@@ -73,55 +75,64 @@ def test_frames_of_no_name_in_common_are_refused_once_and_shown(missing: Any) ->
         r"S9/walk/009 and 4 more\); expected the same names\.$"
     )
     with pytest.raises(PoseDataError, match=words):
-        join(ours(frame_id=ids(*range(M))), theirs(frame_id=ids(*FRAMES)), Declarations(missing=missing))
+        match_poses(
+            hyps(frame_id=ids(*range(M))),
+            gt(frame_id=ids(*FRAMES)),
+            Declarations(missing=missing),
+        )
 
 
 def test_ids_that_fit_another_order_of_the_axes_are_hinted_at() -> None:
-    words = r"^hyps\.npz: 7 frame_id for 5 poses; expected one each\. The shapes fit the axes NMKD\.$"
+    words = r"^hyps\.npz: 7 frame_id for 5 poses; expected one each\. The shapes fit axes=.NMKD.\.$"
     with pytest.raises(PoseDataError, match=words):
-        join(ours(axes="MNKD", frame_id=ids(*FRAMES)), theirs(frame_id=ids(*FRAMES)))
+        match_poses(hyps(axes="MNKD", frame_id=ids(*FRAMES)), gt(frame_id=ids(*FRAMES)))
 
 
 @pytest.mark.parametrize("missing", ["error", "skip"])
 def test_duplicate_frames_are_counted_and_named_whatever_happens_to_missing_ones(missing: Any) -> None:
     twice = ids(*FRAMES[:5], FRAMES[0], FRAMES[1])
     with pytest.raises(PoseDataError, match=r"hyps\.npz has 2 of 7 frame_id more than once \(first: S9/walk/005, S9/w"):
-        join(ours(frame_id=twice), theirs(frame_id=ids(*FRAMES)), Declarations(missing=missing))
-    with pytest.raises(PoseDataError, match=r"gt\.npz has 2 of 7 frame_id more than once .*\. Store each frame once\."):
-        join(ours(frame_id=ids(*FRAMES)), theirs(frame_id=twice), Declarations(missing=missing))
+        match_poses(hyps(frame_id=twice), gt(frame_id=ids(*FRAMES)), Declarations(missing=missing))
+    with pytest.raises(PoseDataError, match=r"gt\.npz has 2 of 7 frame_id more than once .*\. Give each frame once\."):
+        match_poses(hyps(frame_id=ids(*FRAMES)), gt(frame_id=twice), Declarations(missing=missing))
 
 
 @pytest.mark.parametrize("beside", [None, ids(*FRAMES)])
 def test_ids_for_another_number_of_poses_are_refused(beside: Any) -> None:
     with pytest.raises(PoseDataError, match=r"gt\.npz: 3 frame_id for 7 poses; expected one each\."):
-        join(ours(frame_id=beside), theirs(frame_id=ids(*FRAMES[:3])))
+        match_poses(hyps(frame_id=beside), gt(frame_id=ids(*FRAMES[:3])))
 
 
 def test_poses_without_ids_are_called_by_their_number() -> None:
-    assert join(ours(), theirs()).frame_id.tolist() == ["0", "1", "2", "3", "4", "5", "6"]
+    assert match_poses(hyps(), gt()).frame_id.tolist() == ["0", "1", "2", "3", "4", "5", "6"]
 
 
 # --- joints ---------------------------------------------------------------------------------------------------
 
 
 def test_numbers_of_joints_that_differ_are_said_with_the_way_out() -> None:
-    words = r"^hyps\.npz has K = 16 joints and gt\.npz 17; expected as many, or joints named in both and --joints com"
+    words = (
+        r"^hyps\.npz has K = 16 joints and gt\.npz 17; expected as many, or joints named in both and "
+        r'shared_joints="common"\.$'
+    )
     with pytest.raises(PoseDataError, match=words):
-        join(ours(hypotheses()[:, :, 1:]), theirs(joints=JOINTS))
+        match_poses(hyps(hypotheses()[:, :, 1:]), gt(joints=JOINTS))
 
 
 def test_joints_that_one_file_lacks_are_named_with_the_way_out() -> None:
     kept = [k for k, name in enumerate(JOINTS) if name not in {"LElbow", "LWrist"}]
-    with pytest.raises(PoseDataError, match=r"^hyps\.npz lacks 1 of the other's joints \(Hip\)\. Pass --joints common"):
-        join(ours(hypotheses()[:, :, 1:], joints=JOINTS[1:]), theirs(joints=JOINTS))
-    with pytest.raises(PoseDataError, match=r"^gt\.npz lacks 2 of the other's joints \(LElbow, LWrist\)\. Pass --joi"):
-        join(ours(joints=JOINTS), theirs(truth()[:, kept], joints=tuple(JOINTS[k] for k in kept)))
+    with pytest.raises(
+        PoseDataError, match=r"^hyps\.npz lacks 1 of the other's joints \(Hip\)\. Pass shared_joints=.common."
+    ):
+        match_poses(hyps(hypotheses()[:, :, 1:], joints=JOINTS[1:]), gt(joints=JOINTS))
+    with pytest.raises(PoseDataError, match=r"^gt\.npz lacks 2 of the other's joints \(LElbow, LWrist\)\. Pass sh"):
+        match_poses(hyps(joints=JOINTS), gt(truth()[:, kept], joints=tuple(JOINTS[k] for k in kept)))
 
 
 def test_common_joints_are_scored_in_the_truths_order_and_the_rest_is_named() -> None:
     few = ("RWrist", "Head", "antenna", "LHip")
     x = np.stack([hypotheses()[:, :, JOINTS.index(name) if name in JOINTS else 0] for name in few], axis=2)
-    pairs = join(ours(x, joints=few), theirs(joints=JOINTS), Declarations(joints="common"))
+    pairs = match_poses(hyps(x, joints=few), gt(joints=JOINTS), Declarations(shared_joints="common"))
     assert pairs.joints == ("LHip", "Head", "RWrist")
     np.testing.assert_array_equal(coordinates(pairs), hypotheses()[:, :, [JOINTS.index(name) for name in pairs.joints]])
     assert "3 joints are in both; left out: Hip, RHip, RKnee, RFoot, LKnee and 10 more." in pairs.remarks
@@ -134,37 +145,37 @@ def test_no_joint_in_common_is_refused_once_and_shown(joints: Any) -> None:
         r"expected the same names\.$"
     )
     with pytest.raises(PoseDataError, match=words):
-        join(
-            ours(joints=tuple(f"a{k}" for k in range(K))),
-            theirs(joints=tuple(f"b{k}" for k in range(K))),
-            Declarations(joints=joints),
+        match_poses(
+            hyps(joints=tuple(f"a{k}" for k in range(K))),
+            gt(joints=tuple(f"b{k}" for k in range(K))),
+            Declarations(shared_joints=joints),
         )
 
 
 def test_names_for_another_number_of_joints_are_refused() -> None:
     with pytest.raises(PoseDataError, match=r"^gt\.npz: 2 joints named for K = 17; expected one name each\.$"):
-        join(ours(), theirs(joints=("Hip", "Head")))
+        match_poses(hyps(), gt(joints=("Hip", "Head")))
 
 
 def test_two_names_of_one_joint_are_refused() -> None:
     twice = ("Hip", "pelvis", *JOINTS[2:])
     with pytest.raises(PoseDataError, match=r"^gt\.npz names joints more than once: Hip\.$"):
-        join(ours(), theirs(joints=twice))
+        match_poses(hyps(), gt(joints=twice))
 
 
 def test_a_joint_set_names_unnamed_joints() -> None:
-    pairs = join(ours(hypotheses()[:, :, 1:]), theirs(truth()[:, 1:]), Declarations(joint_names="h36m-16"))
+    pairs = match_poses(hyps(hypotheses()[:, :, 1:]), gt(truth()[:, 1:]), Declarations(joints="h36m-16"))
     assert pairs.joints == JOINTS[1:]
 
 
 def test_a_joint_set_of_another_size_is_refused() -> None:
     with pytest.raises(PoseDataError, match=r"hyps\.npz: h36m-16 has 16 joints for K = 17; expected one name each\."):
-        join(ours(), theirs(), Declarations(joint_names="h36m-16"))
+        match_poses(hyps(), gt(), Declarations(joints="h36m-16"))
 
 
 def test_names_in_one_file_name_the_joints_of_both() -> None:
-    assert join(ours(joints=JOINTS), theirs()).joints == JOINTS
-    assert join(ours(), theirs(joints=JOINTS)).joints == JOINTS
+    assert match_poses(hyps(joints=JOINTS), gt()).joints == JOINTS
+    assert match_poses(hyps(), gt(joints=JOINTS)).joints == JOINTS
 
 
 # --- the root -------------------------------------------------------------------------------------------------
@@ -175,19 +186,22 @@ def moved(pairs: PoseData) -> tuple[int | None, bool]:
 
 
 def test_the_hip_is_the_root_by_name() -> None:
-    assert moved(join(ours(), theirs(truth() + 5, joints=JOINTS))) == (0, False)
+    assert moved(match_poses(hyps(), gt(truth() + 5, joints=JOINTS))) == (0, False)
 
 
 def test_the_one_unnamed_joint_that_stays_at_zero_is_the_root() -> None:
     order = np.r_[1:K, 0]
-    assert moved(join(ours(hypotheses()[:, :, order]), theirs(truth()[:, order]))) == (K - 1, False)
+    assert moved(match_poses(hyps(hypotheses()[:, :, order]), gt(truth()[:, order]))) == (
+        K - 1,
+        False,
+    )
 
 
 def test_without_a_root_positions_are_taken_as_they_stand_and_that_is_said() -> None:
-    assert moved(join(ours(), theirs(truth() + 5))) == (None, True)
+    assert moved(match_poses(hyps(), gt(truth() + 5))) == (None, True)
     two = truth()
     two[:, 3] = 0
-    assert moved(join(ours(), theirs(two))) == (None, True)
+    assert moved(match_poses(hyps(), gt(two))) == (None, True)
 
 
 @pytest.mark.parametrize(
@@ -195,20 +209,22 @@ def test_without_a_root_positions_are_taken_as_they_stand_and_that_is_said() -> 
     [("none", None), ("3", 3), ("right_ankle", 3), ("Hip", 0)],
 )
 def test_a_root_by_flag_is_a_name_an_index_or_none(said: str, root: int | None) -> None:
-    pairs = join(ours(), theirs(joints=JOINTS), Declarations(root_joint=said))
+    pairs = match_poses(hyps(), gt(joints=JOINTS), Declarations(root_joint=said))
     assert moved(pairs) == (root, False)
 
 
 @pytest.mark.parametrize("said", ["17", "-1", "antenna", ""])
 def test_a_root_that_is_no_joint_is_refused(said: str) -> None:
-    with pytest.raises(PoseDataError, match=f"^root joint: '{said}' is not among the joints"):
-        join(ours(), theirs(joints=JOINTS), Declarations(root_joint=said))
+    with pytest.raises(PoseDataError, match=f"^root_joint: '{said}' is not among the joints"):
+        match_poses(hyps(), gt(joints=JOINTS), Declarations(root_joint=said))
 
 
 def test_a_root_that_the_hypotheses_lack_is_subtracted_from_the_truth_alone() -> None:
     far = truth() + np.float32([100, 200, 300])
-    pairs = join(
-        ours(hypotheses()[:, :, 1:], joints=JOINTS[1:]), theirs(far, joints=JOINTS), Declarations(joints="common")
+    pairs = match_poses(
+        hyps(hypotheses()[:, :, 1:], joints=JOINTS[1:]),
+        gt(far, joints=JOINTS),
+        Declarations(shared_joints="common"),
     )
     np.testing.assert_array_equal(pairs.truth, truth()[:, 1:])
     assert pairs.root is None
@@ -222,74 +238,74 @@ def test_a_root_that_the_hypotheses_lack_is_subtracted_from_the_truth_alone() ->
 def test_a_common_label_for_another_number_of_poses_is_refused(tmp_path: Path, name: str) -> None:
     theirs = truth_file(tmp_path, **{name: ["a"] * 8})
     with pytest.raises(PoseDataError, match=rf"^gt\.npz: {name} has 8 values for 7 poses; expected one each\.$"):
-        opened(hypotheses_file(tmp_path), theirs)
+        read_data(hypotheses_file(tmp_path), theirs)
 
 
 def test_another_list_of_words_is_no_label(tmp_path: Path) -> None:
-    assert "axis_names" not in opened(hypotheses_file(tmp_path), truth_file(tmp_path, axis_names=list("xyz"))).labels
+    assert "axis_names" not in read_data(hypotheses_file(tmp_path), truth_file(tmp_path, axis_names=list("xyz"))).labels
 
 
 def test_labels_that_contradict_each_other_are_counted() -> None:
     with pytest.raises(PoseDataError, match=r"^hyps\.npz and gt\.npz differ in action of 2 of 7 frames\. Are they in"):
-        join(ours(labels={"action": ids(*"aabbbcc")}), theirs(labels={"action": ids(*"aaabbbc")}))
+        match_poses(hyps(labels={"action": ids(*"aabbbcc")}), gt(labels={"action": ids(*"aaabbbc")}))
 
 
 def test_labels_follow_their_frames() -> None:
     back = slice(None, None, -1)
-    pairs = join(
-        ours(hypotheses()[:, back], frame_id=ids(*FRAMES[back]), labels={"camera": ids(*"abcdefg")}),
-        theirs(frame_id=ids(*FRAMES), labels={"action": ids(*"tuvwxyz")}),
+    pairs = match_poses(
+        hyps(hypotheses()[:, back], frame_id=ids(*FRAMES[back]), labels={"camera": ids(*"abcdefg")}),
+        gt(frame_id=ids(*FRAMES), labels={"action": ids(*"tuvwxyz")}),
     )
     assert "".join(pairs.labels["camera"]) == "gfedcba"
     assert "".join(pairs.labels["action"]) == "tuvwxyz"
 
 
 def test_a_sequence_label_is_kept_before_the_clips_of_the_array() -> None:
-    clips = theirs(truth()[:6].reshape(2, 3, K, 3), axes="MTKD", labels={"sequence": ids(*"aabbbb")})
-    assert "".join(join(ours(hypotheses()[:, :6]), clips).labels["sequence"]) == "aabbbb"
+    clips = gt(truth()[:6].reshape(2, 3, K, 3), axes="MTKD", labels={"sequence": ids(*"aabbbb")})
+    assert "".join(match_poses(hyps(hypotheses()[:, :6]), clips).labels["sequence"]) == "aabbbb"
 
 
 def test_marks_of_another_shape_are_refused() -> None:
     with pytest.raises(PoseDataError, match=r"^gt\.npz: occluded \(7, 3\); expected \(M, K\) = \(7, 17\)\.$"):
-        join(ours(), theirs(marks={"occluded": np.zeros((M, 3), dtype=bool)}))
+        match_poses(hyps(), gt(marks={"occluded": np.zeros((M, 3), dtype=bool)}))
 
 
 def test_both_kinds_of_marks_are_refused() -> None:
     both = {name: np.zeros((M, K), dtype=bool) for name in ("occluded", "visible")}
     with pytest.raises(PoseDataError, match=r"^gt\.npz has both occluded and visible; expected one of them\.$"):
-        join(ours(), theirs(marks=both))
+        match_poses(hyps(), gt(marks=both))
 
 
 def test_marks_of_the_hypotheses_serve_where_the_truth_has_none() -> None:
     marks = np.arange(M * K).reshape(M, K) % 5 == 0
-    np.testing.assert_array_equal(join(ours(marks={"occluded": marks}), theirs()).occluded, marks)
-    both = join(ours(marks={"occluded": ~marks}), theirs(marks={"occluded": marks}))
+    np.testing.assert_array_equal(match_poses(hyps(marks={"occluded": marks}), gt()).occluded, marks)
+    both = match_poses(hyps(marks={"occluded": ~marks}), gt(marks={"occluded": marks}))
     np.testing.assert_array_equal(both.occluded, marks)
 
 
 def test_marks_follow_their_joints() -> None:
     marks, order = np.arange(M * K).reshape(M, K) % 5 == 0, np.arange(K)[::-1]
-    pairs = join(
-        ours(hypotheses()[:, :, order], joints=tuple(JOINTS[k] for k in order), marks={"visible": ~marks[:, order]}),
-        theirs(joints=JOINTS),
+    pairs = match_poses(
+        hyps(hypotheses()[:, :, order], joints=tuple(JOINTS[k] for k in order), marks={"visible": ~marks[:, order]}),
+        gt(joints=JOINTS),
     )
     np.testing.assert_array_equal(pairs.occluded, marks)
 
 
 def test_scores_of_another_shape_are_refused() -> None:
     with pytest.raises(PoseDataError, match=r"^hyps\.npz: scores \(7, 5\); expected \(N, M\) = \(5, 7\)\.$"):
-        join(ours(scores=np.zeros((M, N))), theirs())
+        match_poses(hyps(scores=np.zeros((M, N))), gt())
 
 
 @pytest.mark.parametrize("rate", [0.0, -25.0, np.nan, np.inf])
 def test_frames_per_second_that_can_not_be_are_refused(rate: float) -> None:
     with pytest.raises(PoseDataError, match=r"^fps: .*; expected frames per second, above 0\.$"):
-        join(ours(), theirs(fps=rate))
+        match_poses(hyps(), gt(fps=rate))
 
 
 def test_the_truths_frames_per_second_come_first() -> None:
-    assert join(ours(fps=25), theirs(fps=50)).fps == 50
-    assert join(ours(fps=25), theirs()).fps == 25
+    assert match_poses(hyps(fps=25), gt(fps=50)).fps == 50
+    assert match_poses(hyps(fps=25), gt()).fps == 25
 
 
 # --- all at once, and what the pairs do -----------------------------------------------------------------------
@@ -297,17 +313,18 @@ def test_the_truths_frames_per_second_come_first() -> None:
 
 def test_everything_that_is_wrong_is_said_at_once() -> None:
     with pytest.raises(PoseDataError, match=r"^4 problems:") as refused:
-        join(ours(hypotheses()[:, :6, :16], unit="inch"), theirs(joints=JOINTS, unit="yard"))
+        match_poses(hyps(hypotheses()[:, :6, :16], unit="inch"), gt(joints=JOINTS, unit="yard"))
     for words in ("hyps.npz: unit: 'inch'", "gt.npz: unit: 'yard'", "M = 6 poses", "K = 16 joints"):
         assert words in str(refused.value)
 
 
 def test_some_poses_of_the_pairs_are_those_of_everything_in_them() -> None:
     marks, scores = np.arange(M * K).reshape(M, K) % 5 == 0, np.arange(N * M, dtype=float).reshape(N, M)
-    pairs = join(
-        ours(scores=scores), theirs(frame_id=None, labels={"action": ids(*"tuvwxyz")}, marks={"occluded": marks})
+    pairs = match_poses(
+        hyps(scores=scores),
+        gt(frame_id=None, labels={"action": ids(*"tuvwxyz")}, marks={"occluded": marks}),
     )
-    some = pairs.taken(np.array([5, 1]))
+    some = pairs.select(np.array([5, 1]))
     np.testing.assert_array_equal(coordinates(some), hypotheses()[:, [5, 1]])
     np.testing.assert_array_equal(some.truth, truth()[[5, 1]])
     np.testing.assert_array_equal(some.occluded, marks[[5, 1]])
@@ -317,16 +334,23 @@ def test_some_poses_of_the_pairs_are_those_of_everything_in_them() -> None:
 
 
 def test_the_first_hypotheses_are_taken_where_fewer_are_asked_for() -> None:
-    pairs = join(ours(), theirs()).with_hypotheses(2)
+    scores = np.arange(N * M, dtype=float).reshape(N, M)
+    pairs = match_poses(hyps(scores=scores), gt(), Declarations(n_hypotheses=2))
     assert pairs.shape == (2, M, K, 3)
     np.testing.assert_array_equal(coordinates(pairs), hypotheses()[:2])
-    with pytest.raises(PoseDataError, match=r"^hypotheses: 6; expected 1 to N = 5, the hypotheses of hyps\.npz\.$"):
-        join(ours(), theirs()).with_hypotheses(6)
+    np.testing.assert_array_equal(pairs.scores, scores[:2])
+
+
+@pytest.mark.parametrize("number", [0, 6, -1, 1.5, True, "2", [2]])
+def test_a_number_of_hypotheses_that_are_not_there_is_refused(number: Any) -> None:
+    words = f"n_hypotheses: {number!r}; expected 1 to N = 5, the hypotheses of hyps.npz."
+    with pytest.raises(PoseDataError, match=f"^{re.escape(words)}$"):
+        match_poses(hyps(), gt(), Declarations(n_hypotheses=number))
 
 
 def test_hypotheses_alone_need_no_truth() -> None:
-    stored, joints, root = alone(ours(hypotheses() / 1000, unit="m", joints=JOINTS))
+    stored, joints, root = resolve_hypotheses(hyps(hypotheses() / 1000, unit="m", joints=JOINTS))
     np.testing.assert_allclose(stored.read(0, M), hypotheses(), atol=1e-3)
     assert (joints, root) == (JOINTS, 0)
     with pytest.raises(PoseDataError, match=r"^hyps\.npz: nothing in it; its shape is \(5, 0, 17, 3\)\.$"):
-        alone(ours(np.ones((5, 0, 17, 3))))
+        resolve_hypotheses(hyps(np.ones((5, 0, 17, 3))))

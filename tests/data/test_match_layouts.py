@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from posecal.data.match import Declarations, join
+from posecal.data.declarations import Declarations
+from posecal.data.pose_data import match_poses
 from posecal.errors import PoseDataError
 from tests.helpers.small_files import (
     FRAMES,
@@ -11,10 +12,10 @@ from tests.helpers.small_files import (
     M,
     N,
     coordinates,
+    gt,
     hypotheses,
+    hyps,
     ids,
-    ours,
-    theirs,
     truth,
 )
 
@@ -27,17 +28,17 @@ from tests.helpers.small_files import (
         ((7, 17, 3), (5, 7, 17, 3), r"hyps\.npz \(7, 17, 3\) and gt\.npz \(5, 7, 17, 3\): expected \(N, M, K, D\) and "
          r"\(M, K, D\)\. The two look swapped\."),
         ((7, 17, 3), (7, 17, 3), r".*: expected \(N, M, K, D\) and \(M, K, D\)\. Declare another layout of hyps\.npz "
-         r"with --axes\."),
-        ((5, 7, 17, 3), (5, 7, 17, 3), r".*\. Declare another layout of gt\.npz with --truth-axes\."),
-        ((7, 7, 17, 3), (7, 17, 3), r".*, but the shapes don't tell which axis is the hypotheses \(N = M = 7\)\. Pass "
-         r"--axes NMKD or --axes MNKD\."),
-        ((7, 5, 17, 3), (7, 17, 3), r".*\. The shapes fit --axes MNKD\."),
-        ((7, 17, 5, 3), (7, 17, 3), r".*\. The shapes fit --axes MKND\."),
-        ((5, 7, 3, 17), (7, 17, 3), r".*\. The shapes fit --axes NMDK\."),
-        ((7, 5, 3, 17), (7, 17, 3), r".*\. The shapes fit --axes MNDK\."),
-        ((7, 17, 3, 5), (7, 17, 3), r".*\. The shapes fit --axes MKDN\."),
-        ((7, 3, 17, 5), (7, 17, 3), r".*\. The shapes fit --axes MDKN\."),
-        ((5, 7, 17, 3), (7, 3, 17), r".*, coordinates last\. Pass --truth-axes MDK\."),
+         r"with axes\."),
+        ((5, 7, 17, 3), (5, 7, 17, 3), r".*\. Declare another layout of gt\.npz with truth_axes\."),
+        ((7, 7, 17, 3), (7, 17, 3), r".*, but the shapes don't tell the axes apart \(N = M = 7\)\. Pass "
+         r"axes=.NMKD. or axes=.MNKD.\."),
+        ((7, 5, 17, 3), (7, 17, 3), r".*\. The shapes fit axes=.MNKD.\."),
+        ((7, 17, 5, 3), (7, 17, 3), r".*\. The shapes fit axes=.MKND.\."),
+        ((5, 7, 3, 17), (7, 17, 3), r".*\. The shapes fit axes=.NMDK.\."),
+        ((7, 5, 3, 17), (7, 17, 3), r".*\. The shapes fit axes=.MNDK.\."),
+        ((7, 17, 3, 5), (7, 17, 3), r".*\. The shapes fit axes=.MKDN.\."),
+        ((7, 3, 17, 5), (7, 17, 3), r".*\. The shapes fit axes=.MDKN.\."),
+        ((5, 7, 17, 3), (7, 3, 17), r".*, coordinates last\. Pass truth_axes=.MDK.\."),
     ],
     ids=[
         *("swapped", "two truths", "two hypotheses", "N = M", "hypotheses second", "hypotheses third"),
@@ -48,66 +49,72 @@ def test_an_undeclared_order_of_axes_is_refused_with_the_flag_that_fits(
     x: tuple[int, ...], y: tuple[int, ...], words: str
 ) -> None:
     with pytest.raises(PoseDataError, match=f"^{words}$"):
-        join(ours(np.ones(x)), theirs(np.ones(y)))
+        match_poses(hyps(np.ones(x)), gt(np.ones(y)))
 
 
 def test_as_many_hypotheses_as_poses_are_read_where_the_axes_are_declared() -> None:
     seven = np.concatenate([hypotheses(), hypotheses()[:2] + 1])
     for axes, stored in (("NMKD", seven), ("MNKD", seven.transpose(1, 0, 2, 3))):
-        np.testing.assert_array_equal(coordinates(join(ours(stored), theirs(), Declarations(axes=axes))), seven)
-        np.testing.assert_array_equal(coordinates(join(ours(stored, axes=axes), theirs())), seven)
+        np.testing.assert_array_equal(coordinates(match_poses(hyps(stored), gt(), Declarations(axes=axes))), seven)
+        np.testing.assert_array_equal(coordinates(match_poses(hyps(stored, axes=axes), gt())), seven)
 
 
 def test_swapped_arrays_are_known_by_any_declared_layout() -> None:
     with pytest.raises(PoseDataError, match=r"The two look swapped\.$"):
-        join(ours(truth(), axes="NMKD"), theirs(hypotheses(), axes="MKD"))
+        match_poses(hyps(truth(), axes="NMKD"), gt(hypotheses(), axes="MKD"))
 
 
 def test_a_flag_that_contradicts_the_file_is_refused() -> None:
-    with pytest.raises(PoseDataError, match=r"^hyps\.npz declares 'NMKD' itself, and --axes says 'MNKD'\. Drop the f"):
-        join(ours(axes="NMKD"), theirs(), Declarations(axes="MNKD"))
-    assert join(ours(axes="NMKD"), theirs(), Declarations(axes="NMKD")).shape == (N, M, K, 3)
+    with pytest.raises(
+        PoseDataError, match=r"^hyps\.npz declares 'NMKD' itself; expected no axes=.MNKD.\. Leave it out\.$"
+    ):
+        match_poses(hyps(axes="NMKD"), gt(), Declarations(axes="MNKD"))
+    assert match_poses(hyps(axes="NMKD"), gt(), Declarations(axes="NMKD")).shape == (N, M, K, 3)
 
 
 def test_a_layout_that_the_array_does_not_have_is_refused_by_file() -> None:
     with pytest.raises(PoseDataError, match=r"^gt\.npz: axes: \(KD\) has length 50; expected a multiple of 3"):
-        join(ours(), theirs(np.ones((7, 50)), axes="M(KD)"))
+        match_poses(hyps(), gt(np.ones((7, 50)), axes="M(KD)"))
     with pytest.raises(PoseDataError, match=r"^hyps\.npz: axes: 'QRS' lacks N, M, K, D; expected"):
-        join(ours(axes="QRS"), theirs())
+        match_poses(hyps(axes="QRS"), gt())
 
 
 @pytest.mark.parametrize("axes", ["NMDK", "MNDK", "NMKD"])
 def test_a_truth_with_coordinates_last_is_known_beside_any_hypotheses(axes: str) -> None:
     stored = hypotheses().transpose(["NMKD".index(letter) for letter in axes])
-    fewer = theirs(truth()[:4], frame_id=ids(*FRAMES[:4]))  # its M is another one
-    pairs = join(ours(stored, axes=axes, frame_id=ids(*FRAMES)), fewer, Declarations(missing="skip"))
+    fewer = gt(truth()[:4], frame_id=ids(*FRAMES[:4]))  # its M is another one
+    pairs = match_poses(hyps(stored, axes=axes, frame_id=ids(*FRAMES)), fewer, Declarations(missing="skip"))
     np.testing.assert_array_equal(pairs.truth, truth()[:4])
 
 
 def test_a_truth_stored_as_the_hypotheses_are_is_known() -> None:
     stored = hypotheses().transpose(1, 0, 3, 2)
-    pairs = join(ours(stored, axes="MNDK"), theirs(truth().transpose(0, 2, 1)))
+    pairs = match_poses(hyps(stored, axes="MNDK"), gt(truth().transpose(0, 2, 1)))
     np.testing.assert_array_equal(pairs.truth, truth())
 
 
 def test_three_joints_tell_no_layout_of_the_truth() -> None:
     stored = hypotheses()[:, :, :3].transpose(0, 1, 3, 2)
-    with pytest.raises(PoseDataError, match=r"but K = D = 3 tells no layout\. Pass --truth-axes MKD or --truth-axes M"):
-        join(ours(stored, axes="NMDK"), theirs(truth()[:, :3]))
+    with pytest.raises(
+        PoseDataError,
+        match=r"but the shapes don't tell the axes apart \(K = D = 3\)\. Pass truth_axes=.MKD. or truth_axes=.M.",
+    ):
+        match_poses(hyps(stored, axes="NMDK"), gt(truth()[:, :3]))
     np.testing.assert_array_equal(
-        join(ours(stored, axes="NMDK"), theirs(truth()[:, :3]), Declarations(truth_axes="MKD")).truth, truth()[:, :3]
+        match_poses(hyps(stored, axes="NMDK"), gt(truth()[:, :3]), Declarations(truth_axes="MKD")).truth,
+        truth()[:, :3],
     )
 
 
 @pytest.mark.parametrize("x", [(0, 7, 17, 3), (5, 0, 17, 3), (5, 7, 0, 3)])
 def test_an_axis_of_nothing_is_refused(x: tuple[int, ...]) -> None:
     with pytest.raises(PoseDataError, match=r"hyps\.npz: nothing in it; its shape is \("):
-        join(ours(np.ones(x)), theirs(np.ones(x[1:])))
+        match_poses(hyps(np.ones(x)), gt(np.ones(x[1:])))
 
 
 def test_numbers_of_coordinates_that_differ_are_said() -> None:
     with pytest.raises(PoseDataError, match=r"^hyps\.npz has D = 2 and gt\.npz 3; expected as many\.$"):
-        join(ours(hypotheses()[..., :2]), theirs())
+        match_poses(hyps(hypotheses()[..., :2]), gt())
 
 
 # --- units ----------------------------------------------------------------------------------------------------
@@ -115,16 +122,18 @@ def test_numbers_of_coordinates_that_differ_are_said() -> None:
 
 def test_a_unit_that_is_none_is_named_with_its_file() -> None:
     with pytest.raises(PoseDataError, match=r"^gt\.npz: unit: 'inch'; expected mm, cm, m, or the millimetres in one"):
-        join(ours(), theirs(unit="inch"))
+        match_poses(hyps(), gt(unit="inch"))
 
 
 def test_a_unit_by_flag_must_not_contradict_the_file() -> None:
-    with pytest.raises(PoseDataError, match=r"^gt\.npz declares 'mm' itself, and --truth-unit says 'm'\. Drop the fl"):
-        join(ours(), theirs(unit="mm"), Declarations(truth_unit="m"))
+    with pytest.raises(
+        PoseDataError, match=r"^gt\.npz declares 'mm' itself; expected no truth_unit=.m.\. Leave it out\.$"
+    ):
+        match_poses(hyps(), gt(unit="mm"), Declarations(truth_unit="m"))
 
 
 def test_flags_that_can_not_be_are_refused_before_any_file_is_read() -> None:
     with pytest.raises(PoseDataError, match=r"^5 problems:") as refused:
-        Declarations(axes="NMK", truth_axes="MK", unit="inch", truth_unit="yard", joint_names="h37m")
+        Declarations(axes="NMK", truth_axes="MK", unit="inch", truth_unit="yard", joints="h37m")
     for words in ("'NMK' lacks D", "'MK' lacks D", "'inch'", "'yard'", "'h37m' is not known"):
         assert words in str(refused.value)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from posecal.data.match import Declarations
+from posecal.data.declarations import Declarations
 from tests.helpers.small_files import (
     FRAMES,
     JOINTS,
@@ -22,7 +22,7 @@ from tests.helpers.small_files import (
     hypotheses_file,
     member,
     npy,
-    opened,
+    read_data,
     save,
     truth,
     truth_file,
@@ -31,7 +31,7 @@ from tests.helpers.small_files import (
 
 def assert_plain(ours: Path, theirs: Path, how: Declarations | None = None) -> None:
     """Check that two files are read as the arrays that they were made from, named, in mm and with their root."""
-    pairs = opened(ours, theirs, how)
+    pairs = read_data(ours, theirs, how)
     np.testing.assert_allclose(coordinates(pairs), hypotheses(), rtol=1e-6, atol=1e-3)
     np.testing.assert_allclose(pairs.truth, truth(), rtol=1e-6, atol=1e-3)
     assert pairs.joints == JOINTS
@@ -50,7 +50,7 @@ def test_the_truth_is_found_by_name_or_as_the_only_array(tmp_path: Path, name: s
 
 
 def test_two_bare_arrays_in_the_papers_layout_need_no_flag(tmp_path: Path) -> None:
-    pairs = opened(npy(tmp_path, "h.npy", hypotheses()), npy(tmp_path, "g.npy", truth()))
+    pairs = read_data(npy(tmp_path, "h.npy", hypotheses()), npy(tmp_path, "g.npy", truth()))
     np.testing.assert_array_equal(coordinates(pairs), hypotheses())
     np.testing.assert_array_equal(pairs.truth, truth())
     assert pairs.root == 0  # the one joint whose truth is 0 throughout
@@ -81,16 +81,16 @@ def test_any_type_of_real_number_is_read(tmp_path: Path, dtype: str) -> None:
 def test_unsigned_numbers_are_read(tmp_path: Path) -> None:
     moved = hypotheses() + 2000
     ours = hypotheses_file(tmp_path, hypotheses=moved.astype(np.uint16))
-    pairs = opened(ours, truth_file(tmp_path, truth=(truth() + 2000).astype(np.uint16)))
+    pairs = read_data(ours, truth_file(tmp_path, truth=(truth() + 2000).astype(np.uint16)))
     np.testing.assert_array_equal(coordinates(pairs), moved)
 
 
 @pytest.mark.parametrize("single", ["<f2", ">f2", "<f4", ">f4"])
 def test_single_precision_stays_single_and_everything_else_is_double(tmp_path: Path, single: str) -> None:
     plain = truth_file(tmp_path)
-    ours = opened(hypotheses_file(tmp_path, hypotheses=hypotheses().astype(single)), plain)
+    ours = read_data(hypotheses_file(tmp_path, hypotheses=hypotheses().astype(single)), plain)
     assert coordinates(ours).dtype == np.float32
-    assert coordinates(opened(hypotheses_file(tmp_path, hypotheses=hypotheses().astype("i4")), plain)).dtype == "f8"
+    assert coordinates(read_data(hypotheses_file(tmp_path, hypotheses=hypotheses().astype("i4")), plain)).dtype == "f8"
 
 
 @pytest.mark.parametrize("order", ["C", "F"])
@@ -121,7 +121,7 @@ def test_clips_and_their_frames_are_the_poses_and_each_clip_a_sequence(tmp_path:
     six, pairs = hypotheses()[:, :6], (truth()[:6], "MTKD")
     ours = hypotheses_file(tmp_path, hypotheses=six.reshape(N, 2, 3, K, 3), axes="NMTKD")
     theirs = truth_file(tmp_path, truth=pairs[0].reshape(2, 3, K, 3), axes="MTKD")
-    found = opened(ours, theirs)
+    found = read_data(ours, theirs)
     np.testing.assert_array_equal(coordinates(found), six)
     np.testing.assert_array_equal(found.truth, truth()[:6])
     assert found.labels["sequence"].tolist() == ["0", "0", "0", "1", "1", "1"]
@@ -130,7 +130,7 @@ def test_clips_and_their_frames_are_the_poses_and_each_clip_a_sequence(tmp_path:
 def test_frames_may_lie_outside_their_clips(tmp_path: Path) -> None:
     clips = hypotheses()[:, :6].reshape(N, 2, 3, K, 3)  # N M T K D
     ours = hypotheses_file(tmp_path, hypotheses=clips.transpose(2, 3, 0, 1, 4), axes="TKNMD")
-    found = opened(ours, truth_file(tmp_path, truth=truth()[:6]))
+    found = read_data(ours, truth_file(tmp_path, truth=truth()[:6]))
     np.testing.assert_array_equal(coordinates(found), hypotheses()[:, :6])
 
 
@@ -196,11 +196,11 @@ def test_a_frame_id_in_one_file_alone_joins_nothing(tmp_path: Path) -> None:
     ids=["text", "bytes", "numbers", "yes or no"],
 )
 def test_a_label_is_read_as_text(tmp_path: Path, values: Any, read: list[str]) -> None:
-    assert opened(hypotheses_file(tmp_path), truth_file(tmp_path, clip=values)).labels["clip"].tolist() == read
+    assert read_data(hypotheses_file(tmp_path), truth_file(tmp_path, clip=values)).labels["clip"].tolist() == read
 
 
 def test_a_label_of_the_hypotheses_counts_too(tmp_path: Path) -> None:
-    pairs = opened(hypotheses_file(tmp_path, camera=["left"] * M), truth_file(tmp_path))
+    pairs = read_data(hypotheses_file(tmp_path, camera=["left"] * M), truth_file(tmp_path))
     assert pairs.labels["camera"].tolist() == ["left"] * M
 
 
@@ -209,7 +209,7 @@ def test_other_members_of_a_file_are_passed_over(tmp_path: Path) -> None:
         tmp_path, keypoints_2d=np.zeros((M, K, 2)), image_size=[1000, 1002], focal=np.ones(4), note="a word"
     )
     assert_plain(ours, truth_file(tmp_path))
-    assert opened(ours, truth_file(tmp_path)).labels == {}
+    assert read_data(ours, truth_file(tmp_path)).labels == {}
 
 
 def test_objects_beside_the_poses_are_passed_over_and_never_unpickled(tmp_path: Path) -> None:
@@ -220,7 +220,7 @@ def test_objects_beside_the_poses_are_passed_over_and_never_unpickled(tmp_path: 
 def test_visible_is_the_opposite_of_occluded(tmp_path: Path) -> None:
     occluded = np.random.default_rng(1).random((M, K)) < 0.3
     for name, marks in (("occluded", occluded), ("visible", ~occluded)):
-        found = opened(hypotheses_file(tmp_path), truth_file(tmp_path, **{name: marks})).occluded
+        found = read_data(hypotheses_file(tmp_path), truth_file(tmp_path, **{name: marks})).occluded
         np.testing.assert_array_equal(found, occluded)
 
 
@@ -229,12 +229,12 @@ def test_scores_follow_their_frames(tmp_path: Path) -> None:
     ours = hypotheses_file(
         tmp_path, hypotheses=hypotheses()[:, order], scores=scores[:, order], frame_id=np.array(FRAMES)[order]
     )
-    np.testing.assert_array_equal(opened(ours, truth_file(tmp_path, frame_id=FRAMES)).scores, scores)
+    np.testing.assert_array_equal(read_data(ours, truth_file(tmp_path, frame_id=FRAMES)).scores, scores)
 
 
 @pytest.mark.parametrize("rate", [np.array(50), np.array([50.0]), np.array(50, dtype=">f4")])
 def test_frames_per_second_are_one_number(tmp_path: Path, rate: Any) -> None:
-    assert opened(hypotheses_file(tmp_path), truth_file(tmp_path, fps=rate)).fps == 50
+    assert read_data(hypotheses_file(tmp_path), truth_file(tmp_path, fps=rate)).fps == 50
 
 
 def test_a_file_of_python_2_is_read_without_a_word(tmp_path: Path) -> None:

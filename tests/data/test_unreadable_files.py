@@ -16,8 +16,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from posecal.data.file_array import FileArray
-from posecal.data.read import as_labels, as_marks, as_scores, read_poses
+from posecal.data.arrays import as_labels, as_marks, as_scores
+from posecal.data.file_array import FileArray, Source
+from posecal.data.read import read_poses
 from posecal.errors import PosecalError, PoseDataError, PoseFileError
 from tests.helpers.small_files import (
     FRAMES,
@@ -54,7 +55,8 @@ def test_a_part_of_an_array_in_a_file_is_that_part(
     with (tmp_path / "a.npy").open("rb", buffering=0) as file:
         np.lib.format.read_magic(file)
         _, stored_fortran, dtype = np.lib.format.read_array_header_1_0(file)
-        stored = FileArray("a.npy", file, file.tell(), array.shape, dtype, stored_fortran)
+        source = Source.of(tmp_path / "a.npy", file)
+        stored = FileArray("a.npy", file, file.tell(), array.shape, dtype, source, stored_fortran)
         found = stored.part(tuple(where))
     assert found.dtype == array.dtype
     np.testing.assert_array_equal(found, array[tuple(where)])

@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from posecal.engine.block import Block
-from posecal.engine.blocks import iter_blocks
+from posecal.engine.block import Block, iter_blocks
 from posecal.errors import PoseDataError
 from tests.helpers import oracles
 from tests.helpers.random_worlds import Array, skewed
@@ -94,15 +93,15 @@ def test_the_whole_of_a_block_holds_the_joints_that_can_be_used_but_do_not_count
     assert not block.offsets[~where].any()
     assert not block.non_finite.any()
     np.testing.assert_allclose(
-        block.stretched(2).whole.offsets[expected], Block(x, y, expected, root=1).stretched(2).offsets[expected]
+        block.scale_dispersion(2).whole.offsets[expected], Block(x, y, expected, root=1).stretched(2).offsets[expected]
     )
 
 
 def test_a_block_of_which_every_usable_joint_counts_is_its_own_whole(arrays: tuple[Array, Array]) -> None:
     block = Block(*arrays, np.random.default_rng(0).random((M, K)) < 0.5)
     assert block.whole is block
-    assert block.stretched(2).whole is not block.whole
-    stretched = block.stretched(2)
+    assert block.scale_dispersion(2).whole is not block.whole
+    stretched = block.scale_dispersion(2)
     assert stretched.whole is stretched
 
 
@@ -128,11 +127,11 @@ def test_the_box_reaches_over_the_true_poses_of_other_sequences_of_which_a_joint
 def test_blocks_of_poses_and_what_is_made_of_them_have_the_box_of_all_of_them(
     arrays: tuple[Array, Array], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("posecal.engine.blocks.BLOCK_BYTES", 1)
+    monkeypatch.setattr("posecal.engine.block.BLOCK_BYTES", 1)
     blocks = [lay_out() for lay_out in iter_blocks(*arrays, root=0)]
     assert len(blocks) == M
     for block in blocks:
-        np.testing.assert_array_equal(block.stretched(1.3).range_of_others, block.range_of_others)
+        np.testing.assert_array_equal(block.scale_dispersion(1.3).range_of_others, block.range_of_others)
     whole = Block(*arrays, root=0).range_of_others
     for end, of_all in enumerate(whole):
         np.testing.assert_array_equal([block.range_of_others[end][0] for block in blocks], of_all)

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from posecal.data.arrays import squared_norms
 from posecal.data.skeleton import JOINT_SETS
-from posecal.engine.block import Block
-from posecal.engine.blocks import block_length, iter_blocks, per_pose
+from posecal.engine.block import Block, block_length, iter_blocks, per_pose
 from posecal.engine.metric import DataSpec
 from posecal.engine.protocol import Protocol
 from posecal.errors import PoseDataError
@@ -44,7 +43,7 @@ def test_a_coordinate_that_is_not_finite_is_refused_with_its_place(value: float,
 def test_the_place_does_not_depend_on_the_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     x, y = skewed(2, N, 40, K)
     y[33, 2, 1] = np.nan
-    monkeypatch.setattr("posecal.engine.blocks.BLOCK_BYTES", 1)
+    monkeypatch.setattr("posecal.engine.block.BLOCK_BYTES", 1)
     with pytest.raises(PoseDataError, match="pose 33, joint 2"):
         min_mpjpe(x, y)
 
@@ -84,7 +83,7 @@ def test_pieces_of_every_length_make_the_whole(m: int, n: int, k: int, d: int, l
     where, follows, scores = random.random((m, k)) < 0.7, random.random(m) < 0.7, random.random((n, m))
     whole = Block(x, y, where, follows=follows, scores=scores)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("posecal.engine.blocks.BLOCK_BYTES", length * n * k * d * 8)
+        patch.setattr("posecal.engine.block.BLOCK_BYTES", length * n * k * d * 8)
         pieces = [lay_out() for lay_out in iter_blocks(x, y, where, follows=follows, scores=scores)]
     assert [len(piece.where) for piece in pieces][:-1] == [max(length, 1)] * (len(pieces) - 1)
     for name in ("offsets", "truth", "where", "scores", "velocity_offsets", "where_before"):
@@ -104,7 +103,7 @@ def test_the_pose_before_may_come_from_an_earlier_read(arrays: tuple[Array, Arra
 def test_a_statistic_of_every_pose_comes_in_the_order_of_the_poses(
     arrays: tuple[Array, Array], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("posecal.engine.blocks.BLOCK_BYTES", 2 * N * K * D * 8)
+    monkeypatch.setattr("posecal.engine.block.BLOCK_BYTES", 2 * N * K * D * 8)
     found = per_pose(lambda block: block.truth[:, 0, 0], *arrays)
     np.testing.assert_allclose(found, arrays[1][:, 0, 0])
 

@@ -21,7 +21,7 @@ M = 20
 
 def pairs_with(**labels: Sequence[object]) -> PoseData:
     """Poses with these labels and no others."""
-    return replace(world(M=M).pairs, labels={name: np.array(values).astype(str) for name, values in labels.items()})
+    return world(M=M).pairs.replace(labels={name: np.array(values).astype(str) for name, values in labels.items()})
 
 
 def never() -> Spread:
@@ -63,7 +63,7 @@ def test_without_sequences_poses_are_kept_in_runs_of_consecutive_frames() -> Non
 
 
 def test_there_are_at_most_so_many_runs_and_they_are_about_as_long() -> None:
-    pairs = replace(world(M=457).pairs, labels={})
+    pairs = world(M=457).pairs.replace(labels={})
     cells = cells_of(pairs, (), never)
     lengths = np.bincount(cells.of_pose)
     assert len(lengths) == RUNS

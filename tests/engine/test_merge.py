@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 
 from posecal.calibration.rank_tests import NEEDS_COORDINATE_RANGE
-from posecal.engine.accumulate import accumulate
+from tests.helpers.sums import accumulate
 from posecal.engine.merge import merge_totals
 from posecal.engine.protocol import Protocol
 from posecal.errors import PoseDataError
 from posecal.registry import known_metrics
 from posecal.stats.leave_one_out import without
 from posecal.stats.skill import climatology, with_reference
-from tests.helpers.example_totals import SUBJECT, WALK, keeping, totals
+from tests.helpers.example_totals import SPEC, WALK, keeping, totals
 from tests.helpers.random_worlds import World, world
 
 
 def cut(some: World, *cuts: int) -> list[World]:
-    return [some.taken(part) for part in np.split(np.arange(len(some.y)), cuts)]
+    return [some.select(part) for part in np.split(np.arange(len(some.y)), cuts)]
 
 
 def test_a_sequence_may_be_split_over_shards() -> None:
@@ -70,8 +70,8 @@ def test_remarks_are_said_once() -> None:
 
 def test_runs_of_frames_stay_runs_of_frames_of_their_own_shard() -> None:
     """23 frames of two shards are 23 runs of one frame, as in one go: so are their sums, and what is read off them."""
-    pairs = replace(world(6, M=23).pairs, labels={})
-    parts = [accumulate(replace(part.pairs, labels={})) for part in cut(world(6, M=23), 9)]
+    pairs = world(6, M=23).pairs.replace(labels={})
+    parts = [accumulate(part.pairs.replace(labels={})) for part in cut(world(6, M=23), 9)]
     merged, whole = merge_totals(parts), accumulate(pairs)
     assert not merged.sequences
     assert merged.poses.tolist() == [1] * 23
@@ -92,9 +92,9 @@ def test_the_same_runs_of_frames_twice_are_refused() -> None:
     [
         ({"protocol": Protocol(root="drop")}, r"a and b were not made alike: root count against drop\."),
         ({"protocol": Protocol(pck_threshold=99)}, r"not made alike: pck_threshold default against 99"),
-        ({"subject": replace(SUBJECT, n_hypotheses=9)}, r"not made alike: N 7 against 9\."),
+        ({"spec": replace(SPEC, n_hypotheses=9)}, r"not made alike: N 7 against 9\."),
         (
-            {"subject": replace(SUBJECT, joints=("Head", "Spine"))},
+            {"spec": replace(SPEC, joints=("Head", "Spine"))},
             r"not made alike: K 2\(.{8}\) against 2\(.{8}\), origin",
         ),
         ({"version": "2.0"}, r"not made alike: posecal 1\.0 against 2\.0\."),
@@ -109,21 +109,21 @@ def test_results_that_were_not_made_alike_do_not_add(changes: dict[str, object],
 
 def test_velocities_per_second_add_only_at_one_frame_rate() -> None:
     second = Protocol(velocity="second")
-    parts = [totals(second), totals(second, spec=replace(SUBJECT, fps=50.0))]
+    parts = [totals(second), totals(second, spec=replace(SPEC, fps=50.0))]
     with pytest.raises(PoseDataError, match=r"part 1 and part 2 have 25 and 50 frames per second; expected the same\."):
         merge_totals(parts)
 
 
 def test_a_sequence_that_two_shards_have_in_common_is_refused() -> None:
     some = world(6, M=23)
-    parts = [some.taken(np.flatnonzero(some.sequence != left)).totals(Protocol()) for left in ("S9/a", "S11/c")]
+    parts = [some.select(np.flatnonzero(some.sequence != left)).totals(Protocol()) for left in ("S9/a", "S11/c")]
     with pytest.raises(PoseDataError, match=r"part 1 and part 2 hold the same poses \(cell S9/b, sit\)"):
         merge_totals(parts)
 
 
 def test_a_sequence_in_common_is_refused_beside_a_reference_that_is_drawn_anew() -> None:
     some = world(6, M=23)
-    parts = [some.taken(np.flatnonzero(some.sequence != left)).pairs for left in ("S9/a", "S11/c")]
+    parts = [some.select(np.flatnonzero(some.sequence != left)).pairs for left in ("S9/a", "S11/c")]
     scores = [accumulate(with_reference(pairs, climatology(pairs)), Protocol(metrics="scores")) for pairs in parts]
     with pytest.raises(PoseDataError, match=r"part 1 and part 2 hold the same poses \(cell S9/b, sit\)"):
         merge_totals(scores)

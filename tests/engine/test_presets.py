@@ -8,7 +8,8 @@ import pytest
 
 import posecal
 from posecal.data.skeleton import JOINT_SETS
-from posecal.engine.protocol import PRESETS, Protocol, named_joints, preset
+from posecal.engine.presets import PRESETS, preset
+from posecal.engine.protocol import Protocol, named_joints
 from posecal.errors import PoseDataError
 from tests.helpers.small_files import JOINTS, K, M, N, hypotheses, truth
 
@@ -37,6 +38,7 @@ def evaluated(name: str) -> posecal.Report:
     return posecal.evaluate(
         hypotheses(),
         truth(),
+        unit="mm",
         joints=JOINTS,
         labels=LABELS,
         occluded=OCCLUDED,
@@ -65,7 +67,7 @@ def test_a_preset_names_a_repository_and_changes_nothing_that_it_does_not_list(n
 @pytest.mark.parametrize("name", PRESETS)
 def test_a_preset_reports_the_metrics_that_it_names_as_finite_numbers(name: str) -> None:
     report = evaluated(name)
-    asked = [word.strip() for word in PRESETS[name].options["metrics"].split(",")]
+    asked = PRESETS[name].protocol.wanted
     assert set(report.metrics) == set(asked)
     assert all(np.isfinite(report.value(metric)) for metric in asked)
 
@@ -81,7 +83,9 @@ def test_joint_best_is_below_frame_best_is_below_batch_best_is_below_the_mean() 
     values = {}
     for name, best in (("joint", "joint"), ("frame", "frame"), ("batch", "batch:2")):
         protocol = Protocol(best=best, metrics="min_mpjpe, mpjpe")
-        values[name] = posecal.evaluate(hypotheses(), truth(), joints=JOINTS, labels=LABELS, protocol=protocol)
+        values[name] = posecal.evaluate(
+            hypotheses(), truth(), unit="mm", joints=JOINTS, labels=LABELS, protocol=protocol
+        )
     best = [values[name].value("min_mpjpe") for name in ("joint", "frame", "batch")]
     assert best == sorted(best)
     assert best[-1] < values["frame"].value("mpjpe")
@@ -96,7 +100,7 @@ def test_an_unknown_preset_is_refused_with_the_nearest() -> None:
     ("options", "words"),
     [
         ({"bset": "frame"}, r"option: 'bset' is not known\. Did you mean best\?"),
-        ({"best": "fame"}, r"best: 'fame'; expected frame, sequence, batch:k \(k clips\) or joint\."),
+        ({"best": "fame"}, r"best: 'fame'; expected frame, sequence, batch:k \(k sequences\) or joint\."),
         ({"best": "batch"}, r"best: 'batch'; expected"),
         ({"best": "batch:0"}, r"best: 'batch:0'; expected"),
         ({"best": "frame:3"}, r"best: 'frame:3'; expected"),
@@ -106,7 +110,7 @@ def test_an_unknown_preset_is_refused_with_the_nearest() -> None:
         ({"pck_threshold": "wide"}, r"pck_threshold: 'wide'; expected a length in mm\."),
         ({"pck_threshold": "0"}, r"pck_threshold: 0\.0; expected a length in mm\."),
         ({"pck_threshold": "nan"}, r"pck_threshold: nan; expected a length in mm\."),
-        ({"metrics": ""}, r"metrics: ''; expected default, all, or names with commas\."),
+        ({"metrics": ""}, r"metrics: ''; expected default, rank_tests, scores, all, or names with commas\."),
         ({"metrics": "ece,,pck"}, r"metrics: 'ece,,pck'; expected"),
     ],
     ids=str,

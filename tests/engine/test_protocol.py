@@ -1,43 +1,55 @@
-"""Does every option take what it should, and nothing else?"""
+"""Every option takes what it should, and nothing else."""
 
 from __future__ import annotations
 
 from dataclasses import fields
+from fractions import Fraction
+from typing import get_args
 
+import numpy as np
 import pytest
 
 from posecal.data.skeleton import JOINT_SETS
 from posecal.engine.metric import DataSpec
-from posecal.engine.protocol import PRESETS, Protocol, named_joints, preset
+from posecal.engine.presets import PRESETS, preset
+from posecal.engine.protocol import CHOICES, OverJoints, Protocol, named_joints
 from posecal.errors import PoseDataError
 from posecal.registry import metrics_of
 
 EVERYTHING = DataSpec(9, JOINT_SETS["h36m-17"], 0, ("sequence", "action"), 50.0, True)
 
-CHOICES = [(o.name, choice) for o in fields(Protocol) for choice in o.metadata.get("choices", ())]
 
-
-@pytest.mark.parametrize(("option", "choice"), CHOICES)
+@pytest.mark.parametrize(("option", "choice"), [(o, choice) for o, choices in CHOICES.items() for choice in choices])
 def test_an_option_takes_each_of_its_choices(option: str, choice: str) -> None:
     assert getattr(Protocol().changed({option: choice}), option) == choice
 
 
-@pytest.mark.parametrize("option", sorted({option for option, _ in CHOICES}))
+@pytest.mark.parametrize("option", CHOICES)
 def test_an_option_refuses_what_is_none_of_its_choices(option: str) -> None:
     with pytest.raises(PoseDataError, match=rf"{option}: 'other' is not known\. (Known|Did you mean)"):
         Protocol().changed({option: "other"})
 
 
-def test_the_default_of_an_option_is_its_first_choice() -> None:
+@pytest.mark.parametrize("option", CHOICES)
+@pytest.mark.parametrize("value", [None, 1, ["own"], np.zeros(3)], ids=str)
+def test_an_option_refuses_what_is_no_text(option: str, value: object) -> None:
+    with pytest.raises(PoseDataError, match=rf"{option}: .* is not known\."):
+        Protocol(**{option: value})
+
+
+def test_the_choices_are_those_of_the_types_the_default_first() -> None:
+    assert CHOICES["root"] == ("count", "drop")
+    assert CHOICES["ece_over"] == ("auto", *get_args(OverJoints))
     for option in fields(Protocol):
-        if "choices" in option.metadata:
-            assert getattr(Protocol(), option.name) == option.metadata["choices"][0]
+        assert (option.type.startswith("Literal")) == (option.name in CHOICES), option.name
+        if option.name in CHOICES:
+            assert option.default == CHOICES[option.name][0]
 
 
-def test_every_option_says_what_it_is_about() -> None:
+def test_every_option_says_what_it_is_about_and_its_form_where_its_type_does_not() -> None:
     for option in fields(Protocol):
         assert option.metadata["about"]
-        assert "choices" in option.metadata or "form" in option.metadata
+        assert bool(option.metadata["form"]) != (option.name in CHOICES)
 
 
 @pytest.mark.parametrize("best", ["frame", "sequence", "joint", "batch:1", "batch:12"])
@@ -50,7 +62,9 @@ def test_best_takes_its_forms(best: str) -> None:
     ["", "batch", "batch:", "batch:0", "batch:-1", "batch:2.5", "batch:k", "frame:2", "frame:x", "joint:", "poses"],
 )
 def test_best_refuses_all_else(best: str) -> None:
-    with pytest.raises(PoseDataError, match=r"best: '.*'; expected frame, sequence, batch:k \(k clips\) or joint\."):
+    with pytest.raises(
+        PoseDataError, match=r"best: '.*'; expected frame, sequence, batch:k \(k sequences\) or joint\."
+    ):
         Protocol(best=best)
 
 
@@ -65,20 +79,27 @@ def test_mode_takes_score_or_an_index(mode: str) -> None:
     assert Protocol(mode=mode).mode == mode
 
 
-@pytest.mark.parametrize("mode", ["", "-1", "1.0", "first"])
+def test_mode_takes_a_number_for_an_index() -> None:
+    assert Protocol(mode=3) == Protocol(mode=np.int64(3)) == Protocol(mode="3")
+
+
+@pytest.mark.parametrize("mode", ["", "-1", "1.0", "first", -1, True, 1.0, None])
 def test_mode_refuses_all_else(mode: str) -> None:
-    with pytest.raises(PoseDataError, match=r"mode: '.*'; expected score or the index of a hypothesis\."):
+    with pytest.raises(PoseDataError, match=r"mode: .*; expected score or the index of a hypothesis\."):
         Protocol(mode=mode)
 
 
-@pytest.mark.parametrize("threshold", [0.0, -1.0, float("nan"), float("inf")])
+@pytest.mark.parametrize("threshold", [0.0, -1.0, float("nan"), float("inf"), True, None, 1j, [150.0], np.zeros(2)])
 def test_a_threshold_is_a_length(threshold: float) -> None:
     with pytest.raises(PoseDataError, match=r"pck_threshold: .*; expected a length in mm\."):
         Protocol(pck_threshold=threshold)
 
 
-def test_a_threshold_is_read_from_text() -> None:
+def test_a_threshold_is_read_from_text_and_from_any_real_number() -> None:
     assert Protocol().changed({"pck_threshold": "75.5"}).pck_threshold == 75.5
+    for threshold in (75, np.float32(75), np.int16(75), Fraction(75)):
+        assert type(Protocol(pck_threshold=threshold).pck_threshold) is float
+        assert Protocol(pck_threshold=threshold) == Protocol(pck_threshold=75.0)
 
 
 def test_a_threshold_that_is_no_number_is_refused() -> None:
@@ -87,8 +108,8 @@ def test_a_threshold_that_is_no_number_is_refused() -> None:
 
 
 def test_all_wrong_values_are_said_at_once() -> None:
-    with pytest.raises(PoseDataError, match=r"(?s)3 problems:.*root: .*best: .*mode: "):
-        Protocol(root="keep", best="clip", mode="last")
+    with pytest.raises(PoseDataError, match=r"(?s)5 problems:.*joints: .*root: .*best: .*mode: .*metrics: "):
+        Protocol(joints=None, root="keep", best="clip", mode="last", metrics=[])  # type: ignore[arg-type]
 
 
 def test_an_option_that_does_not_exist_is_refused_with_the_nearest() -> None:
@@ -109,6 +130,27 @@ def test_a_changed_protocol_leaves_the_first_as_it_was() -> None:
 
 def test_the_metrics_that_are_wanted_are_the_words_of_a_list() -> None:
     assert Protocol(metrics=" ece,pck , all").wanted == ("ece", "pck", "all")
+
+
+@pytest.mark.parametrize("names", [["ece", "pck"], ("ece", "pck"), "ece, pck", ["ece, pck"]])
+def test_metrics_are_text_or_a_list_of_names(names: str | list[str]) -> None:
+    protocol = Protocol(metrics=names)
+    assert protocol.metrics == "ece, pck"
+    assert protocol == Protocol(metrics="ece, pck")
+    assert protocol.wanted == ("ece", "pck")
+
+
+@pytest.mark.parametrize("names", ["", "ece,,pck", [], ["ece", ""], ["ece", 3], [None], None, 3, b"ece", {"ece"}])
+def test_metrics_refuse_all_else(names: object) -> None:
+    words = r"^metrics: .*; expected default, rank_tests, scores, all, or names with commas\.$"
+    with pytest.raises(PoseDataError, match=words):
+        Protocol(metrics=names)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("option", ["joints", "frames", "pck_joints", "cps_joints", "average", "best"])
+def test_options_of_names_are_text(option: str) -> None:
+    with pytest.raises(PoseDataError, match=rf"^{option}: 3; expected "):
+        Protocol(**{option: 3})
 
 
 def test_options_as_text_make_the_same_protocol() -> None:
@@ -184,8 +226,7 @@ def test_a_joint_set_of_which_the_poses_have_none_is_refused() -> None:
 @pytest.mark.parametrize("name", PRESETS)
 def test_a_preset_s_metrics_are_there_under_its_options(name: str) -> None:
     protocol = preset(name).protocol
-    asked = {word.strip() for word in protocol.metrics.split(",")}
-    assert set(metrics_of(protocol, EVERYTHING)) == asked
+    assert set(metrics_of(protocol, EVERYTHING)) == set(protocol.wanted)
 
 
 @pytest.mark.parametrize("name", PRESETS)

@@ -1,4 +1,4 @@
-"""Do sums add and group, and give the numbers that they should?"""
+"""Sums per cell: adding, grouping, and the numbers that are made of them."""
 
 from __future__ import annotations
 
@@ -8,14 +8,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from posecal.engine.metric import Metric, Statistic, entry
+from posecal.engine.metric import Metric, entry
 from posecal.engine.protocol import Protocol
 from posecal.engine.totals import Totals, difference_of_signatures
 from posecal.errors import PoseDataError
-from posecal.registry import known_metrics
-from posecal.stats.leave_one_out import joints_without, without
-from tests.helpers.example_totals import HEIGHT, JOINTS, KEPT, SIT, SUBJECT, WALK, keeping, metric, totals
-from tests.helpers.random_worlds import world
+from tests.helpers.example_totals import (
+    HEIGHT,
+    JOINTS,
+    KEPT,
+    PAIR,
+    SIT,
+    SPEC,
+    WALK,
+    keeping,
+    metric,
+    random_totals,
+    totals,
+)
 
 # --- adding and reading ----------------------------------------------------------------------------------------------
 
@@ -27,7 +36,7 @@ def test_a_mean_is_the_sum_over_the_number_of_poses() -> None:
 
 def test_each_joint_has_a_number_of_poses_of_its_own() -> None:
     np.testing.assert_allclose(totals().mean(JOINTS), [52 / 10, 4 / 2])
-    np.testing.assert_allclose(totals().mean(JOINTS, np.array([False, True, False, True])), [8 / 5, math.nan])
+    np.testing.assert_allclose(totals().mean(JOINTS, np.array([1, 3])), [8 / 5, math.nan])
 
 
 def test_added_rows_of_one_cell_add_up() -> None:
@@ -44,7 +53,7 @@ def test_the_poses_that_count_are_counted_where_most_do() -> None:
 
 
 def test_of_no_pose_nothing_is_known() -> None:
-    nobody = np.zeros(4, dtype=bool)
+    nobody = np.zeros(0, dtype=int)
     assert math.isnan(totals().mean(HEIGHT, nobody))
     assert math.isnan(totals().value(metric(), nobody))
     assert totals().count(HEIGHT, nobody) == 0
@@ -66,7 +75,7 @@ def test_a_label_that_is_not_there_is_refused_with_the_nearest() -> None:
 
 
 def test_runs_of_frames_are_no_sequences_to_group_by() -> None:
-    found = totals(sequences=False)
+    found = totals(has_sequences=False)
     assert found.labels == ("action",)
     with pytest.raises(PoseDataError, match=r"by: 'sequence' is not a label of these poses\. Known: action\."):
         list(found.groups("sequence"))
@@ -76,10 +85,10 @@ def test_runs_of_frames_are_no_sequences_to_group_by() -> None:
     ("changes", "words"),
     [
         ({}, "3 sequences"),
-        ({"sequences": False}, "3 runs of frames"),
-        ({"sequences": False, "poses": np.ones(4, dtype=int), "cells": {"sequence": np.arange(4)}}, "4 frames"),
+        ({"has_sequences": False}, "3 runs of frames"),
+        ({"has_sequences": False, "poses": np.ones(4, dtype=int), "cells": {"sequence": np.arange(4)}}, "4 frames"),
         ({"cells": {"sequence": np.array(["a"] * 4)}}, "1 sequence"),
-        ({"cells": {"sequence": np.array(["a"] * 4)}, "sequences": False}, "1 run of frames"),
+        ({"cells": {"sequence": np.array(["a"] * 4)}, "has_sequences": False}, "1 run of frames"),
     ],
 )
 def test_what_is_taken_as_independent_is_said_with_its_number(changes: dict[str, object], words: str) -> None:
@@ -100,7 +109,7 @@ def test_poses_of_one_row_of_a_statistic_are_counted() -> None:
 
 
 def test_a_value_is_the_finish_of_the_mean() -> None:
-    assert totals().value(metric(finish=lambda mean: float(mean) ** 2)) == pytest.approx(5.2**2)
+    assert totals().value(metric(finish=lambda mean: mean**2)) == pytest.approx(5.2**2)
 
 
 def test_averaged_by_a_label_it_is_the_mean_of_the_groups_values() -> None:
@@ -113,7 +122,7 @@ def test_groups_of_which_nothing_is_known_are_no_part_of_the_average() -> None:
     nothing = metric(JOINTS, finish=entry(1))
     found = totals(Protocol(average="sequence"))
     assert found.value(nothing) == pytest.approx((3 / 1 + 1 / 1) / 2)  # sequences a and b; c has none
-    assert math.isnan(found.value(nothing, np.array([False, False, False, True])))
+    assert math.isnan(found.value(nothing, np.array([3])))
 
 
 def test_numbers_per_joint_are_averaged_alike() -> None:
@@ -128,14 +137,11 @@ def test_a_metric_without_joints_has_no_numbers_per_joint() -> None:
     assert np.isnan(totals().by_joint(metric())).tolist() == [True, True]
 
 
-PAIR = Statistic("pair", lambda block: block.truth[:, 0, :2])
-
-
 def clips(k: int, protocol: Protocol | None = None) -> tuple[Totals, Metric]:
     """Errors of two hypotheses in the four cells of the sequences a, b, b and c."""
     found = totals(protocol)
     found.add("pair", np.arange(4), np.array([[3.0, 6], [1, 5], [8, 2], [4, 4]]), np.array([3, 1, 2, 4]))
-    return found, metric(PAIR, finish=lambda mean: float(mean.min()), clips=k)
+    return found, metric(PAIR, finish=lambda mean: mean.min(axis=-1), sequences_per_batch=k)
 
 
 def test_a_choice_per_sequence_is_averaged_over_its_poses() -> None:
@@ -193,26 +199,53 @@ def test_sums_of_a_sequence_are_those_of_its_cells() -> None:
     np.testing.assert_array_equal(counts, [2, 4])
 
 
-@pytest.mark.parametrize("protocol", [Protocol(), Protocol(average="action"), Protocol(best="batch:2")])
-def test_left_out_in_turn_each_sequence_is_as_if_it_had_not_been_there(protocol: Protocol) -> None:
-    some = world(5, M=20)
-    found = some.totals(protocol)
-    names = np.unique(found.cells["sequence"])
-    metrics = known_metrics(found.protocol, found.spec)
-    rest = [some.taken(np.flatnonzero(some.sequence != name)).values(found.protocol) for name in names]
-    for name in ("min_mpjpe", "ece", "radius_50", "spread_error_correlation", "energy_score"):
-        expected = [values[name] for values in rest]
-        np.testing.assert_allclose(without(found, metrics[name]), expected, rtol=1e-9, err_msg=name)
+@pytest.mark.parametrize("average", ["action", "sequence"])
+def test_weighted_sums_of_sequences_give_the_mean_of_the_groups_means(average: str) -> None:
+    some = random_totals(3, protocol=Protocol(average=average))
+    for cells in (None, np.arange(4, 25)):
+        sums, counts = some.by_sequence(JOINTS, cells)
+        np.testing.assert_allclose(sums.sum(axis=0) / counts.sum(axis=0), some.averaged(JOINTS, cells), rtol=1e-12)
 
 
-@pytest.mark.parametrize("average", ["poses", "action", "sequence"])
-def test_per_joint_each_sequence_is_left_out_as_if_it_had_not_been_there(average: str) -> None:
-    found = world(5, M=20).totals(Protocol(average=average, where="occluded"))
-    names = np.unique(found.cells["sequence"])
-    for name in ("mpjpe", "signed_area"):
-        one = known_metrics(found.protocol, found.spec)[name]
-        expected = [found.by_joint(one, found.cells["sequence"] != left) for left in names]
-        np.testing.assert_allclose(joints_without(found, one)[0], expected, rtol=1e-9, atol=1e-12, err_msg=name)
+def plain_average(some: Totals, label: str, joint: int, cells: np.ndarray) -> float:
+    """The mean of the groups' means at one joint, by loops."""
+    means = []
+    for value in sorted(set(some.cells[label][cells])):
+        group = [cell for cell in cells if some.cells[label][cell] == value]
+        number = sum(some.counts["joints"][cell, joint] for cell in group)
+        if number:
+            means.append(sum(some.sums["joints"][cell, joint] for cell in group) / number)
+    return sum(means) / len(means)
+
+
+@pytest.mark.parametrize("label", ["action", "sequence"])
+def test_an_average_is_the_mean_of_the_groups_means_for_each_joint_by_itself(label: str) -> None:
+    some = random_totals(4, protocol=Protocol(average=label))
+    for cells in (np.arange(30), np.arange(5, 17)):
+        expected = [plain_average(some, label, joint, cells) for joint in (0, 1)]
+        np.testing.assert_allclose(some.averaged(JOINTS, cells), expected, rtol=1e-12)
+        values = [some.value(metric(JOINTS, finish=entry(joint)), cells) for joint in (0, 1)]
+        np.testing.assert_allclose(values, expected, rtol=1e-12)
+    np.testing.assert_allclose(some.averaged(JOINTS), some.averaged(JOINTS, np.arange(30)), rtol=1e-12)
+
+
+def test_poses_of_some_cells_are_found_in_their_order_without_those_that_are_not_known() -> None:
+    some = random_totals(5)
+    known = ~np.isnan(some.per_pose["kept"]).any(axis=1)
+    for cells in (np.arange(30), np.array([2, 3, 11, 29]), np.zeros(0, dtype=int)):
+        expected = np.flatnonzero(np.isin(some.cell_of, cells) & known)
+        np.testing.assert_array_equal(some.known_poses(KEPT, cells), expected)
+    np.testing.assert_array_equal(some.known_poses(KEPT), np.flatnonzero(known))
+
+
+def test_an_average_is_worth_fewer_poses_than_it_is_of() -> None:
+    some = random_totals(6, protocol=Protocol(average="action"))
+    number = [some.counts["joints"][cells].sum(axis=0) for _, cells in some.groups("action")]
+    for joint in (0, 1):
+        sizes = [n[joint] for n in number if n[joint]]
+        expected = len(sizes) ** 2 / sum(1 / n for n in sizes)
+        np.testing.assert_allclose(some.effective_sample_size(JOINTS)[joint], expected, rtol=1e-12)
+    assert random_totals(6).effective_sample_size(HEIGHT) == some.counts["height"].sum()
 
 
 # --- signature -------------------------------------------------------------------------------------------------------
@@ -231,7 +264,7 @@ def test_a_signature_names_what_numbers_depend_on() -> None:
 
 
 def test_without_a_root_the_origin_is_as_given() -> None:
-    assert "origin=as_given" in totals(spec=replace(SUBJECT, root=None)).signature
+    assert "origin=as_given" in totals(spec=replace(SPEC, root=None)).signature
 
 
 def test_signatures_differ_exactly_where_options_do() -> None:

@@ -1,4 +1,4 @@
-"""The whole registry once more, made of the naive twins: what every number must be under a protocol."""
+"""Every registered metric once more, by the naive formulas: what each number must be under a protocol."""
 
 from __future__ import annotations
 
@@ -108,14 +108,14 @@ class Twin:
             self.over_poses(name, steps, factor)
         before = set(self.numbers)
         self.define_calibration()
-        self.define_battery()
+        self.define_rank_tests()
         self.of_curves = set(self.numbers) - before
         less = 0 if p.deviation == "population" else 1
         self.define_spread("diversity", oracles.deviations(self.x, less))
         for share in (50, 90):
             self.define_spread(f"radius_{share}", oracles.radii(self.x, share / 100))
         self.define_scores()
-        self.define_guide()
+        self.define_uncertainty()
 
     def define_errors(self, prefix: str, align: str) -> None:
         p, names = self.protocol, self.world.sequence
@@ -230,7 +230,7 @@ class Twin:
         self.by_joint["energy_score"] = self.by_joint.pop("joint_energy_score")
         self.numbers["joint_energy_score"] = lambda poses: mean_known(self.by_joint["energy_score"](poses))
 
-    def define_battery(self) -> None:
+    def define_rank_tests(self) -> None:
         M, (_, K, D) = len(self.y), self.y.shape
         ranks = {name: np.full((M, 21), math.nan) for name in [*score_oracles.PRERANKS, "tarp_box"]}
         joints = self.moving_joints
@@ -258,7 +258,7 @@ class Twin:
         self.by_joint["coordinate_pit"] = by_joint
         self.numbers["coordinate_pit"] = lambda poses: mean_known(by_joint(poses))
 
-    def define_guide(self) -> None:
+    def define_uncertainty(self) -> None:
         deviations = oracles.deviations(self.x, 1)
         spread = np.array([oracles.mean(list(row[w])) for row, w in zip(deviations, self.moving, strict=True)])
         error = oracles.pose_errors(oracles.one_pose(self.x, "mean_pose"), self.y, self.body)[0]

@@ -1,4 +1,4 @@
-"""Poses for tests: lopsided, with every axis of another length and no zeros but the root's."""
+"""Random poses for tests: skewed, with every axis of another length and no zeros but those of the root."""
 
 from __future__ import annotations
 
@@ -8,13 +8,11 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.layout import MemoryArray
-from posecal.data.match import Declarations, join
-from posecal.data.pose_data import PoseData, StoredPoses
-from posecal.engine.accumulate import accumulate
+from posecal.data.pose_data import PoseData
 from posecal.engine.metric import DataSpec
 from posecal.engine.protocol import Protocol
 from posecal.engine.totals import Totals
+from posecal.evaluation import evaluate
 from posecal.registry import known_metrics
 
 JOINTS = ("Spine", "RKnee", "Hip", "LFoot", "Head", "LWrist", "Neck/Nose", "RElbow")
@@ -59,20 +57,19 @@ class World:
     @property
     def pairs(self) -> PoseData:
         """As somebody would pass them."""
-        truth = StoredPoses(
-            "truth",
-            MemoryArray(self.y),
-            axes="MKD",
-            unit="mm",
+        return PoseData(
+            self.x,
+            self.y,
+            where=self.where,
             joints=self.joints,
+            root_joint=self.root_joint,
             labels={"sequence": self.sequence, "action": self.action},
-            marks={"occluded": self.occluded},
+            occluded=self.occluded,
+            scores=self.scores,
             fps=self.fps,
+            unit="mm",
+            axes="NMKD",
         )
-        hypotheses = StoredPoses(
-            "hypotheses", MemoryArray(self.x), axes="NMKD", unit="mm", joints=self.joints, scores=self.scores
-        )
-        return replace(join(hypotheses, truth, Declarations(root_joint=self.root_joint)), where=self.where)
 
     @cached_property
     def root(self) -> int | None:
@@ -86,14 +83,14 @@ class World:
 
     def totals(self, protocol: Protocol, *, threads: int = 1) -> Totals:
         """The sums of every metric that is known."""
-        return accumulate(self.pairs, replace(protocol, metrics="all"), by=["action"], threads=threads)
+        return evaluate(self.pairs, protocol=replace(protocol, metrics="all"), by="action", threads=threads).totals
 
     def values(self, protocol: Protocol, *, threads: int = 1) -> dict[str, float]:
         """Every metric that is known."""
         totals = self.totals(protocol, threads=threads)
         return {name: totals.value(metric) for name, metric in known_metrics(protocol, totals.spec).items()}
 
-    def taken(self, poses: npt.NDArray[np.intp]) -> World:
+    def select(self, poses: npt.NDArray[np.intp]) -> World:
         """Some of the poses, by their numbers."""
         return replace(
             self,

@@ -1,4 +1,4 @@
-"""A small report with everything in it: twelve sequences of three actions, hidden joints, N = 12, wide and narrow."""
+"""Small reports with everything in them: twelve sequences of three actions, occluded joints, N = 12."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from functools import cache
 import numpy as np
 
 from posecal.demo import World, make_world, sample
-from posecal.engine.protocol import Protocol
 from posecal.evaluation import evaluate
 from posecal.report.report import Report
 
@@ -31,7 +30,9 @@ def report_of(spread: float = 1.0, *, metrics: str = "default", by: tuple[str, .
         labels={"sequence": here.sequence, "action": here.action},
         occluded=here.occluded,
         by=by,
-        protocol=Protocol(metrics=metrics),
+        metrics=metrics,
+        axes="NMKD",
+        unit="mm",
         threads=1,
     )
 
@@ -40,4 +41,4 @@ def unlabelled(n: int = 3, poses: int = 5) -> Report:
     """A report of joints without names and poses without labels."""
     random = np.random.default_rng(8)
     truth = random.normal(0, 300, (poses, 4, 3))
-    return evaluate(truth + random.normal(0, 40, (n, poses, 4, 3)), truth, threads=1)
+    return evaluate(truth + random.normal(0, 40, (n, poses, 4, 3)), truth, axes="NMKD", unit="mm", threads=1)

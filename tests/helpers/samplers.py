@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.layout import MemoryArray
-from posecal.data.match import Declarations, join
-from posecal.data.pose_data import PoseData, StoredPoses
-from posecal.engine.accumulate import accumulate
+from posecal.data.pose_data import PoseData
 from posecal.engine.protocol import Protocol
 from posecal.report.report import Report
+from tests.helpers.sums import accumulate
 
 Array = npt.NDArray[np.floating]
 
@@ -55,22 +52,18 @@ def pairs_of(
     occluded: npt.NDArray[np.bool_] | None = None,
     where: npt.NDArray[np.bool_] | None = None,
 ) -> PoseData:
-    """Poses as they come out of files."""
-    names = None if joints is None else tuple(joints)
-    truth = StoredPoses(
-        "truth",
-        MemoryArray(y),
-        axes="MKD",
+    """Matched poses in mm."""
+    return PoseData(
+        x,
+        y,
+        where=where,
+        joints=joints,
+        root_joint=root_joint,
+        labels=labels,
+        occluded=occluded,
         unit="mm",
-        joints=names,
-        labels={name: np.asarray(values).astype(str) for name, values in (labels or {}).items()},
-        marks={} if occluded is None else {"occluded": occluded},
+        axes="NMKD",
     )
-    hypotheses = StoredPoses("hypotheses", MemoryArray(x), axes="NMKD", unit="mm", joints=names)
-    pairs = join(hypotheses, truth, Declarations(root_joint=root_joint))
-    if where is not None:
-        pairs = replace(pairs, where=where)
-    return pairs
 
 
 def report_of(pairs: PoseData, metrics: str = "default", *, by: Sequence[str] = (), **options: str) -> Report:

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from posecal.data.declarations import Declarations
 from posecal.data.layout import MemoryArray
-from posecal.data.match import Declarations, join
-from posecal.data.pose_data import PoseData, StoredPoses
+from posecal.data.pose_data import PoseData, match_poses
 from posecal.data.read import read_poses
 from posecal.data.skeleton import JOINT_SETS
+from posecal.data.stored_poses import StoredPoses
 
 Array = npt.NDArray[Any]
 
@@ -69,9 +70,9 @@ def member(path: Path, name: str, contents: bytes, method: int = zipfile.ZIP_STO
     return path
 
 
-def opened(ours: Path, theirs: Path, how: Declarations | None = None) -> PoseData:
+def read_data(ours: Path, theirs: Path, how: Declarations | None = None) -> PoseData:
     """Read and join two files."""
-    return join(read_poses(ours, "hypotheses"), read_poses(theirs, "truth"), how)
+    return match_poses(read_poses(ours, "hypotheses"), read_poses(theirs, "truth"), how)
 
 
 def coordinates(pairs: PoseData) -> Array:
@@ -79,12 +80,12 @@ def coordinates(pairs: PoseData) -> Array:
     return pairs.hypotheses.read(0, len(pairs.truth))
 
 
-def ours(array: Any = None, **declared: Any) -> StoredPoses:
+def hyps(array: Any = None, **declared: Any) -> StoredPoses:
     """Hypotheses in memory, as a file would declare them."""
     return StoredPoses("hyps.npz", MemoryArray(np.asarray(hypotheses() if array is None else array)), **declared)
 
 
-def theirs(array: Any = None, **declared: Any) -> StoredPoses:
+def gt(array: Any = None, **declared: Any) -> StoredPoses:
     """True poses in memory, as a file would declare them."""
     return StoredPoses("gt.npz", MemoryArray(np.asarray(truth() if array is None else array)), **declared)
 

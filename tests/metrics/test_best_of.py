@@ -1,4 +1,4 @@
-"""Is the step from N errors to one, and to the expected best of n, what the subsets say?"""
+"""minMPJPE against the number of hypotheses, against all subsets of them."""
 
 from __future__ import annotations
 
@@ -8,17 +8,13 @@ from math import comb
 import numpy as np
 import pytest
 
-from posecal.metrics.best_of import OF_ERRORS, ROUND_SIZES, OfErrors, best_of, curve_sizes, subset_weights
+from posecal.errors import PoseDataError
+from posecal.metrics import min_mpjpe, min_mpjpe_curve, mpjpe
+from posecal.metrics.best_of import ROUND_SIZES, curve_sizes, subset_weights
 from tests.helpers import oracles
+from tests.helpers.random_worlds import Array, Mask, mostly, skewed
 
-
-@pytest.mark.parametrize("of", OF_ERRORS)
-@pytest.mark.parametrize("n", [1, 2, 5])
-def test_n_errors_become_one(of: OfErrors, n: int) -> None:
-    errors = np.random.default_rng(n).gamma(2, 30, (4, 3, n))
-    found = best_of(errors, of)
-    for place in np.ndindex(4, 3):
-        np.testing.assert_allclose(found[place], oracles.of_errors(list(errors[place]), of))
+N, M, K = 6, 11, 5
 
 
 @pytest.mark.parametrize("n_all", [1, 2, 7, 200])
@@ -39,7 +35,7 @@ def test_the_expected_best_is_the_mean_over_all_subsets(n_all: int) -> None:
     errors = np.sort(np.random.default_rng(0).gamma(2, 30, n_all))
     for n in range(1, n_all + 1):
         np.testing.assert_allclose(
-            (subset_weights(n_all, [n]) @ errors).entry(), oracles.best_of_subsets(list(errors), n)
+            (subset_weights(n_all, [n]) @ errors).item(), oracles.best_of_subsets(list(errors), n)
         )
 
 
@@ -51,3 +47,42 @@ def test_the_curve_is_known_from_one_to_all_and_at_round_numbers(n_all: int) -> 
     assert (np.diff(sizes) > 0).all()
     assert {n for n in ROUND_SIZES if n <= n_all} <= set(sizes.tolist())
     assert len(sizes) <= 40 + len(ROUND_SIZES)
+
+
+# --- of arrays --------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def arrays() -> tuple[Array, Array]:
+    return skewed(0, N, M, K)
+
+
+@pytest.fixture
+def where() -> Mask:
+    """Some joints that count; in pose 4, none."""
+    return mostly(M, K)
+
+
+def test_the_curve_is_the_mean_over_all_subsets(arrays: tuple[Array, Array], where: Mask) -> None:
+    sizes = [1, 2, 3, 4, 5, 6]
+    found = min_mpjpe_curve(*arrays, sizes, where=where, align="similarity")
+    e = oracles.pose_errors(oracles.aligned(*arrays, where, "similarity"), arrays[1], where)
+    subsets = [[oracles.best_of_subsets(list(column), n) for n in sizes] for column in e.T]
+    np.testing.assert_allclose(found, subsets, rtol=1e-9)
+
+
+def test_the_curve_goes_from_the_mean_to_the_minimum(arrays: tuple[Array, Array]) -> None:
+    found = min_mpjpe_curve(*arrays, np.array([N, 1]), root=0)
+    np.testing.assert_allclose(found[:, 1], mpjpe(*arrays, root=0))
+    np.testing.assert_allclose(found[:, 0], min_mpjpe(*arrays, root=0))
+
+
+def test_the_curve_falls() -> None:
+    x, y = skewed(7, 300, 4, 3)
+    assert (np.diff(min_mpjpe_curve(x, y, np.arange(1, 301))) < 0).all()
+
+
+@pytest.mark.parametrize("sizes", [[0, 1], [7], [1.5], [], 3, [[1, 2]], [True]])
+def test_sizes_that_are_no_numbers_of_hypotheses_are_refused(arrays: tuple[Array, Array], sizes: object) -> None:
+    with pytest.raises(PoseDataError, match=r"sizes: .*; expected whole numbers from 1 to N = 6\."):
+        min_mpjpe_curve(*arrays, sizes)  # type: ignore[arg-type]

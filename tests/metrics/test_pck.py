@@ -1,4 +1,4 @@
-"""Are PCK, AUC and CPS what a loop over hypotheses, joints and thresholds gives?"""
+"""PCK, AUC and CPS, against loops over hypotheses, joints and thresholds."""
 
 from __future__ import annotations
 
@@ -13,16 +13,8 @@ from posecal.engine.block import Block
 from posecal.errors import PoseDataError
 from posecal.geometry.procrustes import Alignment
 from posecal.metrics import auc, cps, pck
-from posecal.metrics.pck import (
-    SELECTIONS,
-    Selection,
-    auc_share,
-    correct_joints,
-    correct_share,
-    cps_area,
-    joint_score,
-    pose_score,
-)
+from posecal.metrics.cps import cps_area, pose_score
+from posecal.metrics.pck import SELECTIONS, Selection, auc_share, correct_joints, correct_share, joint_score
 from tests.helpers import oracles
 from tests.helpers.random_worlds import Array, Mask, mostly, skewed
 

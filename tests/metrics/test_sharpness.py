@@ -1,4 +1,4 @@
-"""Are diversity and sharpness what the loops say?"""
+"""Diversity and sharpness, against loops."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from posecal.engine.block import Block
+from posecal.engine.metric import mean_over_joints
 from posecal.errors import PoseDataError
 from posecal.metrics import diversity, radius
-from posecal.metrics.sharpness import mean_over_joints, predicted_spread
+from posecal.metrics.sharpness import predicted_spread
 from tests.helpers import oracles
 from tests.helpers.random_worlds import Array, Mask, mostly, skewed
 

@@ -1,4 +1,4 @@
-"""Is a wide spread a sign of error? Against scipy, loops, and worlds in which the answer is known."""
+"""Rank correlation and sparsification of spread and error, against scipy, loops, and worlds of a known answer."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
+from posecal import evaluate
 from posecal.errors import PoseDataError
 from posecal.metrics.uncertainty import DROPPED, rank_correlation, sparsification, sparsification_area
-from tests.helpers.samplers import pairs_of, report_of
 
 values = st.lists(st.tuples(st.integers(0, 6), st.integers(1, 9)), min_size=2, max_size=30)
 
@@ -56,13 +56,15 @@ def test_shapes_that_do_not_fit_are_refused() -> None:
         rank_correlation([1, 2], [1, 2, 3])
 
 
-def test_a_spread_that_goes_with_the_error_is_a_guide_and_one_that_does_not_is_none() -> None:
+def test_a_spread_that_goes_with_the_error_correlates_and_another_does_not() -> None:
     random = np.random.default_rng(0)
     N, M, K = 20, 400, 4
     of_error, of_nothing = random.lognormal(0, 1, (2, M, 1, 1))
     y, noise = of_error * random.normal(0, 30, (M, K, 3)), random.normal(0, 30, (N, M, K, 3))
-    guided, lost = (report_of(pairs_of(x, y), "default") for x in (of_error * noise, 1e-3 * of_nothing * noise))
-    assert guided.value("spread_error_correlation") > 0.8
+    related, unrelated = (
+        evaluate(x, y, unit="mm", threads=1) for x in (of_error * noise, 0.9 * y + 1e-3 * of_nothing * noise)
+    )
+    assert related["spread_error_correlation"] > 0.8
     # Without any relation the correlation's standard error is 1/√(M - 1).
-    assert abs(lost.value("spread_error_correlation")) < 4 / math.sqrt(M - 1)
-    assert guided.value("sparsification_area") < lost.value("sparsification_area")
+    assert abs(unrelated["spread_error_correlation"]) < 4 / math.sqrt(M - 1)
+    assert related["sparsification_area"] < unrelated["sparsification_area"]

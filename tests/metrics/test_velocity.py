@@ -1,4 +1,4 @@
-"""Are velocity errors what the loops say, within each sequence and over joints that count in both poses?"""
+"""Velocity errors, against loops, within each sequence and over joints that count in both poses."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_velocities_do_not_depend_on_the_blocks(
     x, y = arrays
     x[:, ~where], y[~where] = np.nan, np.nan
     whole = mpjve(x, y, sequence=SEQUENCE, where=where)
-    monkeypatch.setattr("posecal.engine.blocks.BLOCK_BYTES", length * N * K * 3 * 8)
+    monkeypatch.setattr("posecal.engine.block.BLOCK_BYTES", length * N * K * 3 * 8)
     np.testing.assert_allclose(mpjve(x, y, sequence=SEQUENCE, where=where), whole)
 
 

@@ -12,8 +12,7 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 import posecal
-from posecal.data.layout import MemoryArray
-from posecal.data.pose_data import PoseData, StoredPoses
+from posecal.data.pose_data import PoseData
 from posecal.demo import sample
 from posecal.errors import PoseDataError
 from posecal.plot import draw_poses, frames_of, poses, signed_areas
@@ -45,9 +44,7 @@ def pairs() -> PoseData:
     """Twelve frames of one sequence of each action, named."""
     here = world()
     ids = np.array([f"{name}/{number}" for number, name in enumerate(here.sequence)])
-    truth = StoredPoses("gt", MemoryArray(here.truth), axes="MKD", unit="mm", joints=JOINTS, frame_id=ids)
-    ours = StoredPoses("hyps", MemoryArray(sample(here, 8)), axes="NMKD", unit="mm", joints=JOINTS, frame_id=ids)
-    return posecal.join(ours, truth)
+    return PoseData(sample(here, 8), here.truth, axes="NMKD", unit="mm", joints=JOINTS, frame_id=ids)
 
 
 # --- signed areas ---------------------------------------------------------------------------------------------

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from posecal.data.match import Declarations, alone
+from posecal.data.declarations import Declarations
+from posecal.data.match import resolve_hypotheses
 from posecal.data.read import read_poses
 from posecal.errors import PoseDataError, PoseFileError
 from posecal.recalibration import RadiusMap, SpreadMap, apply_map, maps, read_map, write_map
@@ -109,7 +110,9 @@ X = skewed(1, 5, 11, 3)[0].astype("f4")
 def applied(map_: SpreadMap | RadiusMap, folder: Path, x: Array = X, name: str = "out.npz") -> Path:
     """Apply to hypotheses in a file."""
     np.savez(folder / "hyps.npz", hypotheses=x, axes="NMKD", unit="mm", joints=JOINTS, allow_pickle=False)
-    stored, joints, root = alone(read_poses(folder / "hyps.npz", "hypotheses"), Declarations(root_joint="none"))
+    stored, joints, root = resolve_hypotheses(
+        read_poses(folder / "hyps.npz", "hypotheses"), Declarations(root_joint="none")
+    )
     frames = {"frame_id": np.array([f"f{m}" for m in range(x.shape[1])])}
     apply_map(map_, stored, joints, root, x.shape[1], folder / name, frames)
     return folder / name
@@ -118,7 +121,7 @@ def applied(map_: SpreadMap | RadiusMap, folder: Path, x: Array = X, name: str =
 def test_a_spread_map_gives_hypotheses_that_posecal_reads(tmp_path: Path) -> None:
     path = applied(SPREAD, tmp_path)
     poses = read_poses(path, "hypotheses")
-    stored, joints, _ = alone(poses, Declarations(root_joint="none"))
+    stored, joints, _ = resolve_hypotheses(poses, Declarations(root_joint="none"))
     assert joints == JOINTS
     np.testing.assert_array_equal(stored.read(0, 11), stretched(X, SPREAD.factors))
     assert stored.read(0, 11).dtype == np.float32
@@ -163,7 +166,9 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pyte
 
     (tmp_path / "out.npz").write_bytes(b"before")
     np.savez(tmp_path / "hyps.npz", hypotheses=X, axes="NMKD", unit="mm", joints=JOINTS, allow_pickle=False)
-    stored, joints, root = alone(read_poses(tmp_path / "hyps.npz", "hypotheses"), Declarations(root_joint="none"))
+    stored, joints, root = resolve_hypotheses(
+        read_poses(tmp_path / "hyps.npz", "hypotheses"), Declarations(root_joint="none")
+    )
     with pytest.raises(KeyboardInterrupt):
         apply_map(SPREAD, stored, joints, root, 11, tmp_path / "out.npz", {}, fails)
     assert (tmp_path / "out.npz").read_bytes() == b"before"

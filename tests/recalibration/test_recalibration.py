@@ -84,7 +84,7 @@ def test_held_out_sequences_are_calibrated_by_the_factor_of_the_others() -> None
     assert before.poses.sum() == after.poses.sum() == 240
     part = folds_of(pairs, 3)
     for fold, found in enumerate(factors):
-        rest = pairs.taken(np.flatnonzero(part != fold))
+        rest = pairs.select(np.flatnonzero(part != fold))
         np.testing.assert_allclose(found, fit_spread(rest, threads=1).factors, rtol=1e-9)
         mended = stretched(x[:, part == fold], found)
         alone = pairs_of(mended, y[part == fold], labels={"sequence": pairs.labels["sequence"][part == fold]})

@@ -1,6 +1,8 @@
-"""A report: its rows, its remarks, its signature, and what is not in it."""
+"""A report: its numbers, rows, remarks and signature, computed when asked for, and what is not in it."""
 
+import copy
 import math
+import pickle
 from typing import Any
 
 import numpy as np
@@ -8,18 +10,164 @@ import pytest
 from scipy import stats
 
 import posecal
-from posecal.calibration import signed_area
 from posecal.demo import sample
 from posecal.engine.protocol import Protocol
 from posecal.engine.totals import difference_of_signatures
-from posecal.errors import PoseDataError
+from posecal.errors import PoseDataError, for_command_line
+from posecal.report import report as report_module
 from posecal.report.report import Report
 from posecal.stats.resampling import holm
 from tests.helpers.reports import FRAMES, SEQUENCES, N, report_of, unlabelled, world
 
+HOW: dict[str, Any] = {"axes": "NMKD", "unit": "mm"}
+
 
 def some() -> Report:
     return report_of(by=("action", "occlusion"))
+
+
+def fresh(report: Report) -> Report:
+    """The same report with nothing computed yet."""
+    return Report(report.totals, report.by)
+
+
+# --- computed when asked for ----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def computed(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The names of what is computed, in order: values, intervals, tests, and those of all joints at once."""
+    calls: list[str] = []
+
+    def counting(what: str, function: Any) -> Any:
+        def count(totals: Any, metric: Any, *rest: Any) -> Any:
+            calls.append(f"{what} {metric.name}")
+            return function(totals, metric, *rest)
+
+        return count
+
+    for what in ("interval", "joint_intervals", "joint_p_values", "null"):
+        monkeypatch.setattr(report_module, what, counting(what, getattr(report_module, what)))
+    for what in ("value", "by_joint"):
+        monkeypatch.setattr(posecal.Totals, what, counting(what, getattr(posecal.Totals, what)))
+    return calls
+
+
+def test_a_number_costs_only_itself(computed: list[str]) -> None:
+    report = fresh(some())
+    assert report["min_mpjpe"] > 0
+    assert computed == ["value min_mpjpe"]
+
+
+@pytest.mark.parametrize(
+    ("ask", "expected"),
+    [
+        (lambda r: r.value("mpjpe", "action=sitting"), ["value mpjpe"]),
+        (lambda r: r.interval("mpjpe"), ["interval mpjpe", "value mpjpe"]),
+        (lambda r: r.test("ece"), ["null ece"]),
+        (lambda r: (r["ece_p"], r["ece_null_95"], r.definition("ece_p")), ["null ece"]),
+        (lambda r: [r.value("mpjpe", joint=j) for j in ("Head", "Hip")], ["by_joint mpjpe"]),
+        (lambda r: r.joint_tests(), ["joint_p_values ece"]),
+        (lambda r: (r.definition("ece"), r.count("ece"), r.remarks, r.signature), []),
+    ],
+)
+def test_what_is_asked_for_twice_is_computed_once(ask: Any, expected: list[str], computed: list[str]) -> None:
+    report = fresh(some())
+    ask(report)
+    assert computed == expected
+    ask(report)
+    assert computed == expected
+
+
+def test_printing_computes_what_it_prints_and_no_more(computed: list[str]) -> None:
+    report = fresh(some())
+    str(report)
+    assert "interval min_mpjpe" in computed
+    assert "value min_mpjpe" in computed
+    hidden = {name for name in report.metrics if name not in report.headline_metrics}
+    hidden -= {"ece_mean"}  # of a sentence
+    assert {"ece_reference", "ece_worst", "signed_area_max"} <= hidden
+    in_tables = {name for name, metric in report.metrics.items() if metric.in_group_table}
+    assert not {name for name in hidden - in_tables if any(call.endswith(f" {name}") for call in computed)}
+    assert not [call for call in computed if call.startswith("joint_intervals")]
+    before = list(computed)
+    str(report)
+    assert computed == before
+
+
+def test_a_report_pickles_and_copies_with_nothing_but_its_sums_and_groups() -> None:
+    report = report_of(metrics="all", by=("action", "occlusion"))
+    state = report.__reduce__()
+    assert state == (Report, (report.totals, ("action", "occlusion")))
+    for again in (pickle.loads(pickle.dumps(report)), copy.deepcopy(report)):
+        assert again.render("json") == report.render("json")
+
+
+def test_a_label_to_group_by_may_be_given_by_itself_and_twice() -> None:
+    assert Report(some().totals, "action").by == ("action",)
+    assert list(Report(some().totals, ["action", "action"]).groups) == [
+        None,
+        "action=sitting",
+        "action=standing",
+        "action=walking",
+    ]
+
+
+def test_groups_give_the_cells_of_their_poses() -> None:
+    report = some()
+    for group, cells in report.groups.items():
+        if group is None or group.startswith("occlusion="):
+            assert cells is None
+        else:
+            assert set(report.totals.cells["action"][cells]) == {group.partition("=")[2]}
+
+
+def test_scalars_are_the_headline_metrics_as_plain_floats() -> None:
+    scalars = some().scalars()
+    assert {"min_mpjpe", "mpjpe", "ece", "signed_area", "coverage_90", "diversity"} <= set(scalars)
+    assert "ece_worst" not in scalars
+    assert {type(value) for value in scalars.values()} == {float}
+    assert scalars == {name: some()[name] for name in scalars}
+    assert list(report_of(metrics="ece_worst").scalars()) == ["ece_worst"]
+
+
+def test_a_number_of_a_group_at_a_joint_is_that_of_its_poses() -> None:
+    here = world()
+    sitting = here.action == "sitting"
+    errors = np.linalg.norm(sample(here, N)[:, sitting, 10] - here.truth[sitting, 10], axis=-1)
+    np.testing.assert_allclose(some().value("mpjpe", "action=sitting", "Head"), errors.mean(), rtol=1e-5)
+    low, high = some().interval("mpjpe", "action=sitting", "Head")
+    assert low < some().value("mpjpe", "action=sitting", "Head") < high
+    assert (low, high) != some().interval("mpjpe", joint="Head")
+
+
+def test_a_joint_that_does_not_count_has_no_number() -> None:
+    assert math.isnan(some().value("ece", joint="Hip"))
+    assert "Hip" not in {row.joint for row in some().rows if row.metric == "ece"}
+
+
+@pytest.mark.parametrize("name", ["ece_null", "ece_null_95", "ece_p", "ece_floor", "effective_poses", "squared_error"])
+def test_numbers_beside_metrics_are_numbers_without_intervals(name: str) -> None:
+    assert math.isfinite(some()[name])
+    assert np.isnan(some().interval(name)).all()
+    assert some().count(name) == 36
+    (row,) = (row for row in some().rows if (row.metric, row.group) == (name, None))
+    assert (row.value, row.definition) == (some()[name], some().definition(name))
+
+
+def test_the_null_is_that_of_the_test() -> None:
+    test = some().test("ece")
+    assert (some()["ece_null"], some()["ece_null_95"], some()["ece_p"]) == (test.mean, test.high, test.p)
+    assert test.mean < test.high
+
+
+def test_its_repr_says_what_it_is_and_the_numbers_of_the_model() -> None:
+    report = report_of()
+    assert repr(report) == (
+        f"<posecal Report: N=12, M=36, K=17, 12 sequences: minMPJPE {report['min_mpjpe']:.1f} mm, "
+        f"ECE {report['ece']:.3f}, signed area {report['signed_area']:.3f}>"
+    )
+    assert repr(report_of(metrics="pck")).endswith(f": PCK 150 mm {report['pck']:.3f}>")
 
 
 # --- rows -----------------------------------------------------------------------------------------------------
@@ -33,6 +181,8 @@ def test_a_group_s_rows_are_those_of_its_poses_alone() -> None:
         here.truth[sitting],
         joints="h36m-17",
         labels={"sequence": here.sequence[sitting], "action": here.action[sitting]},
+        axes="NMKD",
+        unit="mm",
     )
     for metric in ("min_mpjpe", "pck", "ece", "ece_paper", "coverage_90", "cps"):
         np.testing.assert_allclose(some().value(metric, "action=sitting"), alone.value(metric), rtol=1e-9)
@@ -56,13 +206,13 @@ def test_a_joint_s_signed_area_has_the_t_interval_of_its_sequences_areas() -> No
     """Sequences are equally long: the areas are means of the sequences' areas, and their interval is Student's."""
     here, report = world(), report_of(0.5, by=("sequence",))
     groups = [f"sequence={name}" for name in np.unique(here.sequence)]
-    areas = np.array([signed_area(report.calibration(group=group).coverage) for group in groups])
+    areas = np.array([report.calibration(group=group).joint_signed_area() for group in groups])
     for k, joint in enumerate(posecal.JOINT_SETS["h36m-17"]):
         if k:
             low, high = stats.t(len(groups) - 1).interval(0.95)
-            (row,) = (r for r in report.rows if (r.metric, r.group, r.joint) == ("signed_area", None, joint))
             middle, error = areas[:, k].mean(), stats.sem(areas[:, k])
-            np.testing.assert_allclose([row.low, row.high], [middle + error * low, middle + error * high], rtol=1e-9)
+            interval = report.interval("signed_area", joint=joint)
+            np.testing.assert_allclose(interval, [middle + error * low, middle + error * high], rtol=1e-9)
 
 
 def test_a_joint_s_ece_has_no_interval() -> None:
@@ -76,20 +226,39 @@ def test_a_joint_s_interval_is_over_the_sequences_in_which_it_counts() -> None:
     where[3 * FRAMES :, 10] = False
     names = posecal.JOINT_SETS["h36m-17"]
     report = posecal.evaluate(
-        sample(here, 3), here.truth, joints="h36m-17", labels={"sequence": here.sequence}, where=where
+        sample(here, 3), here.truth, joints="h36m-17", labels={"sequence": here.sequence}, where=where, **HOW
     )
     shown = slice(0, 3 * FRAMES)
-    alone = posecal.evaluate(
-        sample(here, 3)[:, shown], here.truth[shown], joints="h36m-17", labels={"sequence": here.sequence[shown]}
-    )
-    found, expected = (
-        next(row for row in r.rows if (row.metric, row.joint) == ("mpjpe", names[10])) for r in (report, alone)
-    )
-    np.testing.assert_allclose([found.low, found.high], [expected.low, expected.high], rtol=1e-9)
-    assert found.low < found.value < found.high
+    labels = {"sequence": here.sequence[shown]}
+    alone = posecal.evaluate(sample(here, 3)[:, shown], here.truth[shown], joints="h36m-17", labels=labels, **HOW)
+    low, high = report.interval("mpjpe", joint=names[10])
+    np.testing.assert_allclose((low, high), alone.interval("mpjpe", joint=names[10]), rtol=1e-9)
+    assert low < report.value("mpjpe", joint=names[10]) < high
 
 
-def test_the_battery_s_rows_have_the_p_values_of_its_table() -> None:
+def test_a_joint_s_pose_count_is_that_of_the_poses_in_which_the_joint_counts() -> None:
+    """The head is masked but in nine poses, the left knee in five of which the head is in two."""
+    here = world()
+    where = np.ones(here.truth.shape[:2], dtype=bool)
+    where[9:, 10] = False
+    where[7:12, 5] = False
+    labels = {"sequence": here.sequence, "action": here.action}
+    report = posecal.evaluate(
+        sample(here, 3), here.truth, joints="h36m-17", labels=labels, where=where, by="action", **HOW
+    )
+    names = posecal.JOINT_SETS["h36m-17"]
+    expected = {name: int(count) for name, count in zip(names, where.sum(axis=0), strict=True)}
+    for metric in ("mpjpe", "ece", "coverage_90", "radius_50"):
+        poses = {row.joint: row.poses for row in report.rows if row.metric == metric and row.joint is not None}
+        assert poses == {name: expected[name] for name in poses}
+        assert {poses[names[10]], poses[names[5]], poses["RWrist"]} == {9, 31, 36}
+    for action in np.unique(here.action):
+        chosen = here.action == action
+        assert report.count("mpjpe", f"action={action}", "Head") == where[chosen, 10].sum()
+        assert report.count("mpjpe", f"action={action}") == chosen.sum()
+
+
+def test_the_rank_tests_rows_have_the_p_values_of_their_table() -> None:
     """Holm: the smallest of n p-values is multiplied by n."""
     report = report_of(0.8, metrics="rank_tests")
     tests = list(report.rank_tests())
@@ -113,10 +282,11 @@ def test_groups_of_enough_sequences_have_what_a_calibrated_sampler_would_show() 
         labels=labels,
         by=["half", "action", "occlusion"],
         occluded=here.occluded,
+        **HOW,
     )
-    kept = half == "one"
+    one = half == "one"
     alone = posecal.evaluate(
-        sample(here, N, 0.5)[:, kept], here.truth[kept], joints="h36m-17", labels={"sequence": here.sequence[kept]}
+        sample(here, N, 0.5)[:, one], here.truth[one], joints="h36m-17", labels={"sequence": here.sequence[one]}, **HOW
     )
     for ending in ("null", "null_95", "p"):
         np.testing.assert_allclose(report.value(f"ece_{ending}", "half=one"), alone.value(f"ece_{ending}"), rtol=1e-5)
@@ -135,27 +305,29 @@ def test_the_floors_say_n_and_that_they_are_of_a_perfect_sampler() -> None:
     assert floor.definition.startswith("expected ECE of a perfect sampler: N=12, 36 independent poses and 16 ")
 
 
-def test_the_poses_by_sight_are_those_with_such_a_joint() -> None:
+def test_the_poses_by_occlusion_are_those_with_such_a_joint() -> None:
     """Every third pose has nothing hidden, and all have something to see."""
     here = world()
     occluded = here.occluded & (np.arange(36) % 3 > 0)[:, None]
     occluded[np.arange(36) % 3 > 0, 2] = True
-    report = posecal.evaluate(sample(here, 3), here.truth, joints="h36m-17", occluded=occluded, by=["occlusion"])
+    report = posecal.evaluate(sample(here, 3), here.truth, joints="h36m-17", occluded=occluded, by="occlusion", **HOW)
     poses = {(row.group, row.poses) for row in report.rows if (row.group or "").startswith("occlusion=")}
     assert poses == {("occlusion=occluded", 24), ("occlusion=visible", 36)}
 
 
-def test_a_result_without_numbers_by_sight_says_how_to_get_them() -> None:
-    with pytest.raises(PoseDataError, match=r"^by: this result holds no numbers by occlusion\. Evaluate with"):
+def test_a_result_without_numbers_by_occlusion_says_how_to_get_them() -> None:
+    with pytest.raises(PoseDataError, match=r"^by: this result holds no numbers by occlusion\. ") as refused:
         Report(report_of().totals, ["occlusion"])
+    assert str(refused.value).endswith('Evaluate with by="occlusion".')
+    assert for_command_line(refused.value.message).endswith("Evaluate with --by occlusion.")
 
 
-def test_a_cut_of_the_spread_that_was_not_kept_is_refused() -> None:
-    kept = report_of(by=("spread",)).totals
-    assert Report(kept, ["spread"]).by == ("spread",)
-    for other in ("spread:5", "spread=40,60"):
-        with pytest.raises(PoseDataError, match=r"^by: 'spread:.*' is not a label of these poses"):
-            Report(kept, [other])
+def test_a_cut_of_the_spread_that_the_result_lacks_is_refused() -> None:
+    totals = report_of(by=("predicted_spread",)).totals
+    assert Report(totals, ["predicted_spread"]).by == ("predicted_spread",)
+    for other in ("predicted_spread:5", "predicted_spread=40,60"):
+        with pytest.raises(PoseDataError, match=r"^by: 'predicted_spread:.*' is not a label of these poses"):
+            Report(totals, [other])
 
 
 # --- what is refused ------------------------------------------------------------------------------------------
@@ -164,20 +336,34 @@ def test_a_cut_of_the_spread_that_was_not_kept_is_refused() -> None:
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda r: r.value("min_mpjp"), r"^min_mpjp is not in the report\. Did you mean min_mpjpe\?$"),
-        (lambda r: r.value("mpjpe", "action=flying"), r"^mpjpe of action=flying is not in the report\. Did you mean"),
-        (lambda r: r.value("mpjpe", joint="Tail"), r"^mpjpe at Tail is not in the report\."),
-        (lambda r: r.definition("ecee"), r"^ecee is not in the report\. Did you mean ece\?$"),
-        (lambda r: r.null("mpjpe"), r"^mpjpe \(group None\) is no calibration error here\."),
-        (lambda r: r.null("ece", "action=no"), r"^ece \(group action=no\) is no calibration error here\."),
+        (lambda r: r["min_mpjp"], r"^metric: 'min_mpjp' is not in the report\. Did you mean min_mpjpe\?$"),
+        (lambda r: r.value("ece_pp"), r"^metric: 'ece_pp' is not in the report\. Did you mean ece_p\?$"),
+        (lambda r: r.value("pck", "occlusion=visible"), r"^metric: 'pck' is not in the report of occlusion=visible\."),
+        (lambda r: r.value("mpjpe", "action=siting"), r"^group: 'action=siting' .* Did you mean action=sitting\?$"),
+        (lambda r: r.value("mpjpe", joint="Tail"), r"^joint: 'Tail' is not in the report\."),
+        (lambda r: r.value("ece_floor", "action=sitting"), r"^group: ece_floor is known over all poses only"),
+        (lambda r: r.value("ece_p", joint="Head"), r"^joint: ece_p has no values per joint\."),
+        (lambda r: r.value("cps", joint="Head"), r"^joint: cps has no values per joint\."),
+        (lambda r: r.interval("cps", joint="Head"), r"^joint: cps has no values per joint\."),
+        (lambda r: r.interval("mpjpe", joint="Tail"), r"^joint: 'Tail' is not in the report\."),
+        (lambda r: r.interval("mpjp"), r"^metric: 'mpjp' is not in the report\."),
+        (lambda r: r.count("mpjp"), r"^metric: 'mpjp' is not in the report\."),
+        (lambda r: r.definition("ecee"), r"^metric: 'ecee' is not in the report\. Did you mean ece\?$"),
+        (lambda r: r.test("mpjpe"), r"^test: mpjpe is no calibration error or rank test\. "),
+        (lambda r: r.test("ece_p"), r"^test: ece_p is no calibration error or rank test\. Did you mean ece_paper\?$"),
+        (lambda r: r.test("ece", "action=no"), r"^group: 'action=no' is not in the report\."),
         (lambda r: r.curve("pck_curv"), r"^curve: 'pck_curv' is not known\. Did you mean pck_curve\?$"),
         (
             lambda r: r.calibration("paper", "action=no"),
-            r"^calibration: the report has no paper curves of action=no\.$",
+            r"^group: 'action=no' is not in the report\.",
+        ),
+        (
+            lambda r: r.calibration("paper", "occlusion=visible"),
+            r"^calibration: the report has no paper curves of occlusion=visible\.$",
         ),
         (lambda r: r.calibration("papers"), r"^definition: 'papers' is not known\. Did you mean paper\?$"),
-        (lambda r: r.rank_curves("ece"), r"^ece is no test in the report\."),
-        (lambda r: r.event_reliability(), r"^event: the report has no Brier score\. Evaluate with --scores\.$"),
+        (lambda r: r.rank_curves("ece"), r"^test: ece is no rank test of the report\."),
+        (lambda r: r.event_reliability(), r'^event: the report has no Brier score\. Evaluate with metrics="scores"\.$'),
         (lambda r: r.render("xml"), r"^format: 'xml' is not known\. "),
     ],
 )
@@ -190,7 +376,7 @@ def test_a_report_without_calibration_has_no_curves_and_says_so() -> None:
     plain = report_of(metrics="min_mpjpe")
     with pytest.raises(PoseDataError, match=r"^calibration: the report has no exchangeable curves of its poses\.$"):
         plain.calibration()
-    with pytest.raises(PoseDataError, match=r"^sparsification: the report kept no spreads and errors"):
+    with pytest.raises(PoseDataError, match=r"^sparsification: the report has no spreads and errors"):
         plain.sparsification()
     assert plain.joint_tests() == {}
     assert plain.to_dict()["curves"] == []
@@ -220,7 +406,7 @@ def test_poses_without_sequences_are_remarked_on() -> None:
 
 def test_one_sequence_is_one_sequence() -> None:
     here = world()
-    one = posecal.evaluate(sample(here, 2)[:, :3], here.truth[:3], labels={"sequence": here.sequence[:3]})
+    one = posecal.evaluate(sample(here, 2)[:, :3], here.truth[:3], labels={"sequence": here.sequence[:3]}, **HOW)
     assert any(remark.startswith("1 sequence allows no test: ") for remark in one.remarks)
 
 
@@ -229,12 +415,12 @@ def test_too_few_sequences_for_a_test_are_remarked_on() -> None:
     here = world()
     three = slice(0, 3 * FRAMES)
     report = posecal.evaluate(
-        sample(here, N)[:, three], here.truth[three], joints="h36m-17", labels={"sequence": here.sequence[three]}
+        sample(here, N)[:, three], here.truth[three], joints="h36m-17", labels={"sequence": here.sequence[three]}, **HOW
     )
     (remark,) = (remark for remark in report.remarks if "sequences allow no test" in remark)
     assert remark.startswith("3 sequences allow no test: ")
     assert "in 25% of cases" in remark
-    assert math.isnan(report.null("ece").p)
+    assert math.isnan(report.test("ece").p)
 
 
 # --- signature ------------------------------------------------------------------------------------------------
@@ -260,7 +446,7 @@ def test_another_protocol_has_another_signature_that_says_so(changed: Protocol, 
     labels = {"sequence": here.sequence, "action": here.action}
     one, other = (
         posecal.evaluate(
-            sample(here, 4), here.truth, joints="h36m-17", labels=labels, occluded=here.occluded, protocol=how
+            sample(here, 4), here.truth, joints="h36m-17", labels=labels, occluded=here.occluded, protocol=how, **HOW
         )
         for how in (Protocol(), changed)
     )

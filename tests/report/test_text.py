@@ -125,7 +125,7 @@ def test_the_default_report_fits_a_screen_of_a_hundred_columns(width: int) -> No
 
 
 def test_the_presets_are_all_listed_with_what_they_set() -> None:
-    from posecal.engine.protocol import PRESETS
+    from posecal.engine.presets import PRESETS
 
     text = squeezed(presets_sheet().text(600))
     for preset in PRESETS.values():

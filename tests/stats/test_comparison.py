@@ -1,4 +1,4 @@
-"""Two models on the same poses: differences and how sure they are, ranks, and what can't be compared."""
+"""Two models on the same poses: differences with intervals and p-values, ranks, and what can't be compared."""
 
 from __future__ import annotations
 
@@ -11,13 +11,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from posecal.engine.accumulate import accumulate
+from posecal.engine.metric import Metric
 from posecal.engine.protocol import Protocol
 from posecal.engine.totals import Totals
 from posecal.errors import PoseDataError
-from posecal.stats.comparison import Comparison, compare
+from posecal.stats import comparison
+from posecal.stats.comparison import Comparison, compare_totals
+from posecal.stats.jackknife import leave_one_out
 from posecal.stats.resampling import holm
 from tests.helpers.samplers import gaussian, pairs_of, sequences
+from tests.helpers.sums import accumulate
 
 Array = np.ndarray
 M, S = 48, 8
@@ -38,7 +41,7 @@ MODELS = {"right": X, "narrow": X.mean(axis=0) + 0.4 * (X - X.mean(axis=0)), "of
 
 @pytest.fixture(scope="module")
 def three() -> Comparison:
-    return compare([totals_of(x, Y) for x in MODELS.values()], list(MODELS))
+    return compare_totals([totals_of(x, Y) for x in MODELS.values()], list(MODELS))
 
 
 # --- differences ------------------------------------------------------------------------------------------------------
@@ -46,7 +49,7 @@ def three() -> Comparison:
 
 def by_hand(name: str, first: Array, second: Array) -> tuple[float, float, float, float]:
     """Difference, its interval and its p-value: each model evaluated without each sequence in turn."""
-    known = compare([totals_of(first, Y), totals_of(second, Y)], ["a", "b"]).metrics[name]
+    known = compare_totals([totals_of(first, Y), totals_of(second, Y)], ["a", "b"]).metrics[name]
 
     def difference(poses: Array) -> float:
         labels = {"sequence": LABELS["sequence"][poses]}
@@ -63,7 +66,7 @@ def by_hand(name: str, first: Array, second: Array) -> tuple[float, float, float
 @pytest.mark.parametrize("metric", ["min_mpjpe", "ece", "energy_score", "pck"])
 def test_a_difference_is_left_one_sequence_out(metric: str) -> None:
     first, second = MODELS["right"], MODELS["off"]
-    found = compare([totals_of(first, Y), totals_of(second, Y)], ["a", "b"])
+    found = compare_totals([totals_of(first, Y), totals_of(second, Y)], ["a", "b"])
     difference = next(d for d in found.differences if d.metric == metric)
     expected = by_hand(metric, first, second)
     np.testing.assert_allclose(
@@ -81,7 +84,7 @@ def test_intervals_of_differences_cover_the_truth_as_often_as_they_say() -> None
         one, other = (y + 0.3 * shared + random.normal(0, 30, (2, poses, 1, 3)) for _ in range(2))
         labels = {"sequence": sequences(poses, S)}
         pair = [totals_of(x, y, "mpjpe", labels) for x in (one, other)]
-        found = compare(pair, ["one", "other"]).differences[0]
+        found = compare_totals(pair, ["one", "other"]).differences[0]
         held += found.low <= 0 <= found.high
         certain += found.p < 0.05
     low, high = stats.binom(times, 0.95).interval(0.9999)
@@ -92,7 +95,7 @@ def test_intervals_of_differences_cover_the_truth_as_often_as_they_say() -> None
 def test_a_difference_is_surer_than_the_numbers_that_it_is_of() -> None:
     random = np.random.default_rng(5)
     size = np.repeat(random.lognormal(0, 0.8, S), M // S)[:, None, None]  # some sequences are far harder
-    pair = compare([totals_of(x * size, Y * size, "mpjpe") for x in (X, 1.2 * (X - Y) + Y)], ["one", "other"])
+    pair = compare_totals([totals_of(x * size, Y * size, "mpjpe") for x in (X, 1.2 * (X - Y) + Y)], ["one", "other"])
     difference = pair.differences[0]
     alone = pair.interval("mpjpe", "one")
     assert difference.high - difference.low < (alone.high - alone.low) / 2
@@ -100,7 +103,7 @@ def test_a_difference_is_surer_than_the_numbers_that_it_is_of() -> None:
 
 
 def test_a_model_does_not_differ_from_itself() -> None:
-    found = compare([totals_of(X, Y)] * 2, ["one", "other"])
+    found = compare_totals([totals_of(X, Y)] * 2, ["one", "other"])
     for difference in found.differences:
         assert difference.value == 0
         assert difference.p == 1 or math.isnan(difference.p)
@@ -123,7 +126,7 @@ def test_p_values_of_one_metric_are_adjusted_for_the_number_of_pairs(three: Comp
     names = list(MODELS)
     alone = []
     for a, b in ((0, 1), (0, 2), (1, 2)):
-        pair = compare([three.totals[a], three.totals[b]], [names[a], names[b]])
+        pair = compare_totals([three.totals[a], three.totals[b]], [names[a], names[b]])
         alone.append(next(d.p for d in pair.differences if d.metric == "crps"))
     together = [d.p for d in three.differences if d.metric == "crps"]
     np.testing.assert_allclose(together, holm(alone), rtol=1e-12)
@@ -147,7 +150,7 @@ def test_accuracy_and_calibration_are_two_axes() -> None:
     # In 48 dimensions the best of 12 is nearer to the truth for a spread that is too narrow: the paper's finding.
     x, y = gaussian(1, 12, M, 16)
     centre = x.mean(axis=0)
-    pair = compare([totals_of(x, y), totals_of(centre + 0.5 * (x - centre), y)], ["right", "narrow"])
+    pair = compare_totals([totals_of(x, y), totals_of(centre + 0.5 * (x - centre), y)], ["right", "narrow"])
     better = {d.metric: d.better for d in pair.differences}
     assert better["min_mpjpe"] == "narrow"
     assert better["ece"] == better["energy_score"] == "right"
@@ -160,8 +163,8 @@ def test_the_feasible_region_ends_where_chance_does(three: Comparison) -> None:
 
 def test_a_calibration_error_has_no_interval_and_a_mean_has(three: Comparison) -> None:
     assert math.isnan(three.interval("ece", "right").low)
-    sure = three.interval("mpjpe", "right")
-    assert sure.low < three.value("mpjpe", "right") < sure.high
+    interval = three.interval("mpjpe", "right")
+    assert interval.low < three.value("mpjpe", "right") < interval.high
 
 
 # --- renderings -------------------------------------------------------------------------------------------------------
@@ -181,12 +184,68 @@ def test_json_holds_values_ranks_and_differences(three: Comparison) -> None:
     assert len(found["differences"]) == 3 * len(three.metrics)
 
 
+def test_the_table_has_a_row_for_each_metric_and_pair(three: Comparison) -> None:
+    table = three.table
+    assert list(table) == ["metric", "first", "second", "value", "low", "high", "p", "better"]
+    assert len(table) == 3 * len(three.metrics)
+    row = table[(table.metric == "mpjpe") & (table["first"] == "right") & (table.second == "off")].iloc[0]
+    (expected,) = (d for d in three.differences_of("mpjpe") if (d.first, d.second) == ("right", "off"))
+    assert tuple(row)[3:7] == (expected.value, expected.low, expected.high, expected.p)
+    assert row.better == "right"
+
+
 def test_csv_holds_the_differences(three: Comparison) -> None:
     rows = list(csv.DictReader(io.StringIO(three.render("csv"))))
     assert len(rows) == len(three.differences)
     for row, difference in zip(rows, three.differences, strict=True):
         assert (row["metric"], row["first"], row["second"]) == (difference.metric, difference.first, difference.second)
-        np.testing.assert_allclose(float(row["value"]), difference.value)
+        assert float(row["value"]) == difference.value
+        assert row["better"] == (difference.better or "")
+
+
+def test_markdown_and_latex_hold_a_line_for_each_difference() -> None:
+    pair = compare_totals([totals_of(X, Y, "mpjpe"), totals_of(X + 9, Y, "mpjpe")], ["a", "b_c"])
+    (difference,) = pair.differences
+    head, _, row = pair.render("markdown").splitlines()
+    assert [word.strip() for word in head.strip("|").split("|")][:4] == ["metric", "first", "second", "value"]
+    assert [word.strip() for word in row.strip("|").split("|")][:3] == ["mpjpe", "a", "b_c"]
+    (line,) = (line for line in pair.render("latex").splitlines() if line.startswith("mpjpe"))
+    assert line.split(" & ")[:3] == ["mpjpe", "a", r"b\_c"]
+    assert f"{difference.value:f}" in line
+    assert "mpjpe" in str(pair)
+    assert "<td>mpjpe</td>" in pair._repr_html_()
+
+
+def test_another_form_metric_or_model_is_refused(three: Comparison) -> None:
+    with pytest.raises(PoseDataError, match=r"^format: 'jsn' is not known\. Did you mean json\?"):
+        three.render("jsn")
+    with pytest.raises(PoseDataError, match=r"^mpjp is not in the comparison\. Did you mean mpjpe\?"):
+        three.rank("mpjp", "right")
+    for ask in (three.value, three.interval, three.rank):
+        with pytest.raises(PoseDataError, match=r"^wrong is not in the comparison\. Known: right, narrow, off\."):
+            ask("mpjpe", "wrong")
+
+
+def test_a_comparison_says_what_it_is(three: Comparison) -> None:
+    assert repr(three) == "<Comparison of right, narrow, off: M = 48, 8 sequences>"
+
+
+def test_each_metric_of_each_model_is_left_one_sequence_out_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+
+    def counting(totals: Totals, metric: Metric) -> Array:
+        asked.append(metric.name)
+        return leave_one_out(totals, metric)
+
+    monkeypatch.setattr(comparison, "leave_one_out", counting)
+    three = compare_totals([totals_of(x, Y, "mpjpe, signed_area") for x in MODELS.values()], list(MODELS))
+    assert asked == []
+    assert three.rank("mpjpe", "off") == 3
+    assert asked == ["mpjpe"] * 3
+    three.interval("mpjpe", "right")
+    three.render("json")
+    three.render("csv")
+    assert sorted(asked) == ["mpjpe"] * 3 + ["signed_area"] * 3
 
 
 # --- what can't be compared -------------------------------------------------------------------------------------------
@@ -195,35 +254,65 @@ def test_csv_holds_the_differences(three: Comparison) -> None:
 def test_results_that_were_not_made_alike_are_refused_with_what_differs() -> None:
     other = totals_of(X, Y, align="rigid")
     with pytest.raises(PoseDataError, match=r"a and b were not made alike: align default against rigid|align .*rigid"):
-        compare([totals_of(X, Y), other], ["a", "b"])
-    with pytest.raises(PoseDataError, match=r"N 12 against 5.*--hypotheses takes as many hypotheses of each"):
-        compare([totals_of(X, Y), totals_of(X[:5], Y)], ["a", "b"])
+        compare_totals([totals_of(X, Y), other], ["a", "b"])
+    with pytest.raises(
+        PoseDataError, match=r"N 12 against 5.*same options; n_hypotheses takes as many hypotheses of each"
+    ):
+        compare_totals([totals_of(X, Y), totals_of(X[:5], Y)], ["a", "b"])
 
 
 def test_other_poses_are_refused_with_how_many_there_are() -> None:
     half = {"sequence": LABELS["sequence"][: M // 2]}
     with pytest.raises(PoseDataError, match=r"a and b hold other poses: 48 in 8 sequences and 24 in 4"):
-        compare([totals_of(X, Y), totals_of(X[:, : M // 2], Y[: M // 2], labels=half)], ["a", "b"])
+        compare_totals([totals_of(X, Y), totals_of(X[:, : M // 2], Y[: M // 2], labels=half)], ["a", "b"])
+
+
+@pytest.mark.parametrize("average", ["poses", "sequence"])
+def test_as_many_poses_in_other_numbers_of_each_sequence_are_refused(average: str) -> None:
+    one, other = (np.repeat(["a", "b", "c"], lengths) for lengths in ([16, 16, 16], [15, 17, 16]))
+    pair = [totals_of(X, Y, "mpjpe", {"sequence": labels}, average=average) for labels in (one, other)]
+    with pytest.raises(PoseDataError, match=r"a and b hold other poses: 48 in 3 sequences and 48 in 3 sequences\."):
+        compare_totals(pair, ["a", "b"])
+
+
+def test_as_many_poses_in_sequences_of_other_names_are_refused() -> None:
+    renamed = np.where(LABELS["sequence"] == "s000", "t000", LABELS["sequence"])
+    pair = [totals_of(X, Y, "mpjpe", labels) for labels in (LABELS, {"sequence": renamed})]
+    with pytest.raises(PoseDataError, match=r"a and b hold other poses: 48 in 8 sequences and 48 in 8 sequences\."):
+        compare_totals(pair, ["a", "b"])
+
+
+def test_poses_in_another_order_within_their_sequences_are_the_same() -> None:
+    turned = np.arange(M).reshape(S, -1)[:, ::-1].ravel()
+    pair = compare_totals([totals_of(X, Y, "mpjpe"), totals_of(X[:, turned], Y[turned], "mpjpe")], ["a", "b"])
+    assert abs(pair.differences[0].value) < 1e-9
+
+
+def test_the_true_poses_of_each_sequence_are_compared() -> None:
+    swapped = Y.copy()
+    swapped[[0, -1]] = Y[[-1, 0]]  # all sums are the same but those of the first and the last sequence
+    with pytest.raises(PoseDataError, match="a and b were evaluated against different true poses"):
+        compare_totals([totals_of(X, Y, "mpjpe"), totals_of(X, swapped, "mpjpe")], ["a", "b"])
 
 
 def test_another_truth_is_refused() -> None:
-    with pytest.raises(PoseDataError, match="a and b were held against different true poses"):
-        compare([totals_of(X, Y), totals_of(X, Y + 5.0)], ["a", "b"])
+    with pytest.raises(PoseDataError, match="a and b were evaluated against different true poses; expected the same"):
+        compare_totals([totals_of(X, Y), totals_of(X, Y + 5.0)], ["a", "b"])
 
 
 def test_one_model_is_nothing_to_compare() -> None:
     with pytest.raises(PoseDataError, match="compare: 1 model; expected at least 2"):
-        compare([totals_of(X, Y)], ["a"])
+        compare_totals([totals_of(X, Y)], ["a"])
 
 
 def test_models_of_the_same_name_are_numbered() -> None:
-    found = compare([totals_of(X, Y), totals_of(X + 1, Y)], ["run", "run"])
+    found = compare_totals([totals_of(X, Y), totals_of(X + 1, Y)], ["run", "run"])
     assert found.names == ("run", "run #2")
 
 
 def test_one_sequence_gives_a_difference_and_no_p_value() -> None:
     labels = {"sequence": np.repeat("only", M)}
-    found = compare([totals_of(x, Y, "mpjpe", labels) for x in (X, X + 9)], ["a", "b"]).differences[0]
+    found = compare_totals([totals_of(x, Y, "mpjpe", labels) for x in (X, X + 9)], ["a", "b"]).differences[0]
     assert found.value < 0
     assert math.isnan(found.p)
     assert math.isnan(found.low)
@@ -231,9 +320,11 @@ def test_one_sequence_gives_a_difference_and_no_p_value() -> None:
 
 
 def test_a_number_that_is_best_at_zero_is_compared_by_its_distance_from_zero() -> None:
-    """Too narrow by as much as too wide: the signed areas differ beyond any doubt, their sizes don't."""
+    """Too narrow by as much as too wide: the signed areas differ beyond chance, their sizes don't."""
     centre = X.mean(axis=0)
-    found = compare([totals_of(centre + s * (X - centre), Y, "signed_area") for s in (0.8, 1.3)], ["narrow", "wide"])
+    found = compare_totals(
+        [totals_of(centre + s * (X - centre), Y, "signed_area") for s in (0.8, 1.3)], ["narrow", "wide"]
+    )
     narrow, wide = (found.value("signed_area", name) for name in found.names)
     assert narrow < -0.03
     assert wide > 0.03
@@ -244,7 +335,7 @@ def test_a_number_that_is_best_at_zero_is_compared_by_its_distance_from_zero() -
 
 def test_models_are_not_ranked_by_an_event_that_each_chooses_itself() -> None:
     """Far off and knowing it has a perfect Brier score."""
-    far = compare([totals_of(X, Y, "brier"), totals_of(5000.0 + 20 * X, Y, "brier")], ["right", "far"])
+    far = compare_totals([totals_of(X, Y, "brier"), totals_of(5000.0 + 20 * X, Y, "brier")], ["right", "far"])
     assert far.value("brier", "far") < far.value("brier", "right")
     assert far.differences[0].better is None
 

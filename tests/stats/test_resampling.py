@@ -1,9 +1,10 @@
-"""How sure: the jackknife, sign-flips, Holm and the rest, against loops, enumeration and textbooks."""
+"""Sign-flips, the variance between sequences and Holm, against loops, enumeration and textbooks."""
 
 from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import astuple
 
 import numpy as np
 import pytest
@@ -12,83 +13,25 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from posecal.calibration import LEVELS
+from posecal.stats import resampling
 from posecal.stats.resampling import (
-    FEWEST,
+    DRAWS,
+    MAX_VALUES,
+    MIN_DRAWS,
+    MIN_SEQUENCES,
     Deviation,
-    Interval,
     effective_poses,
     holm,
-    jackknife,
-    paired_p,
+    n_draws,
     sign_flips,
+    sign_flips_of_each,
     squared_error,
 )
 from tests.benchmarks.level import BAND, Design, rejection_rates
 
 Array = np.ndarray
 Q = LEVELS.size
-
-
-# --- intervals ------------------------------------------------------------------------------------------------------
-
-
-def left_out(sums: Array, sizes: Array) -> Array:
-    """Ratio of sums with each sequence left out, one at a time."""
-    found = []
-    for s in range(len(sums)):
-        others = [t for t in range(len(sums)) if t != s]
-        found.append(sum(sums[t] for t in others) / sum(sizes[t] for t in others))
-    return np.array(found)
-
-
-@given(means=st.lists(st.floats(-50, 50), min_size=2, max_size=12), frames=st.integers(1, 9))
-def test_a_mean_over_equal_sequences_has_the_t_interval_of_their_means(means: list[float], frames: int) -> None:
-    sums, sizes = frames * np.array(means), np.full(len(means), frames)
-    found = jackknife(sums.sum() / sizes.sum(), left_out(sums, sizes))
-    error = stats.sem(means)
-    np.testing.assert_allclose(found.error, error, rtol=1e-6, atol=1e-9)
-    low, high = stats.t.interval(0.95, len(means) - 1) if error == 0 else stats.t(len(means) - 1).interval(0.95)
-    np.testing.assert_allclose(found.low, np.mean(means) + error * low, rtol=1e-6, atol=1e-6)
-    np.testing.assert_allclose(found.high, np.mean(means) + error * high, rtol=1e-6, atol=1e-6)
-
-
-def test_a_ratio_over_unequal_sequences_has_the_cluster_robust_error() -> None:
-    random = np.random.default_rng(1)
-    sizes = random.integers(3, 40, 60)
-    sums = sizes * random.normal(80, 15, 60)
-    ratio, n, S = sums.sum() / sizes.sum(), sizes.sum(), len(sizes)
-    residual = sums - ratio * sizes
-    # Leaving s out moves the ratio by -residual_s / (n - n_s), so with h = max n_s / n the jackknife's variance lies
-    # between the cluster-robust one, S/(S-1) Σ residual² / n² (its S - 1 for S here), and that over (1 - h)².
-    found = jackknife(ratio, left_out(sums, sizes)).error ** 2
-    robust = (S - 1) / S * (residual**2).sum() / n**2
-    most = (S - 1) / S * (residual**2).sum() / (n - sizes.max()) ** 2
-    centring = 1 - 1 / S  # the mean of the left-out ratios is not quite the ratio
-    assert centring * robust < found < most
-    np.testing.assert_allclose(left_out(sums, sizes), ratio - residual / (n - sizes), rtol=1e-12)
-
-
-def test_intervals_cover_the_truth_as_often_as_they_say() -> None:
-    random = np.random.default_rng(2)
-    times, S = 1000, 8
-    means = random.standard_normal((times, S))  # of sequences of equal size: the interval is Student's, and exact
-    held = 0
-    for row in means:
-        found = jackknife(row.mean(), left_out(row, np.ones(S)))
-        held += found.low <= 0 <= found.high
-    low, high = stats.binom(times, 0.95).interval(0.9999)
-    assert low <= held <= high
-
-
-@pytest.mark.parametrize(
-    ("value", "without"),
-    [(1.0, [1.0]), (1.0, []), (math.nan, [1.0, 2.0]), (1.0, [1.0, math.nan, 2.0])],
-    ids=["one sequence", "none", "no value", "not defined without one"],
-)
-def test_there_is_no_interval_of(value: float, without: list[float]) -> None:
-    found = jackknife(value, np.array(without))
-    assert found.sequences == len(without)
-    assert np.isnan([found.low, found.high, found.error]).all()
+OVER = ("median", "mean", "worst")
 
 
 # --- sign-flips against enumeration -----------------------------------------------------------------------------------
@@ -212,14 +155,63 @@ def test_with_fewer_than_six_sequences_there_is_no_p_value(S: int) -> None:
 
 def test_six_is_the_smallest_number_at_which_anything_can_be_rejected() -> None:
     # All sequences deviate alike: of the 2^(S-1) patterns only one is as extreme, the observed one.
-    found = sign_flips(np.ones((FEWEST, 1, Q)), np.ones((FEWEST, 1), int), Deviation())
-    assert found.p == 1 / 2 ** (FEWEST - 1) < 0.05 < 1 / 2 ** (FEWEST - 2)
+    found = sign_flips(np.ones((MIN_SEQUENCES, 1, Q)), np.ones((MIN_SEQUENCES, 1), int), Deviation())
+    assert found.p == 1 / 2 ** (MIN_SEQUENCES - 1) < 0.05 < 1 / 2 ** (MIN_SEQUENCES - 2)
 
 
 def test_nothing_that_counts_gives_no_number() -> None:
     found = sign_flips(np.zeros((8, 2, Q)), np.zeros((8, 2), int), Deviation())
     assert found.sequences == 0
     assert np.isnan([found.observed, found.p, found.mean, found.high, found.band]).all()
+
+
+# --- each curve by itself ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("S", [8, 30])
+@pytest.mark.parametrize("offset", [None, 0.02 * np.sin(np.arange(Q))], ids=["unbiased", "biased definition"])
+def test_curves_tested_together_have_the_p_values_that_they_have_alone(S: int, offset: Array | None) -> None:
+    D, counts = some(15, S=S, J=9)
+    D = D - 0.3 * np.sqrt(counts)[..., None] * np.sqrt(LEVELS * (1 - LEVELS))  # so that p is neither 0 nor 1
+    counts[2:4, 1] = counts[:, 2] = counts[5:, 3] = counts[6:, 4] = 0
+    D[counts == 0] = 0
+    alone = [sign_flips(D, counts, Deviation(j, j + 1), offset=offset).p for j in range(9)]
+    together = sign_flips_of_each(D, counts, offset=offset)
+    np.testing.assert_array_equal(together, alone)
+    assert np.isnan(together).tolist() == [False, False, True, True, *[False] * 5]
+    assert len(set(alone)) > 4
+
+
+def test_curves_in_chunks_have_the_same_p_values(monkeypatch: pytest.MonkeyPatch) -> None:
+    D, counts = some(16, S=25, J=11)
+    expected = sign_flips_of_each(D, counts), *(sign_flips(D, counts, Deviation(over=o)) for o in OVER)
+    monkeypatch.setattr(resampling, "CHUNK", 3 * Q * 37)
+    monkeypatch.setattr(resampling, "MAX_CURVES", 3)
+    found = sign_flips_of_each(D, counts), *(sign_flips(D, counts, Deviation(over=o)) for o in OVER)
+    np.testing.assert_array_equal(found[0], expected[0])
+    for one, other in zip(found[1:], expected[1:], strict=True):
+        np.testing.assert_allclose(astuple(one), astuple(other), rtol=1e-6)
+
+
+@pytest.mark.parametrize(("J", "draws"), [(1, 2000), (6, 500), (60, 199)])
+def test_a_mesh_has_fewer_random_patterns_and_never_too_few(
+    J: int, draws: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(resampling, "MAX_VALUES", 6 * Q * 500)
+    lean = np.random.default_rng(17).normal(1.0, 0.1, (20, 1, Q)).repeat(J, axis=1)
+    counts = np.ones((20, J))
+    for over in OVER:
+        p = sign_flips(lean, counts, Deviation(over=over)).p  # only the observed pattern is as extreme
+        assert 1 / p == pytest.approx(draws)
+    np.testing.assert_allclose(sign_flips_of_each(lean, counts), 1 / draws)
+    assert sign_flips(lean[:8], counts[:8], Deviation(over="median")).p == 1 / 2**7  # as few are flipped in every way
+
+
+def test_the_number_of_patterns_is_bounded_for_a_mesh_and_not_for_a_skeleton() -> None:
+    assert [n_draws(DRAWS, J * Q) for J in (17, 133, 700)] == [DRAWS] * 3
+    assert n_draws(DRAWS, 6890 * Q) == MIN_DRAWS + 8 == MAX_VALUES // (6890 * Q)
+    assert n_draws(DRAWS, 50_000 * Q) == MIN_DRAWS
+    assert n_draws(50, 50_000 * Q) == 50
 
 
 # --- what is kept of the level ----------------------------------------------------------------------------------------
@@ -230,6 +222,7 @@ def rates() -> dict[str, int]:
     return rejection_rates(Design(20, 100), 200, draws=500).rejected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     ["sign-flips, ECE (median over joints)", "sign-flips, mean of the joints' ECEs", "sign-flips, worst joint", BAND],
@@ -241,6 +234,7 @@ def test_a_perfect_sampler_on_correlated_frames_is_rejected_3_to_7_percent_of_th
     assert low <= rates[name] <= high
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("test", ["Kolmogorov–Smirnov", "simultaneous ECDF envelope", "χ², 20 bins"])
 def test_tests_that_believe_in_independent_frames_reject_it_80_percent_of_the_time(
     rates: dict[str, int], test: str
@@ -248,6 +242,7 @@ def test_tests_that_believe_in_independent_frames_reject_it_80_percent_of_the_ti
     assert rates[f"{test}, all joints"] >= stats.binom(200, 0.8).ppf(5e-4)
 
 
+@pytest.mark.slow
 def test_those_tests_keep_their_level_where_frames_are_independent() -> None:
     found = rejection_rates(Design(20, 20, frame_correlation=0.0, joint_correlation=0.0), 200, draws=20).rejected
     low, high = stats.binom(200, 0.05).interval(0.999)
@@ -255,6 +250,7 @@ def test_those_tests_keep_their_level_where_frames_are_independent() -> None:
         assert low <= found[f"{test}, one joint"] <= high
 
 
+@pytest.mark.slow
 def test_a_spread_that_is_a_tenth_too_narrow_is_found_more_often_with_more_sequences() -> None:
     few, many = (
         rejection_rates(Design(S, 20, spread=0.9), 60, independent=False, draws=500).rejected[
@@ -322,24 +318,6 @@ def test_one_sequence_or_none_that_counts_says_nothing_of_chance(number: object)
 
 
 # --- p-values ---------------------------------------------------------------------------------------------------------
-
-
-@given(differences=st.lists(st.floats(-9, 9).filter(lambda v: v == 0 or abs(v) > 1e-3), min_size=2, max_size=15))
-def test_a_paired_p_value_is_the_t_tests(differences: list[float]) -> None:
-    if np.std(differences) < 1e-6:
-        differences = [*differences, differences[0] + 1]
-    values = np.array(differences)
-    found = jackknife(values.mean(), left_out(values, np.ones(len(values))))
-    np.testing.assert_allclose(paired_p(found), stats.ttest_1samp(values, 0).pvalue, rtol=1e-6, atol=1e-9)
-
-
-def test_without_any_spread_a_difference_is_certain_and_no_difference_is_none() -> None:
-    assert paired_p(Interval(2.0, 2.0, 0.0, 5)) == 0.0
-    assert paired_p(Interval(0.0, 0.0, 0.0, 5)) == 1.0
-
-
-def test_one_sequence_gives_no_paired_p_value() -> None:
-    assert math.isnan(paired_p(jackknife(1.0, np.array([1.0]))))
 
 
 @given(p=st.lists(st.floats(0, 1), min_size=1, max_size=7))

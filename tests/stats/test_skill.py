@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from posecal.engine import accumulate as summation
-from posecal.engine.accumulate import accumulate
+from posecal.engine import chunks
 from posecal.engine.block import Block
 from posecal.engine.protocol import Protocol
 from posecal.errors import PoseDataError
@@ -17,6 +16,7 @@ from posecal.report.report import Report
 from posecal.stats.skill import climatology, with_reference
 from tests.helpers.random_worlds import skewed
 from tests.helpers.samplers import gaussian, pairs_of, sequences
+from tests.helpers.sums import accumulate
 
 Array = np.ndarray
 SCORES = Protocol(metrics="scores, ece")
@@ -55,12 +55,12 @@ def test_climatology_has_as_many_hypotheses_and_is_the_same_every_time() -> None
     assert climatology(pairs).names[0] == "climatology"
     assert (read(climatology(pairs, seed=1)) != read(climatology(pairs))).any()
     poses = np.array([3, 1])
-    np.testing.assert_array_equal(read(climatology(pairs).taken(poses)), read(climatology(pairs))[:, poses])
+    np.testing.assert_array_equal(read(climatology(pairs).select(poses)), read(climatology(pairs))[:, poses])
 
 
 def test_one_sequence_has_no_others_to_draw_from() -> None:
     pairs = pairs_of(*skewed(3, 2, 5, 2), labels={"sequence": ["a"] * 5})
-    with pytest.raises(PoseDataError, match=r"^truth: one sequence; climatology draws whole poses of other seq"):
+    with pytest.raises(PoseDataError, match=r"^truth: one sequence; climatology samples complete poses of other seq"):
         climatology(pairs)
 
 
@@ -137,9 +137,9 @@ def test_a_reference_on_other_poses_is_refused() -> None:
     pairs = pairs_of(x, y)
     with pytest.raises(PoseDataError, match=r"^hypotheses and hypotheses hold other frames: 15 and 20 \(first: 15\)"):
         with_reference(pairs, pairs_of(x[:, :15], y[:15]))
-    with pytest.raises(PoseDataError, match=r"are held against different true poses"):
+    with pytest.raises(PoseDataError, match=r"were evaluated against different true poses"):
         with_reference(pairs, pairs_of(x, y + 1))
-    with pytest.raises(PoseDataError, match=r"hold other joints: joint 1\. Score those in both with --joints"):
+    with pytest.raises(PoseDataError, match=r'joint 1\. Score those in both with shared_joints="common"'):
         with_reference(pairs, pairs_of(x[:, :, :1], y[:, :1]))
     with pytest.raises(PoseDataError, match=r"have other root joints: joint 1 and none; expected the same"):
         with_reference(pairs, pairs_of(x, y, root_joint="1"))
@@ -165,7 +165,7 @@ def test_a_perfect_reference_leaves_no_skill_to_have() -> None:
 def test_no_more_of_a_reference_is_read_at_once_than_fits_the_window(monkeypatch: pytest.MonkeyPatch) -> None:
     x, y = gaussian(14, 2, 40, 2)
     many = np.repeat(x, 50, axis=0)
-    monkeypatch.setattr(summation, "WINDOW_BYTES", many[:, :8].nbytes)
+    monkeypatch.setattr(chunks, "WINDOW_BYTES", many[:, :8].nbytes)
     reference, read = pairs_of(many, y), []
     source = reference.hypotheses
 
@@ -207,7 +207,7 @@ def test_climatology_draws_no_pose_that_lacks_a_joint() -> None:
         drawn = {int(np.flatnonzero((pose == y).all(axis=(1, 2)))[0]) for pose in found[:, m]}
         assert drawn == {i for i in range(8) if LABELS[i] != LABELS[m] and i not in {1, 4}}
     y[:, 0, 0] = np.nan
-    with pytest.raises(PoseDataError, match=r"^truth: too few true poses without missing joints; climatology draws"):
+    with pytest.raises(PoseDataError, match=r"^truth: too few true poses without missing joints; climatology samples"):
         climatology(pairs_of(x, y, labels={"sequence": LABELS}))
 
 
@@ -216,7 +216,7 @@ def test_a_reference_that_is_not_finite_is_refused_by_its_name() -> None:
     broken = x.copy()
     broken[1, 7, 1] = np.nan
     pairs = pairs_of(x, y)
-    reference = replace(pairs_of(broken, y), names=("other.npz", "truth"))
+    reference = pairs_of(broken, y).replace(names=("other.npz", "truth"))
     with pytest.raises(
         PoseDataError, match=r"^other\.npz has non-finite coordinates in 1 of 20 frames \(first: frame 7"
     ):

@@ -34,7 +34,7 @@ def test_hypotheses_say_their_axes_unit_joints_and_frames(tmp_path: Path, case: 
     assert stored["hypotheses"].dtype == np.float32
     assert stored["hypotheses"].shape == (5, 12, 17, 3)
     np.testing.assert_array_equal(stored["hypotheses"], hypotheses)
-    assert (stored["axes"].entry(), stored["unit"].entry()) == ("NMKD", "mm")
+    assert (stored["axes"].item(), stored["unit"].item()) == ("NMKD", "mm")
     assert tuple(stored["joints"]) == case.world.joints
     assert len(set(stored["frame_id"])) == 12
 
@@ -42,7 +42,7 @@ def test_hypotheses_say_their_axes_unit_joints_and_frames(tmp_path: Path, case: 
 def test_truth_carries_its_labels(tmp_path: Path, case: Case) -> None:
     _, truth = write_case(tmp_path, case, FAULTS["perfect"], 5)
     stored = members(tmp_path / "gt.npz")
-    assert (stored["axes"].entry(), stored["unit"].entry()) == ("MKD", "mm")
+    assert (stored["axes"].item(), stored["unit"].item()) == ("MKD", "mm")
     np.testing.assert_array_equal(stored["truth"], truth)
     np.testing.assert_allclose(truth, case.scene.truth, rtol=1e-6, atol=1e-4)
     np.testing.assert_array_equal(stored["occluded"], ~case.scene.observed)

@@ -9,10 +9,8 @@ import numpy as np
 from scipy.spatial.distance import pdist
 
 from posecal.calibration.rank_tests import RANK_TESTS
-from posecal.data.layout import MemoryArray
-from posecal.data.match import join
-from posecal.data.pose_data import StoredPoses
-from posecal.engine.accumulate import accumulate
+from posecal.data.pose_data import PoseData
+from posecal.evaluation import evaluate
 from posecal.engine.protocol import Protocol
 from posecal.errors import PoseDataError
 from posecal.report.report import Report
@@ -97,11 +95,8 @@ def evaluate_faults(
         case = Case.of(world, scene, rng, joint_correlation=correlation)
         hypotheses, truth = fault.apply(case, N)
         labels = {"sequence": np.arange(M).astype(np.str_)}
-        pairs = join(
-            StoredPoses("hypotheses", MemoryArray(hypotheses), axes="NMKD", unit="mm", joints=world.joints),
-            StoredPoses("truth", MemoryArray(truth), axes="MKD", unit="mm", joints=world.joints, labels=labels),
-        )
-        totals = accumulate(pairs, Protocol(metrics=f"{', '.join(COLUMNS)}, energy_score"))
+        pairs = PoseData(hypotheses, truth, axes="NMKD", unit="mm", joints=world.joints, labels=labels)
+        totals = evaluate(pairs, metrics=[*COLUMNS, "energy_score"]).totals
         deviations = (truth - case.posterior.mean).reshape(M, -1)  # of one law in this world, whatever the pose
         found[fault.name] = Found(Report(totals), float(pdist(deviations).mean() / 2))
     return found

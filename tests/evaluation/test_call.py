@@ -1,4 +1,4 @@
-"""Does the walk from arrays to sums visit every pose once, score what it should, and refuse what it can't?"""
+"""Evaluation in one call: every pose once, the joints that count, options, and refusals."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import numpy.typing as npt
 import pytest
 
 from posecal.data.pose_data import PoseData
-from posecal.engine import accumulate as summation
-from posecal.engine.accumulate import accumulate, walk
+from posecal.engine import chunks
 from posecal.engine.block import Block
 from posecal.engine.protocol import Protocol
 from posecal.errors import PoseDataError
@@ -18,6 +17,7 @@ from posecal.evaluation import evaluate
 from posecal.metrics import diversity, min_mpjpe, mpjpe, mpjve, radius
 from tests.helpers import oracles
 from tests.helpers.random_worlds import JOINTS, World, skewed, world
+from tests.helpers.sums import accumulate
 
 Array = npt.NDArray[np.floating]
 
@@ -142,14 +142,14 @@ def test_occluded_joints_are_scored_by_themselves(some: World) -> None:
 
 def with_label(some: World, **labels: npt.ArrayLike) -> PoseData:
     pairs = some.pairs
-    return replace(pairs, labels={**pairs.labels, **{name: np.array(v).astype(str) for name, v in labels.items()}})
+    return pairs.replace(labels={**pairs.labels, **{name: np.array(v).astype(str) for name, v in labels.items()}})
 
 
 @pytest.mark.parametrize("yes", ["yes", "1", "True", "true", "YES"])
 def test_only_the_frames_of_a_label_are_scored(some: World, yes: str) -> None:
     hard = np.arange(M) % 3 == 0
     totals = accumulate(with_label(some, hard=np.where(hard, yes, "no")), Protocol(frames="hard"))
-    expected = some.taken(np.flatnonzero(hard)).totals(Protocol())
+    expected = some.select(np.flatnonzero(hard)).totals(Protocol())
     assert totals.poses.sum() == hard.sum()
     np.testing.assert_allclose(totals.sums["errors"].sum(axis=0), expected.sums["errors"].sum(axis=0))
 
@@ -170,20 +170,13 @@ def test_a_step_over_frames_that_are_left_out_is_no_velocity(some: World) -> Non
 def test_every_pose_is_in_one_block_in_the_order_of_the_poses(
     some: World, window: int, block: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(summation, "WINDOW_BYTES", window)
-    monkeypatch.setattr("posecal.engine.blocks.BLOCK_BYTES", block)
-    blocks = [(poses, lay_out()) for poses, lay_out in walk(some.pairs)]
-    assert np.concatenate([np.arange(M)[poses] for poses, _ in blocks]).tolist() == list(range(M))
-    sequence = np.unique(some.sequence, return_inverse=True)[1]
-    whole = Block(some.x, some.y, root=some.root, sequence=sequence)
+    monkeypatch.setattr(chunks, "WINDOW_BYTES", window)
+    monkeypatch.setattr("posecal.engine.block.BLOCK_BYTES", block)
+    blocks = list(chunks.map_blocks(some.pairs, lambda block: block))
+    one = Block(some.x, some.y, root=some.root)
     for name in ("offsets", "truth"):
-        joined = np.concatenate([getattr(one, name) for _, one in blocks])
-        np.testing.assert_array_equal(joined, getattr(whole, name))
-    for end, expected in enumerate(whole.range_of_others):
-        joined = np.concatenate([one.range_of_others[end] for _, one in blocks])
-        np.testing.assert_array_equal(joined, expected)
-    scores = np.concatenate([one.scores for _, one in blocks])
-    np.testing.assert_array_equal(scores, some.scores.T)
+        np.testing.assert_array_equal(np.concatenate([getattr(part, name) for part in blocks]), getattr(one, name))
+    np.testing.assert_array_equal(np.concatenate([block.scores for block in blocks]), some.scores.T)
 
 
 def test_a_velocity_is_of_both_poses_across_windows(some: World, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -192,8 +185,8 @@ def test_a_velocity_is_of_both_poses_across_windows(some: World, monkeypatch: py
     expected = oracles.velocity_errors(
         oracles.relative(some.x, some.root), oracles.relative(some.y, some.root), where, list(some.sequence)
     )
-    monkeypatch.setattr(summation, "WINDOW_BYTES", 1)
-    totals = accumulate(replace(some.pairs, where=where), Protocol(metrics="mpjve"))
+    monkeypatch.setattr(chunks, "WINDOW_BYTES", 1)
+    totals = accumulate(some.pairs.replace(where=where), Protocol(metrics="mpjve"))
     np.testing.assert_allclose(totals.sums["mpjve"].sum(), np.nansum(expected))
     assert totals.counts["mpjve"].sum() == (~np.isnan(expected)).sum()
 
@@ -217,7 +210,7 @@ def test_a_sequence_that_comes_again_is_one_cell() -> None:
 
 @pytest.mark.parametrize("threads", [1, 3])
 def test_progress_counts_the_poses_that_are_done(some: World, threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("posecal.engine.blocks.BLOCK_BYTES", 1)
+    monkeypatch.setattr("posecal.engine.block.BLOCK_BYTES", 1)
     seen: list[int] = []
     accumulate(some.pairs, threads=threads, progress=seen.append)
     assert seen == list(range(1, M + 1))
@@ -234,12 +227,12 @@ def test_a_name_with_all_in_it_does_not_ask_for_all(some: World) -> None:
 
 
 def test_poses_are_grouped_by_their_predicted_spread(some: World) -> None:
-    totals = accumulate(some.pairs, Protocol(metrics="mpjpe"), by=["spread:2"])
+    totals = accumulate(some.pairs, Protocol(metrics="mpjpe"), by=["predicted_spread:2"])
     x, moving = oracles.relative(some.x, some.root), np.arange(len(JOINTS)) != some.root
     spread = oracles.deviations(x, 1)[:, moving].mean(axis=1)
     wide = spread >= np.median(spread)
     errors = mpjpe(some.x, some.y, root=some.root)
-    for name, cells in totals.groups("spread:2"):
+    for name, cells in totals.groups("predicted_spread:2"):
         kept = wide if name.startswith("2") else ~wide
         np.testing.assert_allclose(totals.sums["errors"][cells].sum(axis=0)[1], errors[kept].sum())
 
@@ -272,7 +265,7 @@ def test_frames_of_which_there_is_none_are_refused(some: World) -> None:
 
 def test_occluded_joints_that_nobody_marked_are_refused(some: World) -> None:
     with pytest.raises(PoseDataError, match=r"where: truth does not say which joints are occluded; expected a member"):
-        accumulate(replace(some.pairs, occluded=None), Protocol(where="occluded"))
+        accumulate(some.pairs.replace(occluded=None), Protocol(where="occluded"))
 
 
 def test_joints_that_are_not_scored_and_have_no_coordinates_take_no_part_in_the_fit(some: World) -> None:
@@ -318,7 +311,7 @@ def test_what_is_not_finite_is_passed_over_where_it_does_not_count(some: World) 
 
 @pytest.mark.parametrize("where", [np.ones((M, K)), np.ones((K, M), dtype=bool)])
 def test_a_mask_of_another_type_or_shape_is_refused(arrays: tuple[Array, Array], where: npt.ArrayLike) -> None:
-    with pytest.raises(PoseDataError, match=r"where: .*; expected bool \(M, K\) = \(12, 4\)\."):
+    with pytest.raises(PoseDataError, match=r"where: .*; expected bool \(M, K\) = \(12, 4\)"):
         evaluate(*arrays, where=where)
 
 

@@ -1,0 +1,136 @@
+"""Poses as they are stored or passed, with what is declared about them, and hypotheses read from them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from posecal.data.arrays import BoolArray, FloatArray
+from posecal.data.layout import Layout, LazyArray
+
+COMMON_LABELS = frozenset(("sequence", "subject", "action", "camera"))
+"""Names under which a file can only mean a label of every pose."""
+
+Labels = Mapping[str, npt.NDArray[np.str_]]
+Rows = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class StoredPoses:
+    """Poses as they are stored or passed, with what is declared about them.
+
+    Attributes
+    ----------
+    name : str
+        What messages call them: a file or an argument.
+    array : LazyArray
+        The coordinates, in any layout.
+    axes, unit : str or None
+        What is declared.
+    joints : tuple of str or None
+        Names of the joints.
+    frame_id : array of str (M,) or None
+        Name of each frame.
+    labels : mapping of arrays of str, (M,) or () for all
+        Other properties of each frame.
+    required_labels : set of str
+        The labels that must have a value per pose; lists of other lengths under other names are not labels.
+    marks : mapping of bool arrays (M, K)
+        ``occluded`` or ``visible``.
+    where : bool array (M, K) or None
+        The joints that count.
+    scores : array (N, M) or None
+        The model's score of each hypothesis.
+    fps : float or None
+        Frames per second.
+    """
+
+    name: str
+    array: LazyArray
+    axes: str | None = None
+    unit: str | None = None
+    joints: tuple[str, ...] | None = None
+    frame_id: npt.NDArray[np.str_] | None = None
+    labels: Labels = field(default_factory=dict)
+    required_labels: frozenset[str] = COMMON_LABELS
+    marks: Mapping[str, BoolArray] = field(default_factory=dict)
+    where: BoolArray | None = None
+    scores: FloatArray | None = None
+    fps: float | None = None
+
+    @property
+    def frame_members(self) -> dict[str, npt.NDArray[np.generic]]:
+        """What is declared about the frames, without their coordinates, as members of a file."""
+        others = {"frame_id": self.frame_id, "scores": self.scores, "fps": self.fps}
+        return {**self.labels, **self.marks, **{k: np.asarray(v) for k, v in others.items() if v is not None}}
+
+
+class Hypotheses(Protocol):
+    """N hypotheses of M poses, read some poses at a time."""
+
+    @property
+    def n_hypotheses(self) -> int:
+        """N."""
+
+    @property
+    def itemsize(self) -> int:
+        """Bytes of a stored coordinate, by which windows are measured."""
+
+    def read(self, start: int, stop: int) -> FloatArray:
+        """Read some poses, (N, stop - start, K, D) in mm."""
+
+    def select(self, poses: Rows) -> Hypotheses:
+        """Keep some poses, by their numbers."""
+
+
+@dataclass(frozen=True)
+class ArrayHypotheses:
+    """Hypotheses in an array in memory or in a file, read some poses at a time.
+
+    Attributes
+    ----------
+    array : LazyArray
+        As stored.
+    layout : Layout
+        Its axes.
+    rows, columns : arrays of int
+        The stored poses and joints that count, in the order in which they count.
+    factor : float
+        Millimetres in its unit.
+    n_hypotheses : int
+        How many are read, the first ones.
+    """
+
+    array: LazyArray
+    layout: Layout
+    rows: Rows
+    columns: Rows
+    factor: float
+    n_hypotheses: int
+
+    @property
+    def itemsize(self) -> int:
+        """Bytes of a stored coordinate."""
+        return self.array.dtype.itemsize
+
+    def select(self, poses: Rows) -> ArrayHypotheses:
+        """Keep some poses, by their numbers."""
+        return replace(self, rows=self.rows[poses])
+
+    def read(self, start: int, stop: int) -> FloatArray:
+        """Read some poses, (N, stop - start, K, D) in mm."""
+        hypotheses = self.layout.read(self.array, self.rows[start:stop])[: self.n_hypotheses]
+        if not np.array_equal(self.columns, np.arange(hypotheses.shape[2])):
+            hypotheses = hypotheses[:, :, self.columns]
+        return in_millimetres(hypotheses, self.factor)
+
+
+def in_millimetres(stored: npt.NDArray[np.generic], factor: float) -> FloatArray:
+    """Give stored coordinates as real numbers in mm; single precision stays single."""
+    single = stored.dtype.kind == "f" and stored.dtype.itemsize <= 4
+    lengths: FloatArray = stored.astype(np.float32 if single else np.float64, copy=False)
+    return lengths if factor == 1 else lengths * lengths.dtype.type(factor)

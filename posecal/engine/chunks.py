@@ -1,0 +1,151 @@
+"""Chunks of poses in memory, read from pose data some at a time and laid out as blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields
+from functools import partial
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from posecal.data.arrays import BoolArray, FloatArray
+from posecal.data.pose_data import PoseData
+from posecal.engine.block import Block, block_length
+from posecal.engine.coordinate_range import CoordinateRange
+from posecal.engine.threads import run_in_order
+
+WINDOW_BYTES = 32 * 1024 * 1024
+"""How much of the hypotheses is read at a time."""
+
+Indices = npt.NDArray[np.intp]
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Consecutive poses in memory: (N, m, K, D) or (N, m) hypotheses and scores, (m, …) all else."""
+
+    hypotheses: FloatArray
+    truth: FloatArray
+    follows: BoolArray
+    cells: Indices
+    sequence: Indices
+    where: BoolArray | None
+    usable: BoolArray | None
+    occluded: BoolArray | None
+    scores: FloatArray | None
+    reference: FloatArray | None
+
+    def __len__(self) -> int:
+        return len(self.truth)
+
+    def select(self, poses: slice | Indices) -> Chunk:
+        """Keep some poses, by a range or by their numbers."""
+        members = {name: getattr(self, name) for name in _NAMES}
+        parts: dict[str, Any] = {
+            name: values if values is None else values[:, poses] if name in _HYPOTHESES else values[poses]
+            for name, values in members.items()
+        }
+        return Chunk(**parts)
+
+    def block(
+        self,
+        start: int,
+        stop: int,
+        root: int | None,
+        limits: CoordinateRange | None = None,
+        before: Chunk | None = None,
+    ) -> Callable[[], Block]:
+        """Lay out some poses as a block, when called; ``before`` holds the pose before the first."""
+        part = self.select(slice(start, stop))
+        last = self.select(slice(start - 1, start)) if start else before
+        return partial(
+            Block,
+            part.hypotheses,
+            part.truth,
+            part.where,
+            root=root,
+            previous=None if last is None else (last.hypotheses, last.truth, last.where),
+            follows=part.follows,
+            scores=part.scores,
+            occluded=part.occluded,
+            usable=part.usable,
+            reference=part.reference,
+            limits=None if limits is None else lambda: limits,
+            sequence=part.sequence,
+        )
+
+
+_NAMES = tuple(field.name for field in fields(Chunk))
+_HYPOTHESES = ("hypotheses", "scores", "reference")
+"""The members whose second axis is poses."""
+
+
+def join_chunks(chunks: Sequence[Chunk]) -> Chunk:
+    """Put chunks one after another, laid out as one that was read at once: rounding depends on it."""
+    if len(chunks) == 1:
+        return chunks[0]
+    members = {name: [getattr(chunk, name) for chunk in chunks] for name in _NAMES}
+    joined: dict[str, Any] = {
+        name: None if parts[0] is None else np.ascontiguousarray(np.concatenate(parts, axis=int(name in _HYPOTHESES)))
+        for name, parts in members.items()
+    }
+    return Chunk(**joined)
+
+
+def read_chunks(data: PoseData, multiple: int = 1) -> Iterator[Chunk]:
+    """Read poses some at a time; each chunk but the last has a multiple of so many."""
+    _, m, k, d = data.shape
+    sources = [data.hypotheses, *([] if data.reference is None else [data.reference.hypotheses])]
+    window = WINDOW_BYTES // (k * d * max(source.n_hypotheses * source.itemsize for source in sources))
+    window = max(1, window // multiple) * multiple
+    sequence = data.labels.get("sequence", np.zeros(m, dtype=np.str_))
+    follows = np.concatenate([[False], (sequence[1:] == sequence[:-1]) & (np.diff(data.order) == 1)])
+    nothing = np.zeros(m, dtype=np.intp)
+    others = {"truth": data.truth, "where": data.where, "usable": data.usable, "occluded": data.occluded}
+    # laid out alike, whoever made them, because rounding depends on it
+    rows = {name: values if values is None else np.ascontiguousarray(values) for name, values in others.items()}
+    for start in range(0, m, window):
+        stop = min(start + window, m)
+        part: dict[str, Any] = {name: None if values is None else values[start:stop] for name, values in rows.items()}
+        yield Chunk(
+            hypotheses=data.hypotheses.read(start, stop),
+            follows=follows[start:stop],
+            cells=nothing[start:stop],
+            sequence=nothing[start:stop],
+            scores=None if data.scores is None else data.scores[:, start:stop],
+            reference=None if data.reference is None else data.reference.hypotheses.read(start, stop),
+            **part,
+        )
+
+
+def map_blocks(data: PoseData, compute: Callable[[Block], Result], threads: int | None = None) -> Iterator[Result]:
+    """Compute something of every block, in the order of the poses.
+
+    Parameters
+    ----------
+    data : PoseData
+        M poses.
+    compute : callable
+        Applied to each block, on threads.
+    threads : int, optional
+        One per core by default.
+
+    Yields
+    ------
+    object
+        What it gives for each block.
+    """
+    length = block_length(data.shape, data.hypotheses.read(0, 1).dtype)
+    tasks = (
+        partial(_apply, compute, chunk.block(start, start + length, data.root))
+        for chunk in read_chunks(data.replace(reference=None), length)
+        for start in range(0, len(chunk), length)
+    )
+    yield from run_in_order(tasks, threads)
+
+
+def _apply(compute: Callable[[Block], Result], lay_out: Callable[[], Block]) -> Result:
+    return compute(lay_out())

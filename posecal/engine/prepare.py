@@ -1,0 +1,168 @@
+"""Preparation of pose data: the poses and joints that count, and what depends on the whole set."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from posecal.data.arrays import FloatArray
+from posecal.data.pose_data import PoseData
+from posecal.engine.block import Block
+from posecal.engine.cells import SPREAD, label_name, spread_cuts, spread_labels
+from posecal.engine.chunks import map_blocks
+from posecal.engine.coordinate_range import CoordinateRange, coordinate_range
+from posecal.engine.protocol import Protocol
+from posecal.errors import PoseDataError
+
+Indices = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What depends on all poses that are evaluated together.
+
+    Attributes
+    ----------
+    limits : CoordinateRange
+        Of the true poses.
+    sequences : dict
+        The number of each sequence in it, by name; empty where each pose is its own.
+    """
+
+    limits: CoordinateRange
+    sequences: dict[str, int]
+
+
+def prepare(data: PoseData) -> Prepared:
+    """Find the range of all true poses, as metrics that depend on the whole set need it.
+
+    Parameters
+    ----------
+    data : PoseData
+        All poses.
+
+    Returns
+    -------
+    Prepared
+        For :class:`Accumulator`.
+    """
+    names, own = np.zeros(0, dtype=np.str_), np.arange(len(data.truth))
+    if "sequence" in data.labels:
+        names, own = np.unique(data.labels["sequence"], return_inverse=True)
+    limits = coordinate_range(data.truth, data.where, root=data.root, sequence=own)
+    return Prepared(limits, {str(name): number for number, name in enumerate(names)})
+
+
+def add_spread_labels(
+    data: PoseData, by: Sequence[str], spread: Callable[[Block], FloatArray], threads: int | None, *, is_all: bool
+) -> PoseData:
+    """Add the labels of entries of ``by`` that cut poses by their predicted spread.
+
+    Parameters
+    ----------
+    data : PoseData
+        Poses.
+    by : sequence of str
+        Labels by which poses will be grouped.
+    spread : callable
+        The predicted spread of the poses of a block, (B,), mm.
+    threads : int or None
+        One per core by default.
+    is_all : bool
+        Whether these are all poses, so that parts of equal size can be cut.
+
+    Returns
+    -------
+    PoseData
+        With labels.
+    """
+    entries = [entry for entry in by if SPREAD.match(entry)]
+    if not entries:
+        return data
+    values = np.concatenate(list(map_blocks(data, spread, threads)))
+    parts = {label_name(e): spread_labels(spread_cuts(e, values if is_all else None), values) for e in entries}
+    return data.replace(labels={**data.labels, **parts})
+
+
+def select_scored(data: PoseData, protocol: Protocol) -> PoseData:
+    """Keep the poses and joints that the options ``frames`` and ``where`` name.
+
+    Parameters
+    ----------
+    data : PoseData
+        Poses.
+    protocol : Protocol
+        The options.
+
+    Returns
+    -------
+    PoseData
+        With the mask of the joints that count.
+
+    Raises
+    ------
+    PoseDataError
+        Where the data lack the label or the mask, nothing is left, or the truth is not finite where it counts.
+    """
+    name = data.names[1]
+    if protocol.frames != "all":
+        values = data.labels.get(protocol.frames)
+        if values is None:
+            raise PoseDataError(
+                f"frames: {name} has no label {protocol.frames!r}; expected a yes/no member (M,) of that name."
+            )
+        chosen = np.flatnonzero(np.isin(np.char.lower(values), ("yes", "1", "true")))
+        if not chosen.size:
+            raise PoseDataError(f"frames: no pose of {name} has the label {protocol.frames}; expected some.")
+        data = data.select(chosen)
+    where, usable = data.where, None
+    if protocol.where != "all":
+        if data.occluded is None:
+            raise PoseDataError(
+                f"where: {name} does not say which joints are occluded; expected a member occluded or visible, "
+                "bool (M, K)."
+            )
+        scored = data.occluded if protocol.where == "occluded" else ~data.occluded
+        usable = np.ones_like(scored) if where is None else where
+        where = scored if where is None else scored & where
+    if where is not None and not where.any():
+        what = "counts" if protocol.where == "all" else f"is {protocol.where}"
+        raise PoseDataError(f"where: no joint of {name} {what}; expected some to score.")
+    bad = ~np.isfinite(data.truth).all(axis=2)
+    refuse_non_finite(data, name, np.argwhere(bad if where is None else bad & where))
+    return data.replace(where=where, usable=usable)
+
+
+def refuse_non_finite(data: PoseData, name: str, bad: Indices) -> None:
+    """Refuse coordinates that are not finite, at (pose, joint) pairs.
+
+    Raises
+    ------
+    PoseDataError
+        Where there are any.
+    """
+    if len(bad):
+        frames, (frame, joint) = len(np.unique(bad[:, 0])), bad[0]
+        raise PoseDataError(
+            f"{name} has non-finite coordinates in {frames:,} of {len(data.truth):,} frames (first: frame "
+            f"{data.frame_id[frame]}, joint {data.joints[joint].removeprefix('joint ')}). Mask those joints with "
+            "where, or leave those frames out."
+        )
+
+
+def refuse_non_finite_hypotheses(data: PoseData) -> None:
+    """Refuse a batch with coordinates that are not finite, before any of it is counted.
+
+    Raises
+    ------
+    PoseDataError
+        Where a joint that counts has one.
+    """
+    hypotheses = data.hypotheses.read(0, len(data.truth))
+    if np.isfinite(hypotheses.sum()):  # one fast pass; true of nearly every batch
+        return
+    bad = ~np.isfinite(hypotheses).all(axis=(0, 3))
+    refuse_non_finite(data, data.names[0], np.argwhere(bad if data.where is None else bad & data.where))

@@ -1,0 +1,7 @@
+"""Evaluation of hypotheses against the truth: in one call, in batches, and of several models."""
+
+from posecal.evaluation.batches import Evaluation
+from posecal.evaluation.call import evaluate
+from posecal.evaluation.models import compare
+
+__all__ = ["Evaluation", "compare", "evaluate"]

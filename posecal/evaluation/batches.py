@@ -1,0 +1,324 @@
+"""Evaluation in batches, as in a training loop or in several processes."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from posecal.calibration.rank_tests import NEEDS_COORDINATE_RANGE, PreRank
+from posecal.data.pose_data import PoseData
+from posecal.engine.accumulate import Accumulator
+from posecal.engine.cells import CellIndex
+from posecal.engine.merge import merge_totals
+from posecal.engine.metric import DataSpec
+from posecal.engine.prepare import (
+    Prepared,
+    add_spread_labels,
+    prepare,
+    refuse_non_finite_hypotheses,
+    select_scored,
+)
+from posecal.engine.presets import as_protocol
+from posecal.engine.protocol import Protocol
+from posecal.engine.totals import Totals
+from posecal.errors import PoseDataError, first_few, option
+from posecal.evaluation.sources import Progress, as_pose_data
+from posecal.metrics.sharpness import predicted_spread
+from posecal.registry import check_names, registered_metrics, statistics_of, wants_reference
+from posecal.report.report import Report
+
+
+class Evaluation:
+    """Evaluation in batches: the sums of all that came so far, never the hypotheses.
+
+    The numbers are those of one call of :func:`evaluate` over all batches together. Memory does not grow with the
+    number of batches, but for two numbers a pose (predicted spread and error, whose order over poses some metrics need)
+    and the frame ids, where they are given.
+
+    Parameters
+    ----------
+    joints, root_joint, unit, truth_unit, axes, truth_axes, fps, shared_joints, n_hypotheses
+        Of all batches; as for :func:`evaluate`.
+    by, metrics, preranks, protocol, threads
+        As for :func:`evaluate`.
+    prepared : Prepared, optional
+        What depends on the whole set, where a metric needs it (``tarp_box``): :func:`posecal.prepare` of pose data with
+        the true poses of all batches.
+
+    Raises
+    ------
+    PoseDataError
+        For options that can't be, and metrics that no data could have.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> random = np.random.default_rng(0)
+    >>> evaluation = Evaluation(axes="MNKD", unit="mm")
+    >>> for clip in ("walk 1", "walk 2"):
+    ...     truth = random.normal(0, 300, (64, 5, 3))
+    ...     hypotheses = truth[:, None] + random.normal(0, 50, (64, 20, 5, 3))
+    ...     evaluation.update(hypotheses, truth, sequence=clip)
+    >>> evaluation.compute().totals.poses.sum()
+    np.int64(128)
+    """
+
+    def __init__(
+        self,
+        *,
+        joints: Sequence[str] | str | None = None,
+        root_joint: str | int | None = None,
+        unit: str | None = None,
+        truth_unit: str | None = None,
+        axes: str | None = None,
+        truth_axes: str | None = None,
+        fps: float | None = None,
+        shared_joints: Literal["same", "common"] = "same",
+        n_hypotheses: int | None = None,
+        by: Sequence[str] | str = (),
+        metrics: str | Sequence[str] | None = None,
+        preranks: Mapping[str, PreRank] | None = None,
+        protocol: Protocol | str | None = None,
+        prepared: Prepared | None = None,
+        threads: int | None = None,
+    ) -> None:
+        self._options = {
+            "joints": joints,
+            "root_joint": root_joint,
+            "unit": unit,
+            "truth_unit": truth_unit,
+            "axes": axes,
+            "truth_axes": truth_axes,
+            "fps": fps,
+            "shared_joints": shared_joints,
+            "n_hypotheses": n_hypotheses,
+        }
+        self.protocol = as_protocol(protocol, metrics)
+        check_names(self.protocol, [*(preranks or {})])
+        self.by = (by,) if isinstance(by, str) else tuple(by)
+        self._preranks, self._prepared, self._threads = dict(preranks or {}), prepared, threads
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all batches."""
+        self._accumulator: Accumulator | None = None
+        self._frames: dict[str, None] = {}  # of the own batches, in their order
+        self._frames_of_others: set[str] = set()
+        self._others: list[Totals] = []
+        self._repeated = 0
+        self._batches = 0
+
+    def update(
+        self,
+        hypotheses: npt.ArrayLike,
+        truth: npt.ArrayLike,
+        /,
+        *,
+        where: npt.ArrayLike | None = None,
+        occluded: npt.ArrayLike | None = None,
+        scores: npt.ArrayLike | None = None,
+        frame_id: npt.ArrayLike | None = None,
+        **labels: npt.ArrayLike,
+    ) -> None:
+        """Add a batch of any length.
+
+        Parameters
+        ----------
+        hypotheses, truth : arrays
+            In the layout and unit that were declared once; tensors of any device.
+        where, occluded, scores
+            Of the batch, as for :func:`evaluate`.
+        frame_id : array (M,), optional
+            Names of the frames. A frame that came before is counted once: samplers for several processes repeat some.
+        **labels
+            Labels of the poses by name, such as ``sequence=``: an array (M,), or one value for the batch.
+
+        Raises
+        ------
+        PoseDataError
+            For a batch that does not fit, or not with the earlier ones. It is not counted then.
+        """
+        given = {"where": where, "occluded": occluded, "scores": scores, "labels": labels or None}
+        data = as_pose_data(hypotheses, truth, {**self._options, **given})
+        refuse_non_finite_hypotheses(data)
+        frames: list[str] = []
+        if frame_id is not None:
+            data, frames = self._new_frames(data, frame_id)
+            if not frames:
+                return
+        elif self._frames:
+            raise PoseDataError("frame_id: missing in this batch; expected one in every batch, or in none.")
+        self.add(data, hold_back=frame_id is not None)
+        self._frames |= dict.fromkeys(frames)
+
+    def _new_frames(self, data: PoseData, frame_id: npt.ArrayLike) -> tuple[PoseData, list[str]]:
+        """Drop the poses of a batch that came before, and give the names of the rest."""
+        names = np.atleast_1d(np.asarray(frame_id)).astype(np.str_)
+        if names.shape != (len(data.truth),):
+            raise PoseDataError(f"frame_id: {names.shape}; expected one name per pose, ({len(data.truth)},).")
+        if self._batches and not self._frames:
+            raise PoseDataError(
+                "frame_id: given for this batch and not for the earlier ones; expected one in every batch."
+            )
+        known = self._frames.keys() | self._frames_of_others if self._frames_of_others else self._frames
+        first = {name: row for row, name in reversed(list(enumerate(names.tolist()))) if name not in known}
+        rows = np.sort(np.array(list(first.values()), dtype=np.intp))
+        self._repeated += len(names) - len(rows)
+        return data.replace(frame_id=names).select(rows), names[rows].tolist()
+
+    def add(
+        self, data: PoseData, *, progress: Progress | None = None, hold_back: bool = False, complete: bool = False
+    ) -> None:
+        """Add pose data.
+
+        Parameters
+        ----------
+        data : PoseData
+            The next poses.
+        progress : callable, optional
+            Called with the number of poses that are done.
+        hold_back : bool
+            Whether these poses stay in memory until the next ones come, so that they can still be dropped.
+        complete : bool
+            Whether these are all poses: what depends on the whole set is then found first.
+
+        Raises
+        ------
+        PoseDataError
+            For data that don't fit, or not with the earlier ones.
+        """
+        has_mask = data.where is not None
+        if not wants_reference(self.protocol):
+            data = data.replace(reference=None)
+        data = select_scored(data, self.protocol)
+        spec = DataSpec.of(data, has_mask=has_mask, preranks=tuple(self._preranks))
+        data = add_spread_labels(data, self.by, predicted_spread, self._threads, is_all=complete)
+        if self._accumulator is None:
+            self._accumulator = self._accumulate(spec, data, complete=complete)
+        elif spec != self._accumulator.spec:
+            raise PoseDataError(
+                f"batch {self._batches + 1}: {spec.difference(self._accumulator.spec)}; expected the same in every "
+                "batch."
+            )
+        self._accumulator.add(data, progress, pending="all" if hold_back else "none" if complete else "rest")
+        self._batches += 1
+
+    def _accumulate(self, spec: DataSpec, data: PoseData, *, complete: bool) -> Accumulator:
+        own = tuple(m for m in registered_metrics() if m.headline or m.name in self.protocol.wanted)
+        statistics = statistics_of(self.protocol, spec, self.by, self._preranks, own)
+        prepared = self._prepared
+        if prepared is None and any(statistic.name in NEEDS_COORDINATE_RANGE for statistic in statistics):
+            if not complete:
+                raise PoseDataError(
+                    "metrics: tarp_box depends on all true poses, which come in batches here; expected "
+                    f"{option('prepared')} with posecal.prepare of them, or metrics without it."
+                )
+            prepared = prepare(data)
+        index = CellIndex([entry for entry in self.by if entry != "occlusion"], self.protocol.average, [*data.labels])
+        return Accumulator(
+            spec, self.protocol, statistics, index, prepared=prepared, own_metrics=own, threads=self._threads
+        )
+
+    def totals(self) -> Totals:
+        """Give the sums of all batches.
+
+        Returns
+        -------
+        Totals
+            Sums per cell.
+
+        Raises
+        ------
+        PoseDataError
+            Where no batch came.
+        """
+        parts = self._parts()
+        if not parts:
+            raise PoseDataError("evaluation: no batch so far; expected at least one update before compute.")
+        totals = parts[0] if len(parts) == 1 else merge_totals(parts)
+        if self._repeated:
+            many = f"{self._repeated:,} pose{'s' * (self._repeated != 1)}"
+            remark = f"{many} came more than once, by frame_id; each frame is counted once."
+            totals.remarks = (*totals.remarks, remark)
+        return totals
+
+    def _parts(self) -> list[Totals]:
+        """Sums of the own batches, and of those of others."""
+        own = [] if self._accumulator is None else [self._accumulator.totals()]
+        return [totals for totals in (*own, *self._others) if totals.poses.sum()]
+
+    def compute(self) -> Report:
+        """Give the report of all batches so far; more may come afterwards.
+
+        Returns
+        -------
+        Report
+            The numbers.
+
+        Raises
+        ------
+        PoseDataError
+            Where no batch came.
+        """
+        return Report(self.totals(), self.by)
+
+    def merge(self, other: Evaluation, /) -> None:
+        """Add the batches of another evaluation, such as that of another process.
+
+        Parameters
+        ----------
+        other : Evaluation
+            Made alike. Frames that both have are counted once, where they are in the last batch of one of the two:
+            there samplers for several processes put those that they repeat.
+
+        Raises
+        ------
+        PoseDataError
+            Where the two were not made alike, or hold the same frames in earlier batches.
+        """
+        if not isinstance(other, Evaluation):
+            raise PoseDataError(f"merge: {type(other).__name__}; expected an Evaluation.")
+        other = copy.copy(other)
+        frames = {*other._frames, *other._frames_of_others}
+        common = sorted(frames.intersection([*self._frames, *self._frames_of_others]))
+        kept = copy.copy(self)
+        for side in (other, kept):
+            common = side._drop_pending(common)
+        if common:
+            raise PoseDataError(
+                f"merge: {len(common):,} frames are in both ({first_few(common)}), and not in the last batch of "
+                "either; expected each frame in one process."
+            )
+        repeated, other._repeated = other._repeated, 0
+        parts = [*kept._parts(), *other._parts()]
+        if len(parts) > 1:
+            merge_totals(parts)  # refuses what does not fit before anything changes
+        self.__dict__.update(kept.__dict__)
+        self._others = [*self._others, *other._parts()]
+        self._frames_of_others = self._frames_of_others | frames
+        self._repeated += repeated
+        self._batches += other._batches
+
+    def _drop_pending(self, names: Sequence[str]) -> list[str]:
+        """Drop frames that are pending, and give those that are not."""
+        if self._accumulator is None:
+            return list(names)
+        frames = list(self._frames)
+        pending = frames[len(frames) - self._accumulator.n_pending :]
+        dropped = set(names).intersection(pending)
+        if dropped:
+            self._accumulator = copy.copy(self._accumulator)
+            self._accumulator.select_pending(np.array([name not in dropped for name in pending]))
+            self._frames = dict.fromkeys(name for name in frames if name not in dropped)
+            self._repeated += len(dropped)
+        return [name for name in names if name not in dropped]
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        if self._accumulator is not None:  # pickled without functions
+            spec, own = self._accumulator.spec, self._accumulator.own_metrics
+            self._accumulator.statistics = statistics_of(self.protocol, spec, self.by, self._preranks, own)

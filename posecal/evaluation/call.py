@@ -1,0 +1,165 @@
+"""Evaluation in one call."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+import numpy.typing as npt
+
+from posecal.calibration.rank_tests import PreRank
+from posecal.data.pose_data import PoseData
+from posecal.engine.protocol import Protocol
+from posecal.errors import PoseDataError
+from posecal.evaluation.batches import Evaluation
+from posecal.evaluation.sources import Progress, Source, as_pose_data
+from posecal.report.report import Report
+from posecal.stats.skill import climatology, with_reference
+
+
+def evaluate(
+    hypotheses: Source | PoseData,
+    truth: Source | None = None,
+    /,
+    *,
+    where: npt.ArrayLike | None = None,
+    joints: Sequence[str] | str | None = None,
+    root_joint: str | int | None = None,
+    labels: Mapping[str, npt.ArrayLike] | None = None,
+    occluded: npt.ArrayLike | None = None,
+    scores: npt.ArrayLike | None = None,
+    fps: float | None = None,
+    frame_id: npt.ArrayLike | None = None,
+    truth_frame_id: npt.ArrayLike | None = None,
+    unit: str | None = None,
+    truth_unit: str | None = None,
+    axes: str | None = None,
+    truth_axes: str | None = None,
+    missing: Literal["error", "skip"] = "error",
+    shared_joints: Literal["same", "common"] = "same",
+    n_hypotheses: int | None = None,
+    by: Sequence[str] | str = (),
+    metrics: str | Sequence[str] | None = None,
+    reference: Literal["climatology"] | Source | PoseData | None = None,
+    preranks: Mapping[str, PreRank] | None = None,
+    protocol: Protocol | str | None = None,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> Report:
+    """Evaluate hypotheses against the truth.
+
+    Parameters
+    ----------
+    hypotheses : array (N, M, K, D), path or PoseData
+        Hypotheses, in ``unit`` and in the layout ``axes``; or a file that declares them itself; or pose data, then
+        without ``truth`` and without the options that describe data.
+    truth : array (M, K, D) or path
+        True poses, likewise.
+    where : bool array (M, K), optional
+        The joints that count.
+    joints : sequence of str, optional
+        K names, or a joint set, where the data name none; they give the skeleton, the root and the joint sets.
+    root_joint : str or int, optional
+        The joint to subtract from every pose: a name, an index, or ``none``. By default the hip, or the one unnamed
+        joint whose truth is 0 throughout.
+    labels : mapping, optional
+        Labels of the poses, such as ``sequence`` or ``action``: an array (M,), or one value for all poses.
+    occluded : bool array (M, K), optional
+        The joints whose keypoints were not seen; instead of a file's.
+    scores : array (N, M), optional
+        The model's score of each hypothesis; instead of a file's.
+    fps : float, optional
+        Frames per second; instead of a file's.
+    frame_id, truth_frame_id : arrays (M,), optional
+        Names of the frames, by which hypotheses and truth are joined; one of them is for both.
+    unit, truth_unit : str, optional
+        Of data that declare none: ``mm``, ``cm``, ``m``, or the millimetres in one unit. ``unit`` is for both unless
+        ``truth_unit`` is given; millimetres by default, and refused where they can't be.
+    axes, truth_axes : str, optional
+        Layouts of data that declare none, such as ``MNKD``; ``NMKD`` and ``MKD`` by default.
+    missing : str
+        ``error``, or ``skip`` to evaluate the frames that both have.
+    shared_joints : str
+        ``same``, or ``common`` to evaluate the joints that both have.
+    n_hypotheses : int, optional
+        Take only the first so many hypotheses.
+    by : sequence of str
+        Labels to group by; one alone may be given as it is. ``occlusion`` separates occluded from visible joints,
+        ``predicted_spread`` cuts terciles of the predicted spread.
+    metrics : str or sequence of str, optional
+        Names of metrics, and the words default, rank_tests, scores and all.
+    reference : str, array, path or PoseData, optional
+        What skill scores are relative to: ``climatology``, or hypotheses of another model for the same poses.
+    preranks : mapping of callables, optional
+        Rank tests of one's own, by name: each from a pool of poses (n, K, D), the truth last, to a number of each.
+    protocol : Protocol or str, optional
+        The options, or the name of a preset.
+    threads : int, optional
+        One per core by default.
+    progress : callable, optional
+        Called with the number of poses that are done.
+
+    Returns
+    -------
+    Report
+        The numbers, with their definitions. ``print`` it.
+
+    Raises
+    ------
+    PoseDataError
+        For everything that does not fit, all at once.
+    PoseFileError
+        For files that can't be read.
+
+    See Also
+    --------
+    Evaluation : the same in batches.
+
+    Examples
+    --------
+    Two hypotheses of three poses with two joints; every truth is 3 mm from the nearer one at one joint.
+
+    >>> import numpy as np
+    >>> hypotheses = np.zeros((2, 3, 2, 3))
+    >>> hypotheses[0, :, 1], hypotheses[1, :, 1] = [3, 0, 0], [0, 5, 0]
+    >>> report = evaluate(hypotheses, np.zeros((3, 2, 3)), unit="mm")
+    >>> report["min_mpjpe"]
+    1.5
+    """
+    described = {
+        "where": where,
+        "joints": joints,
+        "root_joint": root_joint,
+        "labels": labels,
+        "occluded": occluded,
+        "scores": scores,
+        "fps": fps,
+        "frame_id": frame_id,
+        "truth_frame_id": truth_frame_id,
+        "unit": unit,
+        "truth_unit": truth_unit,
+        "axes": axes,
+        "truth_axes": truth_axes,
+        "missing": missing,
+        "shared_joints": shared_joints,
+        "n_hypotheses": n_hypotheses,
+    }
+    evaluation = Evaluation(by=by, metrics=metrics, preranks=preranks, protocol=protocol, threads=threads)
+    data = as_pose_data(hypotheses, truth, described)
+    if reference is not None:
+        data = with_reference(data, _reference(reference, data, truth, described))
+    evaluation.add(data, progress=progress, complete=True)
+    return evaluation.compute()
+
+
+def _reference(
+    reference: Source | PoseData, data: PoseData, truth: Source | None, options: Mapping[str, Any]
+) -> PoseData:
+    """Give the hypotheses that skill scores are relative to, as pose data."""
+    if isinstance(reference, PoseData):
+        return reference
+    if isinstance(reference, str) and reference == "climatology":
+        return climatology(data)
+    if truth is None:
+        raise PoseDataError('reference: expected "climatology" or PoseData where the data are PoseData.')
+    return as_pose_data(reference, truth, {**options, "scores": None})

@@ -1,0 +1,43 @@
+"""Pose data from what public functions take: two arrays, two files, or pose data."""
+
+from __future__ import annotations
+
+import inspect
+import os
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy.typing as npt
+
+from posecal.data.pose_data import PoseData
+from posecal.errors import PoseDataError
+
+Source = npt.ArrayLike | str | os.PathLike[str]
+"""An array, or the path of a file."""
+
+Progress = Callable[[int], object]
+
+_DEFAULTS = {("missing", "error"), ("shared_joints", "same")}
+
+DESCRIPTIONS = tuple(name for name in inspect.signature(PoseData).parameters if name not in {"hypotheses", "truth"})
+"""The options that describe data."""
+
+
+def as_pose_data(hypotheses: Source | PoseData, truth: Source | None, options: Mapping[str, Any]) -> PoseData:
+    """Make pose data of two arrays or files; give pose data as they are.
+
+    Raises
+    ------
+    PoseDataError
+        Where the truth is missing, or comes beside pose data.
+    """
+    given = {name: value for name, value in options.items() if value is not None}
+    given = {k: v for k, v in given.items() if (k, v if isinstance(v, str) else "") not in _DEFAULTS}
+    if isinstance(hypotheses, PoseData):
+        if truth is not None or given:
+            what = "truth" if truth is not None else next(iter(given))
+            raise PoseDataError(f"{what}: given beside PoseData, which holds it already; expected PoseData alone.")
+        return hypotheses
+    if truth is None:
+        raise PoseDataError("truth: missing; expected true poses (M, K, D) after the hypotheses, or PoseData alone.")
+    return PoseData(hypotheses, truth, **given)

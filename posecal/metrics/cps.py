@@ -1,0 +1,176 @@
+"""CPS, the correct pose score: the share of poses of which every joint is right, over all thresholds to 300 mm.
+
+With N hypotheses, one of them is taken per pose, as for PCK. The area is a closed form of the largest joint error of
+that hypothesis, and no loop over thresholds is needed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+
+import numpy as np
+import numpy.typing as npt
+
+from posecal.data.arrays import BoolArray, FloatArray, checked_choice
+from posecal.engine.block import Block, per_pose
+from posecal.engine.metric import Curve, Metric, Scope, Statistic
+from posecal.geometry.procrustes import ALIGNMENTS, Alignment
+from posecal.metrics.mpjpe import aligned_words
+from posecal.metrics.pck import SELECTED, SELECTIONS, THRESHOLDS, Score, Selection, correct_share
+from posecal.metrics.position import joint_errors, linked
+
+CPS_MOST = 300.0
+"""CPS's largest threshold, mm."""
+
+
+def cps_area(errors: FloatArray) -> FloatArray:
+    """Trapezoid over the thresholds τ = 1, 2, … 300 mm of strict :func:`correct_share`, 0 … 299 mm."""
+    first = np.floor(np.minimum(errors, CPS_MOST)) + 1  # the smallest threshold that is reached, 301 for none
+    return np.asarray(CPS_MOST + 1 - first - 0.5 * (first <= CPS_MOST) - 0.5 * (first <= 1))
+
+
+def pose_score(
+    block: Block,
+    score: Score,
+    select: Selection = "own",
+    align: Alignment = "none",
+    joints: BoolArray | None = None,
+    body: BoolArray | None = None,
+    fit: BoolArray | None = None,
+) -> FloatArray:
+    """Score the largest error among a pose's joints, of the hypothesis that ``select`` takes.
+
+    Parameters
+    ----------
+    block, score, select, align, joints, body, fit
+        As for :func:`posecal.metrics.pck.joint_score`.
+
+    Returns
+    -------
+    array (B, ...)
+        Scores; NaN for poses without a joint that counts.
+    """
+    weights, fit = block.weights(joints), body if fit is None else fit
+
+    def largest() -> FloatArray:
+        errors, counted = joint_errors(block, align, None, fit), weights > 0
+        if joints is not None:
+            errors, counted = errors[:, joints], counted[:, joints]
+        return np.asarray((errors if counted.all() else np.where(counted[..., None], errors, 0)).max(axis=1))
+
+    masks = (None if mask is None else mask.tobytes() for mask in (joints, fit))
+    worst = block.share(("largest_error", align, *masks), largest)
+    if select == "own":
+        found = score(worst.min(axis=-1))
+    elif select == "linked":
+        found = score(linked(block, worst, body))
+    else:
+        found = score(worst).mean(axis=1)
+    found = np.asarray(found, dtype=np.float64)
+    found[~weights.any(axis=1)] = np.nan
+    return found
+
+
+def cps(
+    hypotheses: npt.ArrayLike,
+    truth: npt.ArrayLike,
+    /,
+    *,
+    select: Selection = "own",
+    align: Alignment = "similarity",
+    where: npt.ArrayLike | None = None,
+    root: int | None = None,
+) -> FloatArray:
+    r"""Correct pose score of each pose: CPS.
+
+    .. math:: \max(0,\; 300 - \lfloor d^* \rfloor - \tfrac12 1[d^* < 300] - \tfrac12 1[d^* < 1]),
+              \qquad d^* = \min_n \max_k d_{nmk}
+
+    which is the trapezoid over τ = 1, 2, … 300 mm of 1[d* < τ].
+
+    Parameters
+    ----------
+    hypotheses, truth, select, where, root
+        As for :func:`posecal.metrics.pck`; Human3.6M's CPS has 16 of 17 joints, all but the spine.
+    align : str
+        See :mod:`posecal.geometry.procrustes`; Procrustes by default.
+
+    Returns
+    -------
+    array (M,)
+        Areas, 0 to 299 mm; higher is better.
+
+    Raises
+    ------
+    PoseDataError
+        For shapes, dtypes, values or names that don't fit.
+
+    Notes
+    -----
+    Procrustes fits the joints that ``where`` names. Differs from the published code: none in value; there is no
+    loop over thresholds.
+
+    See Also
+    --------
+    posecal.metrics.pck : The same question of single joints.
+
+    References
+    ----------
+    Wandt et al., arXiv:2011.14679.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> hypotheses = np.zeros((1, 1, 2, 3))
+    >>> hypotheses[0, 0, 0, 0] = 110.2
+    >>> cps(hypotheses, np.zeros((1, 2, 3)), align="none")
+    array([189.5])
+    """
+    checked_choice(select, "select", SELECTIONS)
+    checked_choice(align, "align", ALIGNMENTS)
+    return per_pose(lambda b: pose_score(b, cps_area, select, align), hypotheses, truth, where, root=root)
+
+
+# --- metrics --------------------------------------------------------------------------------------------------
+
+
+def _statistic(scope: Scope, name: str, score: Score) -> Statistic:
+    p = scope.protocol
+    joints = partial(pose_score, joints=scope.cps, body=scope.body, fit=scope.fit)
+    return Statistic(name, partial(joints, score=score, select=p.cps_best, align=p.cps_align))
+
+
+def cps_metrics(scope: Scope) -> Iterator[Metric]:
+    """CPS."""
+    p, joints, size = scope.protocol, scope.counted(scope.cps), CPS_MOST if scope.protocol.cps_unit == "share" else 1
+    yield Metric(
+        name="cps",
+        label="CPS",
+        unit="" if size > 1 else "mm",
+        direction="higher",
+        family="accuracy",
+        brief=f"area to 300 mm of: all of {joints} within τ",
+        definition=f"mean over poses of the area over τ = 1 … 300 mm of 1[each of {joints} within τ]"
+        f"{aligned_words(scope, p.cps_align, scope.cps)}, {SELECTED[p.cps_best]} at each τ"
+        + ("; over 300 mm" if size > 1 else ""),
+        statistic=_statistic(scope, "cps", cps_area),
+        finish=lambda means: means / size,
+        headline=True,
+        range="0 to 299/300" if size > 1 else "0 to 299 mm",
+        reading="190 mm means that the worst joint of the best hypothesis is about 110 mm off, after alignment.",
+        source="Wandt et al., arXiv:2011.14679",
+    )
+
+
+def cps_curve(scope: Scope) -> Curve:
+    """Share of correct poses against the threshold."""
+    p = scope.protocol
+    return Curve(
+        name="cps_curve",
+        at=THRESHOLDS,
+        axes=("threshold τ [mm]", "share of correct poses"),
+        definition=f"share of poses with each of {scope.counted(scope.cps)} within τ"
+        f"{aligned_words(scope, p.cps_align, scope.cps)}, {SELECTED[p.cps_best]} at each τ",
+        statistic=_statistic(scope, "cps_curve", lambda errors: correct_share(errors[..., None], THRESHOLDS)),
+    )

@@ -1,0 +1,162 @@
+"""A title, sentences and tables, written for terminals by rich and as Markdown and LaTeX by pandas."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from rich import box
+from rich.cells import cell_len
+from rich.console import Console
+from rich.table import Table as RichTable
+from rich.text import Text
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+GAP = 2
+"""Columns of the terminal between two columns of a table."""
+
+_SYMBOLS = {"↓": "downarrow", "↑": "uparrow", "ω": "omega", "τ": "tau", "∫": "int", "≤": "le", "√": "surd", "‖": "Vert"}
+LATEX = str.maketrans({"\u00a0": "~", "−": "$-$", **{letter: rf"$\{name}$" for letter, name in _SYMBOLS.items()}})
+"""Letters that LaTeX knows by other names."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of text.
+
+    Attributes
+    ----------
+    title : str
+        Its heading; the text for a terminal shows the first column's instead.
+    columns : tuple of (str, bool)
+        Headings, and whether a column holds numbers, which are aligned at their right and never broken over lines.
+    rows : list of tuples of str
+        Cells.
+    """
+
+    title: str
+    columns: tuple[tuple[str, bool], ...]
+    rows: list[tuple[str, ...]]
+
+    def frame(self) -> pd.DataFrame:
+        """Give the table as a pandas data frame of text."""
+        import pandas as pd
+
+        return pd.DataFrame(self.rows, columns=[heading for heading, _ in self.columns], dtype=str)
+
+    def parts(self, width: int) -> list[RichTable]:
+        """Lay the table out for a terminal: where its numbers don't fit, as several with the same first column."""
+        narrowest, widest = [], 0
+        for (heading, is_number), *cells in zip(self.columns, *self.rows, strict=True):
+            words = [*heading.split(), *(cells if is_number else (word for cell in cells for word in cell.split()))]
+            narrowest.append(max(map(cell_len, words), default=0))
+            widest += GAP + max(map(cell_len, (heading, *cells)))
+        parts: list[list[int]] = [[0]]
+        for column in range(1, len(self.columns)):
+            if len(parts[-1]) > 1 and sum(narrowest[c] + GAP for c in parts[-1]) + narrowest[column] > width:
+                parts.append([0])
+            parts[-1].append(column)
+        return [self._laid_out(part, narrowest if widest > width + GAP else None) for part in parts]
+
+    def _laid_out(self, part: list[int], widths: list[int] | None) -> RichTable:
+        table = RichTable(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, collapse_padding=True)
+        for column in part:
+            heading, is_number = self.columns[column]
+            table.add_column(
+                Text(heading),
+                justify="right" if is_number else "left",
+                width=widths[column] if widths and is_number else None,
+                overflow="fold",
+            )
+        for row in self.rows:
+            table.add_row(*(Text(row[column]) for column in part))
+        return table
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """What is shown at once.
+
+    Attributes
+    ----------
+    title : str
+        One line.
+    sentences, remarks : lists of str
+        Before the tables.
+    tables : list of Table
+        The numbers.
+    definitions : list of (str, str)
+        Terms and what they mean.
+    footer : str
+        A line that is never broken, such as a signature.
+    """
+
+    title: str
+    sentences: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+    tables: list[Table] = field(default_factory=list)
+    definitions: list[tuple[str, str]] = field(default_factory=list)
+    footer: str = ""
+
+    @property
+    def words(self) -> list[str]:
+        """The sentences, and the remarks as notes."""
+        return [*self.sentences, *(f"note: {remark}" for remark in self.remarks)]
+
+    def text(self, width: int = 120, *, colour: bool = False) -> str:
+        """Write the sheet for a terminal.
+
+        Parameters
+        ----------
+        width : int
+            Columns of the terminal.
+        colour : bool
+            Whether to use its colours.
+
+        Returns
+        -------
+        str
+            The text, without a final line break.
+        """
+        out = io.StringIO()
+        console = Console(file=out, width=width, force_terminal=colour, no_color=not colour, highlight=False)
+        console.print(Text(self.title, style="bold"), *map(Text, self.words), sep="\n")
+        for part in (part for table in self.tables for part in table.parts(width)):
+            console.print("", part, sep="\n")
+        if self.definitions:
+            console.print("", *(Text.assemble((term, "bold"), ": ", text) for term, text in self.definitions), sep="\n")
+        if self.footer:
+            console.print()
+            console.print(Text(self.footer, style="dim"), soft_wrap=True)
+        return "\n".join(line.rstrip() for line in out.getvalue().splitlines())
+
+    def markdown(self) -> str:
+        """Write the sheet as Markdown, without a final line break."""
+        blocks = [_escape(self.title), *map(_escape, self.words)]
+        for table in self.tables:
+            frame = table.frame().map(_escape).rename(columns=_escape)
+            align = ["right" if is_number else "left" for _, is_number in table.columns]
+            blocks += [f"### {_escape(table.title)}"]
+            blocks += [frame.to_markdown(index=False, disable_numparse=True, colalign=align)]
+        if self.definitions:
+            terms = [f"- **{_escape(term)}**: {_escape(meaning)}" for term, meaning in self.definitions]
+            blocks += ["### Definitions", "\n".join(terms)]
+        return "\n\n".join([*blocks, f"`{self.footer}`"] if self.footer else blocks)
+
+    def latex(self) -> str:
+        """Write the tables as LaTeX tabulars (packages booktabs and array), all else as comments."""
+        lines = [f"% {text}" for text in (self.title, *self.words)]
+        for table in self.tables:
+            columns = "".join("r" if is_number else "l" for _, is_number in table.columns)
+            tabular = table.frame().to_latex(index=False, escape=True, column_format=columns)
+            lines += ["", f"% {table.title}", tabular.translate(LATEX).rstrip("\n")]
+        lines += ["", *(f"% {term}: {meaning}" for term, meaning in self.definitions), f"% {self.footer}"]
+        return "\n".join(line if not line.startswith("% ") else line.replace("\n", " ") for line in lines)
+
+
+def _escape(text: str) -> str:
+    """Write text as Markdown that is no markup and stays in its cell."""
+    return text.replace("\\", "\\\\").replace("|", "\\|").replace("<", "&lt;").replace("\n", " ")

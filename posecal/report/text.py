@@ -1,0 +1,275 @@
+"""What stands on the sheet of a report, a comparison, a recalibration and the list of presets."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from typing import TYPE_CHECKING
+
+from posecal.engine.metric import Metric
+from posecal.engine.presets import PRESETS
+from posecal.engine.protocol import Protocol
+from posecal.errors import for_python
+from posecal.report.format import MISSING, counted, number, p_value, short_number, span
+from posecal.report.sheet import Sheet, Table
+from posecal.report.summary import remarks
+
+if TYPE_CHECKING:
+    from posecal.report.report import Report
+    from posecal.stats.comparison import Comparison
+
+Words = Callable[[str], str]
+
+FAMILIES = {
+    ("accuracy", False): "Accuracy",
+    ("calibration", True): "Calibration error",
+    ("calibration", False): "Calibration",
+    ("rank_tests", True): "Rank test",
+    ("scores", False): "Proper score",
+    ("sharpness", False): "Sharpness",
+}
+"""Titles of tables, by family and whether its metrics are tested against a calibrated sampler."""
+
+ARROWS = {"lower": "↓", "higher": "↑", "zero": "0", "none": ""}
+
+
+def report_sheet(
+    report: Report, *, joints: bool = False, definitions: bool = False, words: Words = for_python
+) -> Sheet:
+    """Lay out a report: by default one screen of what its numbers say and the headline metrics.
+
+    Parameters
+    ----------
+    report : Report
+        The numbers; only those that are shown are computed.
+    joints, definitions, words
+        As for :meth:`posecal.Report.render`.
+
+    Returns
+    -------
+    Sheet
+        To be written as text, Markdown, LaTeX or HTML.
+    """
+    shown = report.headline_metrics.values()
+    tables = []
+    for (family, tested), title in FAMILIES.items():
+        metrics = [m for m in shown if m.family == family and (m.deviation is not None) == tested]
+        if metrics:
+            tables.append((_tests if tested else _values)(report, title, metrics))
+    tables += [_by_label(report, label) for label in report.by]
+    return Sheet(
+        title=report_title(report),
+        sentences=list(report.summary),
+        remarks=list(remarks(report, words)),
+        tables=[*tables, _by_joint(report)] if joints else tables,
+        definitions=[(metric.label, metric.definition) for metric in shown] if definitions else [],
+        footer=f"signature: {report.signature}",
+    )
+
+
+def report_title(report: Report) -> str:
+    """Write in one line what was measured."""
+    totals = report.totals
+    spec, poses = totals.spec, int(totals.poses.sum())
+    of = f" in {totals.units()}" if totals.has_sequences else ""
+    origin = "as given" if spec.root is None else f"relative to {spec.joints[spec.root]}"
+    where = "" if totals.protocol.where == "all" else f", {totals.protocol.where} joints only"
+    return (
+        f"posecal {totals.version} · N = {counted(spec.n_hypotheses, 'hypothesis', 'hypotheses')} · "
+        f"M = {counted(poses, 'pose')}{of} · K = {counted(len(spec.joints), 'joint')}, {origin}{where}"
+    )
+
+
+def short_title(report: Report) -> str:
+    """Write in one line the size of the data and the three numbers that a model is known by."""
+    totals, names = report.totals, [name for name in ("min_mpjpe", "ece", "signed_area") if name in report.metrics]
+    shown = {name: report.metrics[name] for name in names or [*report.headline_metrics][:3]}
+    numbers = ", ".join(f"{m.label} {short_number(report[n], m.unit)} {m.unit}".rstrip() for n, m in shown.items())
+    sizes = f"N={totals.spec.n_hypotheses}, M={int(totals.poses.sum()):,}, K={len(totals.spec.joints)}"
+    return f"<posecal Report: {sizes}, {totals.units()}: {numbers}>"
+
+
+def _values(report: Report, title: str, metrics: list[Metric]) -> Table:
+    columns = ((title, False), ("value", True), ("95 % interval", True), ("", False), ("what it is", False))
+    rows = []
+    for metric in metrics:
+        interval = span(*report.interval(metric.name), metric.unit)
+        value = number(report[metric.name], metric.unit)
+        rows.append((metric.label, value, interval, ARROWS[metric.direction], metric.brief))
+    return Table(title, columns, [*rows])
+
+
+def _tests(report: Report, title: str, metrics: list[Metric]) -> Table:
+    """Lay out errors with those of a calibrated sampler and p-values, of rank tests the adjusted ones."""
+    adjusted = {name: p for name, (_, p) in report.rank_tests().items()}
+    p_heading = "adjusted p" if metrics[0].name in adjusted else "p"
+    numbers = ("value", "null mean", "null 95 %", p_heading)
+    columns = ((title, False), *((heading, True) for heading in numbers), ("", False), ("what it is", False))
+    rows = []
+    for metric in metrics:
+        test, brief = report.test(metric.name), metric.brief
+        p = adjusted.get(metric.name, test.p)
+        null = (MISSING, MISSING, "no test")
+        if not math.isnan(p):
+            null = (short_number(test.mean), short_number(test.high), p_value(p).removeprefix("p ").removeprefix("= "))
+        if f"{metric.name}_floor" in report.auxiliary:
+            brief += f"; {report[f'{metric.name}_floor']:.4f} if frames were independent"
+        rows.append((metric.label, number(report[metric.name]), *null, ARROWS[metric.direction], brief))
+    return Table(title, columns, [*rows])
+
+
+def _by_label(report: Report, label: str) -> Table:
+    groups = [group for group in report.groups if (group or "").startswith(f"{label}=")]
+    metrics = {n: m for n, m in report.metrics_in(groups[0]).items() if m.in_group_table}
+    columns = ((label, False), ("poses", True), *((metric.label, True) for metric in metrics.values()))
+    rows = []
+    for group in groups:
+        poses = max((report.count(name, group) for name in metrics), default=0)
+        values = (short_number(report.value(name, group), metric.unit) for name, metric in metrics.items())
+        rows.append((str(group).partition("=")[2], f"{poses:,}", *values))
+    return Table(f"By {label}", columns, [*rows])
+
+
+def _by_joint(report: Report) -> Table:
+    metrics = {name: metric for name, metric in report.metrics.items() if metric.in_joint_table}
+    columns = (("joint", False), *((metric.label, True) for metric in metrics.values()))
+    rows = [
+        (joint, *(short_number(report.value(name, joint=joint), metric.unit) for name, metric in metrics.items()))
+        for joint in report.totals.spec.joints
+    ]
+    return Table("By joint", columns, [*rows])
+
+
+def comparison_sheet(comparison: Comparison) -> Sheet:
+    """Lay out a comparison: two models with their differences, or more with their ranks."""
+    names, first = comparison.names, comparison.totals[0]
+    metrics = {n: m for n, m in comparison.metrics.items() if m.headline or m.family in {"scores", "rank_tests"}}
+    rows = [_compared(comparison, metric) for metric in metrics.values()]
+    ranks = "" if len(names) == 2 else " (rank)"
+    columns = (("metric", False), *((f"{name}{ranks}", True) for name in names))
+    if not ranks:
+        columns += (("difference", True), ("95 % interval", True), ("p", True), ("better", False))
+    return Sheet(
+        f"{' against '.join(names)} · the same M = {first.poses.sum():,} poses, paired by {first.units()}",
+        sentences=_comparison_sentences(comparison),
+        tables=[Table("Comparison", columns, rows)],
+        footer=f"signature: {first.signature}",
+    )
+
+
+def _compared(comparison: Comparison, metric: Metric) -> tuple[str, ...]:
+    values = [number(comparison.value(metric.name, model), metric.unit) for model in comparison.names]
+    if len(values) > 2:
+        if metric.direction != "none":
+            ranks = (comparison.rank(metric.name, model) for model in comparison.names)
+            values = [f"{value} ({rank})" for value, rank in zip(values, ranks, strict=True)]
+        return metric.label, *values
+    difference = next(d for d in comparison.differences if d.metric == metric.name)
+    digits = 2 if metric.unit else 4
+    low, high, p = difference.low, difference.high, difference.p
+    interval = "" if math.isnan(low) else f"{low:+.{digits}f} to {high:+.{digits}f}"
+    p_text = "" if math.isnan(p) else p_value(p).removeprefix("p ").removeprefix("= ")
+    return metric.label, *values, f"{difference.value:+.{digits}f}", interval, p_text, difference.better or ""
+
+
+def _comparison_sentences(comparison: Comparison) -> list[str]:
+    """Name the best model by accuracy, calibration and score, and the models that are not miscalibrated."""
+    sentences = []
+    for name in ("min_mpjpe", "ece", "energy_score"):
+        if name in comparison.metrics:
+            ranks = {model: comparison.rank(name, model) for model in comparison.names}
+            first = [model for model, rank in ranks.items() if rank == 1]
+            best = f"{first[0]} is" if len(first) == 1 else "none is"
+            sentences.append(f"{comparison.metrics[name].label}: {best} best beyond chance.")
+    if "ece" in comparison.metrics and not math.isnan(comparison.feasible()):
+        models = ", ".join(comparison.calibrated()) or "none"
+        sentences.append(f"Not miscalibrated beyond chance: {models}.")
+    return sentences
+
+
+def presets_sheet() -> Sheet:
+    """Lay out the published protocols with every option that they set, then all options."""
+    presets: list[tuple[str, ...]] = [
+        (preset.name, preset.source, "\n".join(f"{k} = {v}" for k, v in preset.options.items()), preset.note)
+        for preset in PRESETS.values()
+    ]
+    options: list[tuple[str, ...]] = []
+    for option in fields(Protocol):
+        about = option.metadata
+        values = " | ".join(about["choices"]) if "choices" in about else about["form"]
+        options.append((option.name, str(option.default), values, about["about"]))
+    headings = ("preset", "follows", "sets", "note"), ("option", "default", "values", "what it says")
+    columns = [tuple((heading, False) for heading in row) for row in headings]
+    return Sheet(
+        "Published protocols, each with the options that it sets, and all options",
+        tables=[Table("Presets", columns[0], presets), Table("Options", columns[1], options)],
+    )
+
+
+def spread_sheet(factors: Mapping[str, float], poses: int, judged: tuple[Report, Report, int] | None = None) -> Sheet:
+    """Lay out fitted spread factors, and what they do to held-out sequences.
+
+    Parameters
+    ----------
+    factors : mapping of float
+        The factor of each joint; 1 for joints that are not changed.
+    poses : int
+        The number of poses that they were fitted on.
+    judged : tuple of two Report and int, optional
+        Of held-out sequences: before, after, and the number of parts.
+    """
+    moving = {joint: factor for joint, factor in factors.items() if factor != 1}
+    sentences, tables = [], []
+    if len({round(factor, 9) for factor in moving.values()}) == 1:
+        factor = next(iter(moving.values()))
+        sentences.append(f"Spread factor {factor:.4f} for all joints, fitted on {counted(poses, 'pose')}.")
+    else:
+        sentences.append(f"A spread factor for each of {len(moving)} joints, fitted on {counted(poses, 'pose')}.")
+        rows: list[tuple[str, ...]] = [(joint, f"{factor:.4f}") for joint, factor in moving.items()]
+        tables.append(Table("Factors", (("joint", False), ("factor", True)), rows))
+    if judged is None:
+        sentences.append("Not judged: --split says what it does to sequences that it was not fitted on.")
+    else:
+        before, after, parts = judged
+        names = ("ece", "signed_area", "coverage_50", "coverage_90", "radius_50", "min_mpjpe", "mpjpe")
+        metrics = [before.metrics[name] for name in names]
+        rows = [(m.label, *(number(report[m.name], m.unit) for report in (before, after))) for m in metrics]
+        columns = ((f"held out, {parts} parts", False), ("before", True), ("after", True))
+        tables.append(Table("Held-out sequences", columns, rows))
+        cost = after["min_mpjpe"] - before["min_mpjpe"]
+        if cost > 0:
+            sentences.append(f"It costs {cost:.1f} mm of minMPJPE, which rewards a spread that is too narrow.")
+    return Sheet("Recalibrated spread", sentences, tables=tables)
+
+
+def radius_sheet(
+    radii: Mapping[str, float], poses: int, alpha: float, unit: str, coverage: Mapping[str, float] | None = None
+) -> Sheet:
+    """Lay out fitted radii, and the share of held-out truths within them.
+
+    Parameters
+    ----------
+    radii : mapping of float
+        The radius of each joint; NaN for joints without.
+    poses : int
+        The number of poses that they were fitted on.
+    alpha : float
+        The share of truths outside.
+    unit : str
+        ``mm``, or ``standard deviations``.
+    coverage : mapping of float, optional
+        Of held-out sequences: the share of truths within, by joint.
+    """
+    known = {joint: radius for joint, radius in radii.items() if not math.isnan(radius)}
+    sentences = [f"Radii about the median that hold {1 - alpha:.0%} of the truths of {poses:,} poses."]
+    columns: tuple[tuple[str, bool], ...] = (("joint", False), (f"radius, {unit}", True))
+    rows: list[tuple[str, ...]] = [(joint, f"{radius:.2f}") for joint, radius in known.items()]
+    if coverage is None:
+        sentences.append(
+            "Not judged: --split says how many truths they hold in sequences that they were not fitted on."
+        )
+    else:
+        columns += (("held-out coverage", True),)
+        rows = [(*row, f"{coverage[row[0]]:.3f}") for row in rows]
+    return Sheet("Conformal radii", sentences, tables=[Table("Radii", columns, rows)])

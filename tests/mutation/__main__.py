@@ -1,0 +1,147 @@
+"""Run the tests against mutants: ``python -m tests.mutation --help``."""
+
+# ruff: noqa: T201
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import re
+import shlex
+import sys
+import tempfile
+import tomllib
+from collections import Counter
+from pathlib import Path
+
+from tests import mutation
+from tests.mutation.mutants import Mutant, mutants_of
+from tests.mutation.runner import BaselineError, Outcome, Runner
+
+ALSO = {
+    "posecal/calibration/": ("test_definitions.py", "test_laws.py"),
+    "posecal/engine/": ("test_definitions.py", "test_laws.py"),
+    "posecal/geometry/": ("test_definitions.py", "test_laws.py"),
+    "posecal/metrics/": ("test_definitions.py", "test_laws.py"),
+}
+"""Test files, wherever they lie, that check every module of a folder, beside each module's own."""
+
+
+def find_tests(path: str, root: Path) -> list[str]:
+    """Test files of a module, with those of :data:`ALSO`.
+
+    The one that mirrors its path; without it those of its name; without them those that import it.
+    """
+    module = Path(path)
+    package, stem = module.parent, module.stem
+    if stem == "__init__":
+        package, stem = package.parent, package.name
+    mirror = Path("tests", *package.parts[1:], f"test_{stem}.py")
+    found = [mirror] if (root / mirror).exists() else _named(f"test_{stem}.py", root)
+    found = found or _importing(".".join(package.parts), stem, root)
+    for folder, names in ALSO.items():
+        found += [test for name in names if path.startswith(folder) for test in _named(name, root)]
+    if not found:
+        raise SystemExit(f"{path}: no test file of its name or that imports it; expected one. Name some with --tests.")
+    return [str(test) for test in dict.fromkeys(found)]
+
+
+def _importing(package: str, name: str, root: Path) -> list[Path]:
+    whole = rf"\b{re.escape(f'{package}.{name}'.lstrip('.'))}\b(?!\.\w+ import)"
+    pattern = re.compile(rf"{whole}|from {re.escape(package)} import [^\n]*\b{name}\b" if package else whole)
+    return [test for test in _named("test_*.py", root) if pattern.search((root / test).read_text(encoding="utf-8"))]
+
+
+def _named(name: str, root: Path) -> list[Path]:
+    return sorted(test.relative_to(root) for test in (root / "tests").rglob(name))
+
+
+def survivors(file: Path) -> dict[tuple[str, str, str, str], str]:
+    """Accepted survivors and the reason of each."""
+    entries = tomllib.loads(file.read_text(encoding="utf-8")).get("survivor", []) if file.exists() else []
+    return {(entry["file"], entry["within"], entry["line"], entry["change"]): entry["reason"] for entry in entries}
+
+
+def options() -> argparse.Namespace:
+    """What the command line says."""
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.mutation",
+        description=mutation.__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("modules", nargs="+", type=Path, help="files or folders, relative to the root")
+    parser.add_argument("--sample", type=int, metavar="N", help="at most N mutants of each module, drawn at random")
+    parser.add_argument("--seed", type=int, default=0, help="of the draw (default 0)")
+    parser.add_argument("--tests", type=shlex.split, help="test files or folders, instead of those of the modules")
+    parser.add_argument("--strings", action="store_true", help="change texts too")
+    parser.add_argument("--jobs", type=int, default=1, help="mutants at a time (default 1)")
+    parser.add_argument("--limit", type=float, help="seconds per mutant (default 3 runs without a fault, and 10 s)")
+    parser.add_argument("--least", type=float, default=90, help="share that must be killed, in %% (default 90)")
+    parser.add_argument("--report", type=Path, metavar="FILE.json", help="write every mutant and its outcome")
+    parser.add_argument("--list", action="store_true", help="print the mutants and run nothing")
+    parser.add_argument("--root", type=Path, default=Path(), help="of the tree (default: the current folder)")
+    parser.add_argument("--survivors", type=Path, default=Path(__file__).with_name("survivors.toml"))
+    return parser.parse_args()
+
+
+def drawn(mutants: list[Mutant], most: int | None, seed: int) -> list[Mutant]:
+    """Some of the mutants, in their order."""
+    if most is None or most >= len(mutants):
+        return mutants
+    return [mutants[index] for index in sorted(random.Random(seed).sample(range(len(mutants)), most))]
+
+
+def described(mutant: Mutant) -> str:
+    """One line for a mutant."""
+    return f"{mutant.path}:{mutant.line} {mutant.within}: {mutant.change}"
+
+
+def main() -> int:
+    """Run the tests against the mutants of the modules; the exit status is 1 where too few were killed."""
+    said = options()
+    os.environ |= {"OMP_NUM_THREADS": "1", "MPLBACKEND": "Agg"}
+    root, accepted = said.root.resolve(), survivors(said.survivors)
+    folders = [root / path for path in said.modules]
+    files = [file for path in folders for file in (sorted(path.rglob("*.py")) if path.is_dir() else [path])]
+    outcomes: list[tuple[Mutant, Outcome]] = []
+    with tempfile.TemporaryDirectory(prefix="mutation-") as folder:
+        runner = Runner(root, Path(folder).resolve())
+        plan: list[tuple[str, list[Mutant], list[str]]] = []
+        for path in [file.relative_to(root).as_posix() for file in files]:
+            source = (runner.tree(0) / path).read_text(encoding="utf-8")
+            mutants = drawn(list(mutants_of(path, source, said.strings)), said.sample, said.seed)
+            outcomes += [(mutant, Outcome("accepted")) for mutant in mutants if mutant.key in accepted]
+            mutants = [mutant for mutant in mutants if mutant.key not in accepted]
+            if said.list:
+                print(*map(described, mutants), sep="\n")
+            elif mutants:
+                doctests = [path] if ">>>" in source else []
+                plan.append((path, mutants, said.tests or [*find_tests(path, root), *doctests]))
+        for path, mutants, tests in plan:
+            try:
+                seconds = runner.baseline(tests)
+            except BaselineError as error:
+                print(f"{path}: {error}", file=sys.stderr)
+                return 2
+            print(f"{path}: {len(mutants)} mutants, {seconds:.1f} s without a fault: {' '.join(tests)}", flush=True)
+            for mutant, outcome in runner.judge(mutants, tests, said.limit or 3 * seconds + 10, said.jobs):
+                outcomes.append((mutant, outcome))
+                if outcome.result == "survived":
+                    print(f"SURVIVED {described(mutant)}\n         {mutant.text}", flush=True)
+    if said.list:
+        return 0
+    counts = Counter(outcome.result for _, outcome in outcomes)
+    killed, judged = counts["killed"] + counts["timeout"], len(outcomes) - counts["accepted"]
+    share = 100 * killed / judged if judged else 100.0
+    if said.report:
+        rows = [{**mutant._asdict(), **outcome._asdict()} for mutant, outcome in outcomes]
+        rows = [{name: value for name, value in row.items() if name != "source"} for row in rows]
+        said.report.write_text(json.dumps({"killed": share, "mutants": rows}, indent=1), encoding="utf-8")
+    words = ", ".join(f"{counts[word]} {word}" for word in ("killed", "timeout", "survived", "accepted"))
+    print(f"{words} - {share:.1f} % killed")
+    return int(share < said.least)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
