@@ -18,3 +18,8 @@ autosummary_generate = True
 autodoc_typehints = "none"
 numpydoc_show_class_members = False
 suppress_warnings = ["myst.xref_missing"]
+nitpick_ignore_regex = [  # docstrings may name what is not public; it has no page to link to
+    ("py:mod", r"posecal\..+"),
+    ("py:.*", r"posecal\.(calibration|data|engine|evaluation|geometry|metrics|plot|report|stats)\.[a-z_]+\..+"),
+    ("py:.*", r"posecal\.errors\..+"),
+]

@@ -283,11 +283,11 @@ def _summary_of(reports: Mapping[str, Report]) -> Sheet:
         values = ((report[metric], some[metric].unit) for metric in names)
         rows.append((name, *(f"{value:.1f} {unit}" if unit else f"{value:.3f}" for value, unit in values)))
     best = min(reports, key=lambda name: reports[name]["min_mpjpe"])
-    columns = (("sampler", False), *((some[metric].label, True) for metric in names))
+    headings = ("sampler", *(some[metric].label for metric in names))
     return Sheet(
         "That was the calibrated sampler. All three, and what posecal says of them",
         sentences=[f"{name}: {report.summary[0]}" for name, report in reports.items()],
-        tables=[Table("Samplers", columns, [*rows])],
+        tables=[Table("Samplers", headings, rows)],
         definitions=[
             (
                 "Notice",

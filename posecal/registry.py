@@ -9,8 +9,9 @@ from functools import cache
 from posecal.calibration.error import calibration_metrics
 from posecal.calibration.rank_tests import PreRank, rank_test_metrics
 from posecal.data.skeleton import JOINT_SETS
-from posecal.engine.metric import SUM_OF_TRUE_POSES, Curve, DataSpec, Metric, Scope, Statistic
+from posecal.engine.metric import SUM_OF_TRUE_POSES, Curve, Metric, Statistic
 from posecal.engine.protocol import Protocol
+from posecal.engine.scope import DataSpec, Scope
 from posecal.errors import PoseDataError, did_you_mean, raise_all
 from posecal.metrics.best_of import ROUND_SIZES, subset_curve, subset_metrics
 from posecal.metrics.brier import brier_metrics

@@ -1,4 +1,4 @@
-"""Does every registered number obey the laws that it must, whatever it is?
+"""Laws that every registered number obeys, whatever it is.
 
 A law changes a world in a way that must not change the numbers, or must change them in a known way. It holds for
 every metric that the registry knows, so that a new one is tested on the day it is registered; the few that a law
@@ -376,6 +376,7 @@ def test_arrays_stay_as_they_were(protocol: str) -> None:
     assert [array.tobytes() for array in arrays] == before
 
 
+@pytest.mark.slow
 @given(
     protocol=st.sampled_from(list(PROTOCOLS)),
     N=st.integers(3, 6),

@@ -11,8 +11,9 @@ import pytest
 
 from posecal.data.skeleton import JOINT_SETS
 from posecal.engine.block import Block
-from posecal.engine.metric import DataSpec, Metric, Statistic
+from posecal.engine.metric import Metric, Statistic
 from posecal.engine.protocol import Protocol
+from posecal.engine.scope import DataSpec
 from posecal.errors import PoseDataError
 from posecal.registry import curves_of, known_metrics, metrics_of, occlusion_metrics_of
 

@@ -20,8 +20,9 @@ from posecal.calibration.curve import (
 from posecal.calibration.expected import expected_curve
 from posecal.calibration.ranks import DEFINITIONS, LEVELS, Definition
 from posecal.data.arrays import FloatArray, checked_choice
-from posecal.engine.metric import Deviation, Metric, Scope, Statistic, per_joint
+from posecal.engine.metric import Deviation, Metric, Statistic, per_joint
 from posecal.engine.protocol import OverJoints
+from posecal.engine.scope import Scope
 
 
 def ece(

@@ -71,6 +71,10 @@ def expected_curve(n_hypotheses: int, definition: Definition = "exchangeable") -
     ``paper`` and ``reference`` are read from a table for isotropic Gaussians in three dimensions, made by
     ``python -m toy rank-law`` in a checkout and interpolated in 1/N. Differs from the published code: none.
 
+    See Also
+    --------
+    perfect_sampler : Its ECE at finite M.
+
     Examples
     --------
     >>> expected_curve(7)[10].item()
@@ -150,7 +154,7 @@ def perfect_sampler(
 
     See Also
     --------
-    expected_curve : Its calibration curve for M → ∞.
+    posecal.calibration.expected_curve : Its calibration curve for M → ∞.
     posecal.ece : The ECE of hypotheses.
 
     Examples

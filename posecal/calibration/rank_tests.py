@@ -30,7 +30,8 @@ from posecal.calibration.curve import joint_ece
 from posecal.calibration.ranks import rank_weights, shared_ranks
 from posecal.data.arrays import BoolArray, FloatArray, squared_norms
 from posecal.engine.block import Block
-from posecal.engine.metric import Deviation, Metric, Scope, Statistic, mean_over_joints
+from posecal.engine.metric import Deviation, Metric, Statistic, mean_over_joints
+from posecal.engine.scope import Scope
 from posecal.errors import PoseDataError
 
 PreRank = Callable[[FloatArray], npt.ArrayLike]
@@ -118,13 +119,13 @@ def band_depth(pool: Pool) -> FloatArray:
 def pair_distance(pool: Pool) -> FloatArray:
     """Sum over joint pairs of (√distance - its mean in the pool)², (B, N + 1): a pooled variogram score."""
     poses = pool.points + pool.truth[..., None]
-    found = np.zeros((len(poses), poses.shape[-1]))
+    total = np.zeros((len(poses), poses.shape[-1]))
     for joint in range(1, poses.shape[1]):
         distances = squared_norms(poses[:, :joint] - poses[:, joint, None]) ** 0.25
         distances -= distances.mean(axis=-1, keepdims=True)
         distances[np.isnan(distances)] = 0  # pairs with a joint that does not count
-        found += np.einsum("bkn,bkn->bn", distances, distances)
-    return found
+        total += np.einsum("bkn,bkn->bn", distances, distances)
+    return total
 
 
 def mahalanobis(pool: Pool) -> FloatArray:
@@ -194,9 +195,9 @@ class Test:
         """Weights of the truth's rank, (B, 1, Q), or (B, K, D, Q) for the coordinates."""
         if self.prerank is None:
             return coordinate_weights(block, joints)
-        found = weights_of_ranks(self.prerank(Pool.of(block, joints)))
-        found[~block.where[:, joints].any(axis=1)] = np.nan
-        return found[:, None]
+        weights = weights_of_ranks(self.prerank(Pool.of(block, joints)))
+        weights[~block.where[:, joints].any(axis=1)] = np.nan
+        return weights[:, None]
 
 
 def user_weights(block: Block, joints: BoolArray, prerank: PreRank | None, name: str = "") -> FloatArray:
@@ -210,20 +211,20 @@ def user_weights(block: Block, joints: BoolArray, prerank: PreRank | None, name:
     if prerank is None:
         raise PoseDataError(f"prerank: {name!r} is known from a saved result only; expected its function.")
     points = Pool.of(block, joints).points + block.truth[:, joints].astype(np.float64)[..., None]
-    found = np.empty((len(points), points.shape[-1]))
+    numbers = np.empty((len(points), points.shape[-1]))
     for b, poses in enumerate(points):
         try:
             values = np.asarray(prerank(np.ascontiguousarray(poses.transpose(2, 0, 1))), dtype=np.float64)
         except Exception as error:  # the user's code fails in any way
             raise PoseDataError(
-                f"prerank: it fails on a pool of {found.shape[1]} poses ({type(error).__name__}: {error})."
+                f"prerank: it fails on a pool of {numbers.shape[1]} poses ({type(error).__name__}: {error})."
             ) from error
-        if values.shape != found[b].shape or not np.isfinite(values).all():
+        if values.shape != numbers[b].shape or not np.isfinite(values).all():
             raise PoseDataError(
-                f"prerank: gave {values.shape} for a pool of {found.shape[1]} poses; expected one finite number each."
+                f"prerank: gave {values.shape} for a pool of {numbers.shape[1]} poses; expected one finite number each."
             )
-        found[b] = values
-    weights = weights_of_ranks(found)
+        numbers[b] = values
+    weights = weights_of_ranks(numbers)
     weights[~(block.where & joints).any(axis=1)] = np.nan
     return weights[:, None]
 

@@ -86,7 +86,7 @@ def inside(block: Block, definition: Definition = "exchangeable") -> FloatArray:
 
 @dataclass(frozen=True)
 class Nearness:
-    """Which hypotheses lie nearer to each definition's centre than the truth.
+    """The hypotheses that lie nearer to each definition's centre than the truth.
 
     Attributes
     ----------
@@ -140,7 +140,7 @@ def _count(chosen: BoolArray) -> Counts:
 
 
 def rank_weights(n_hypotheses: int, less: npt.ArrayLike, equal: npt.ArrayLike = 0) -> FloatArray:
-    r"""Say how far inside each level a truth of some rank lies, ties shared.
+    r"""Weights of truths of some rank: how far inside each level they lie, ties shared.
 
     .. math:: \operatorname{clip}\left(\frac{(N + 1)\, q - n_<}{n_= + 1}, 0, 1\right)
 
@@ -176,22 +176,22 @@ def shared_ranks(values: FloatArray) -> FloatArray:
     array([2.5, 0. , 2.5, 1. ])
     """
     order = np.argsort(values, axis=-1)
+    ordered, places = np.take_along_axis(values, order, axis=-1), np.arange(values.shape[-1], dtype=np.float64)
+    ranks_in_order = np.broadcast_to(places, values.shape)
+    apart = ordered[..., 1:] != ordered[..., :-1]
+    if not apart.all():
+        ends = np.ones((*values.shape[:-1], 1), dtype=bool)
+        first = np.maximum.accumulate(np.where(np.concatenate([ends, apart], axis=-1), places, 0), axis=-1)
+        last = np.where(np.concatenate([apart, ends], axis=-1), places, np.inf)[..., ::-1]
+        ranks_in_order = (first + np.minimum.accumulate(last, axis=-1)[..., ::-1]) / 2
     ranks = np.empty(values.shape)
-    np.put_along_axis(
-        ranks, order, np.broadcast_to(np.arange(values.shape[-1], dtype=np.float64), values.shape), axis=-1
-    )
-    ordered = np.take_along_axis(values, order, axis=-1)
-    tied = (ordered[..., 1:] == ordered[..., :-1]).any(axis=-1)
-    if tied.any():
-        from scipy.stats import rankdata
-
-        ranks[tied] = rankdata(values[tied], axis=-1) - 1
+    np.put_along_axis(ranks, order, ranks_in_order, axis=-1)
     return ranks
 
 
 def _exchangeable(block: Block) -> FloatArray:
-    found = nearness(block)
-    return rank_weights(block.n_hypotheses, found.less, found.at_most[..., 0] - found.less)
+    near = nearness(block)
+    return rank_weights(block.n_hypotheses, near.less, near.at_most[..., 0] - near.less)
 
 
 def _paper(block: Block) -> FloatArray:
@@ -200,33 +200,33 @@ def _paper(block: Block) -> FloatArray:
 
 
 def _reference(block: Block) -> FloatArray:
-    """The truth's fractional place among the N distances, against the place q (N - 1) of the quantile.
+    """Fractional rank of the truth among the N distances, against the rank q (N - 1) of the quantile.
 
     With ε_(i) ≤ ε* < ε_(i+1) (counted from 0), the interpolated quantile exceeds ε* exactly where
     q (N - 1) > i + (ε* - ε_(i)) / (ε_(i+1) - ε_(i)). The fraction matters to few of the poses, so only those few
     look for their two neighbours.
     """
-    found = nearness(block)
-    at_most = found.at_most[..., 2]
-    targets, fractional = _places(block.n_hypotheses)
-    place = at_most - 1.0  # -1 inside all, N - 1 outside all
+    near = nearness(block)
+    at_most = near.at_most[..., 2]
+    targets, fractional = _quantile_ranks(block.n_hypotheses)
+    rank = at_most - 1.0  # -1 inside all, N - 1 outside all
     between = fractional[at_most]
     if between.any():
-        centre, nearer = found.centres[between][:, 2].astype(np.float64), found.within[between][:, 2]
+        centre, nearer = near.centres[between][:, 2].astype(np.float64), near.within[between][:, 2]
         distances = np.sqrt(squared_norms(block.offsets[between] - centre[..., None]))
         true = np.sqrt((centre**2).sum(axis=-1))
         below = np.where(nearer, distances, -np.inf).max(axis=-1)
         above = np.where(nearer, np.inf, distances).min(axis=-1)
         gap = above - below
-        place[between] += np.divide(true - below, gap, out=np.zeros_like(gap), where=gap > 0)
-    return (targets > place[..., None]).astype(np.float64)
+        rank[between] += np.divide(true - below, gap, out=np.zeros_like(gap), where=gap > 0)
+    return (targets > rank[..., None]).astype(np.float64)
 
 
 @cache
-def _places(n_hypotheses: int) -> tuple[FloatArray, BoolArray]:
+def _quantile_ranks(n_hypotheses: int) -> tuple[FloatArray, BoolArray]:
     """Give q (N - 1) for each level, and the numbers of nearer hypotheses at which a fraction of it matters."""
     levels = LEVELS.size - 1
-    whole, rest = np.divmod(np.arange(levels + 1) * (n_hypotheses - 1), levels)
+    quotient, rest = np.divmod(np.arange(levels + 1) * (n_hypotheses - 1), levels)
     fractional = np.zeros(n_hypotheses + 1, dtype=bool)
-    fractional[whole[rest > 0] + 1] = True
-    return whole + rest / levels, fractional
+    fractional[quotient[rest > 0] + 1] = True
+    return quotient + rest / levels, fractional

@@ -62,14 +62,14 @@ def as_array(values: object, name: str) -> npt.NDArray[Any]:
     except (ValueError, TypeError, RuntimeError, BufferError) as error:
         if isinstance(values, (list, tuple)) and isinstance(error, ValueError):
             raise PoseDataError(
-                f"{name}: lists of unequal lengths; expected an array. Pad them and mask that."
+                f"{name}: lists of unequal lengths; expected an array. Pad the shorter ones, and mask the padding."
             ) from None
         reason = next(iter(str(error).splitlines()), "")
         raise PoseDataError(
             f"{name}: a {type(values).__name__} that can't be read ({reason}); expected an array."
         ) from None
     if np.ma.is_masked(values):
-        raise PoseDataError(f"{name}: masked numbers; expected an array without. Say which joints count with where.")
+        raise PoseDataError(f"{name}: masked numbers; expected an array without. Mask joints with where.")
     return array
 
 
@@ -173,9 +173,7 @@ def as_scores(values: object, name: str) -> FloatArray:
     PoseDataError
         Where one is not a real number.
     """
-    array = as_array(values, name)
-    if array.dtype.kind not in "fiu":
-        raise PoseDataError(f"{name}: dtype {array.dtype}; expected real numbers (N, M).")
+    array = real_array(values, name)
     unknown = int(np.isnan(array).sum())
     if unknown:
         raise PoseDataError(f"{name}: {unknown:,} of {array.size:,} are NaN; expected numbers (N, M).")

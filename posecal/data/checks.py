@@ -17,7 +17,7 @@ BONES = (50.0, 700.0)
 """A median bone length outside this range, in mm, is remarked on."""
 
 TINY = 10.0
-"""Poses of this size, in what should be mm, must be metres: a person's joints lie some 400 mm from their centre."""
+"""Poses of this size, in what should be mm, look like metres: a person's joints lie some 400 mm from their centre."""
 
 
 def check_units(data: PoseData, declared: bool, true_declared: bool, *, each: bool) -> list[str]:
@@ -42,9 +42,9 @@ def check_units(data: PoseData, declared: bool, true_declared: bool, *, each: bo
     PoseDataError
         Where an undeclared unit can't be millimetres, or the two are in different units.
     """
-    n, m, k, d = data.shape
+    *_, k, d = data.shape
     name, true_name = data.names
-    size = pose_size(data.hypotheses.read(0, min(m, 8))[: min(n, 50)].reshape(-1, k, d))
+    size = pose_size(data.hypotheses.read(0, 8)[:12].reshape(-1, k, d))
     true_size = pose_size(data.truth)
     sides = ("truth_unit", true_name, true_size, true_declared), ("unit", name, size, declared)
     tiny = [(unit, metres_message(which, length), known) for unit, which, length, known in sides if 0 < length < TINY]
@@ -71,7 +71,7 @@ def check_units(data: PoseData, declared: bool, true_declared: bool, *, each: bo
 
 
 def metres_message(name: str, size: float) -> str:
-    """Say that poses of a size below :data:`TINY` look like metres.
+    """Describe poses that look like metres, for a message.
 
     Parameters
     ----------
@@ -101,11 +101,16 @@ def pose_size(poses: FloatArray) -> float:
     float
         In that unit; 0 where no pose is finite.
     """
-    some = poses[:: max(1, len(poses) // 500)].astype(np.float64)
+    some = _sample(poses)
     some = some[np.isfinite(some).all(axis=(1, 2))]
     if not len(some):
         return 0.0
     return float(np.median(np.sqrt(((some - some.mean(axis=1, keepdims=True)) ** 2).sum(axis=2).mean(axis=1))))
+
+
+def _sample(poses: FloatArray) -> FloatArray:
+    """Give up to a thousand poses, evenly chosen, in double precision."""
+    return poses[:: max(1, len(poses) // 500)].astype(np.float64)
 
 
 def _check_bones(data: PoseData) -> list[str]:
@@ -113,7 +118,7 @@ def _check_bones(data: PoseData) -> list[str]:
     if not bones:
         return []
     parents, children = np.array(bones).T
-    some = data.truth[:: max(1, len(data.truth) // 500)].astype(np.float64)
+    some = _sample(data.truth)
     with np.errstate(invalid="ignore"):  # joints that don't count may hold anything
         lengths = np.linalg.norm(some[:, children] - some[:, parents], axis=-1)
     lengths = lengths[np.isfinite(lengths)]

@@ -119,19 +119,19 @@ def choose_layouts(
     own = resolve(hypotheses, "axes", hypotheses.axes, axes)
     true_own = resolve(truth, "truth_axes", truth.axes, truth_axes)
     both = f"{hypotheses.name} {x} and {truth.name} {y}: expected (N, M, K, D) and (M, K, D)"
-    layout = _named(hypotheses, Layout, own or HYPOTHESES, HYPOTHESES)
-    true_layout = _named(truth, Layout, true_own or _default_truth(layout, y), TRUTH)
+    layout = named_call(hypotheses, Layout, own or HYPOTHESES, HYPOTHESES)
+    true_layout = named_call(truth, Layout, true_own or _default_truth(layout, y), TRUTH)
     if len(x) == len(true_layout.groups) != len(layout.groups) == len(y):
         raise PoseDataError(f"{both}. The two look swapped.")
     if len(y) != len(true_layout.groups):
         raise PoseDataError(f"{both}. Declare another layout of {truth.name} with {option('truth_axes')}.")
     if len(x) != len(layout.groups):
         raise PoseDataError(f"{both}. Declare another layout of {hypotheses.name} with {option('axes')}.")
-    true_shape = _named(truth, true_layout.shape, y)
+    true_shape = named_call(truth, true_layout.shape, y)
     if true_own is None and true_shape[1] == 3 != true_shape[2]:
         raise PoseDataError(f"{both}, coordinates last. Pass {option('truth_axes', 'MDK')}.")
     if own is not None:
-        _named(hypotheses, layout.shape, x)
+        named_call(hypotheses, layout.shape, x)
         if true_own is None and true_shape[1] == true_shape[2] and layout.without("N", "I") == "MDK":
             options = " or ".join(option("truth_axes", text) for text in ("MKD", "MDK"))
             raise PoseDataError(f"{both}, but the shapes don't tell the axes apart (K = D = 3). Pass {options}.")
@@ -178,11 +178,17 @@ def unit_factor(poses: StoredPoses, name: str, declared: object) -> float:
     PoseDataError
         For a unit that is none, or two that differ.
     """
-    return _named(poses, millimetres_per, resolve(poses, name, poses.unit, declared) or "mm")
+    return named_call(poses, millimetres_per, resolve(poses, name, poses.unit, declared) or "mm")
 
 
-def _named(poses: StoredPoses, function: Callable[..., T], *arguments: Any) -> T:
-    """Call a function; where it refuses, name the poses."""
+def named_call(poses: StoredPoses, function: Callable[..., T], *arguments: Any) -> T:
+    """Call a function; where it refuses, name the poses.
+
+    Raises
+    ------
+    PoseDataError
+        What it raises, with their name.
+    """
     try:
         return function(*arguments)
     except PoseDataError as error:

@@ -1,7 +1,7 @@
 """Arrays in files, read some poses at a time without memory of their size, and never unpickled.
 
 An array that lies uncompressed in its file is mapped where it lies; a compressed member of an ``.npz`` is unpacked into
-an unnamed temporary file first. A map of the whole array would not do: its pages count as memory of the process, and
+an unnamed temporary file first. A map of the complete array would not do: its pages count as memory of the process, and
 the kernel brings up to two megabytes around each byte that is touched, so that some poses of each of 200 hypotheses
 would hold half a gigabyte. So each run of bytes that lie together has a map of its own while it is copied.
 """
@@ -91,12 +91,12 @@ class FileArray:
 
     @property
     def bytes_missing(self) -> int:
-        """How many bytes the file is too short for the array."""
+        """Number of bytes by which the file is too short for the array."""
         length = self.file.seek(0, 2) - self.offset
         return max(0, self.dtype.itemsize * math.prod(self.shape) - length)
 
     def part(self, where: tuple[slice, ...]) -> npt.NDArray[np.generic]:
-        """Read what lies between two places along every axis.
+        """Read a range of every axis.
 
         Parameters
         ----------

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -31,11 +32,11 @@ from posecal.errors import PoseDataError
 HYPOTHESES, TRUTH = "NMKD", "MKD"
 """The paper's layouts."""
 
-_IN_THE_WILD = ("NMKD", "MNKD", "MKND", "NMDK", "MNDK", "MKDN", "MDKN")
+_COMMON = ("NMKD", "MNKD", "MKND", "NMDK", "MNDK", "MKDN", "MDKN")
 
 
 class LazyArray(Protocol):
-    """Something with a shape and a dtype that gives its numbers part by part."""
+    """An array with a shape and a dtype that is read part by part."""
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -46,7 +47,7 @@ class LazyArray(Protocol):
         """The type of its numbers."""
 
     def part(self, where: tuple[slice, ...]) -> npt.NDArray[np.generic]:
-        """Give what lies between two places, ``slice(start, stop)``, along every axis."""
+        """Read a range, ``slice(start, stop)``, of every axis."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ class MemoryArray:
         return self.array.dtype
 
     def part(self, where: tuple[slice, ...]) -> npt.NDArray[np.generic]:
-        """Give a view of what lies between two places along every axis."""
+        """Give a view of a range of every axis."""
         return self.array[where]
 
 
@@ -121,7 +122,7 @@ class Layout:
                 f"axes: {self.text!r} {what}; expected each letter of {self.core} once, such as {other}."
             )
 
-    @property
+    @cached_property
     def groups(self) -> list[str]:
         """The letters of each stored axis."""
         return [group.strip("()") for group in re.findall(r"[A-Z]|\([A-Z]+\)", self.text)]
@@ -134,22 +135,22 @@ class Layout:
         PoseDataError
             Where the shape does not fit the layout.
         """
-        found: dict[str, int] = {}
+        lengths: dict[str, int] = {}
         if len(shape) != len(self.groups):
             raise PoseDataError(
                 f"axes: {self.text} names {len(self.groups)} axes; the array has {len(shape)}: {shape}."
             )
         for group, length in zip(self.groups, shape, strict=True):
             if len(group) == 1:
-                found[group] = length
+                lengths[group] = length
             elif length % self.coordinates:
                 raise PoseDataError(
                     f"axes: ({group}) has length {length}; expected a multiple of {self.coordinates} coordinates."
                 )
             else:
                 known = {"D": self.coordinates, "K": length // self.coordinates}
-                found.update({letter: known[letter] for letter in group})
-        return found
+                lengths.update({letter: known[letter] for letter in group})
+        return lengths
 
     def shape(self, shape: tuple[int, ...]) -> tuple[int, ...]:
         """Give the shape in the paper's layout, clips and frames joined."""
@@ -190,22 +191,22 @@ class Layout:
         """Read consecutive frames of one clip, or consecutive poses where there are no clips."""
         frame = "T" if "T" in sizes else "M"
         clip, start = divmod(first, sizes[frame])
-        wanted = {"I": slice(sizes.get("I", 1) - 1, sizes.get("I", 1)), "M": slice(clip, clip + 1)}
-        wanted[frame] = slice(start, start + number)
+        chosen = {"I": slice(sizes.get("I", 1) - 1, sizes.get("I", 1)), "M": slice(clip, clip + 1)}
+        chosen[frame] = slice(start, start + number)
         some = array.part(
-            tuple(wanted.get(group, slice(0, size)) for group, size in zip(self.groups, array.shape, strict=True))
+            tuple(chosen.get(group, slice(0, size)) for group, size in zip(self.groups, array.shape, strict=True))
         )
         letters = "".join(self.groups)
-        lengths = {letter: place.stop - place.start for letter, place in wanted.items()}
+        lengths = {letter: part.stop - part.start for letter, part in chosen.items()}
         split = some.reshape([lengths.get(letter, sizes[letter]) for letter in letters])
-        alone = {"I", "M"} - {frame}
-        split = split.squeeze(axis=tuple(place for place, letter in enumerate(letters) if letter in alone))
-        left = [letter for letter in letters if letter not in alone]
-        return split.transpose([left.index(letter) for letter in self.core.replace("M", frame)])
+        single = {"I", "M"} - {frame}
+        split = split.squeeze(axis=tuple(axis for axis, letter in enumerate(letters) if letter in single))
+        remaining = [letter for letter in letters if letter not in single]
+        return split.transpose([remaining.index(letter) for letter in self.core.replace("M", frame)])
 
 
 def plausible_layouts(shape: tuple[int, ...], truth: tuple[int, ...]) -> list[str]:
-    """Name the layouts met in the wild that would fit hypotheses to a truth of shape (M, K, D).
+    """Name the common layouts that would fit hypotheses to a truth of shape (M, K, D).
 
     Examples
     --------
@@ -214,9 +215,6 @@ def plausible_layouts(shape: tuple[int, ...], truth: tuple[int, ...]) -> list[st
     >>> plausible_layouts((7, 7, 17, 3), (7, 17, 3))
     ['NMKD', 'MNKD']
     """
-    found = []
-    for text in _IN_THE_WILD:
-        sizes = dict(zip(text, shape, strict=False))
-        if len(shape) == 4 and tuple(sizes[letter] for letter in TRUTH) == truth:
-            found.append(text)
-    return found
+    if len(shape) != 4:
+        return []
+    return [text for text in _COMMON if tuple(shape[text.index(letter)] for letter in TRUTH) == truth]

@@ -1,181 +1,263 @@
-"""Matching of hypotheses with the truth: frames by id, joints by name, labels that must agree."""
+"""Matching of hypotheses with the truth: frames by id, joints by name, labels that must agree.
+
+Everything that does not fit is raised together.
+"""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from posecal.data.arrays import BoolArray, FloatArray
-from posecal.data.declarations import Declarations, resolve, unit_factor
-from posecal.data.layout import HYPOTHESES, Layout
+from posecal.data.arrays import BoolArray, FloatArray, checked_mask, checked_number
+from posecal.data.declarations import Declarations, choose_layouts, named_call, resolve, unit_factor
+from posecal.data.layout import HYPOTHESES, Layout, plausible_layouts
 from posecal.data.skeleton import Skeleton, canonical_name
-from posecal.data.stored_poses import ArrayHypotheses, Labels, Rows, StoredPoses
+from posecal.data.stored_poses import ArrayHypotheses, Labels, Rows, StoredPoses, in_millimetres
 from posecal.errors import PosecalError, PoseDataError, attempt, did_you_mean, first_few, option, raise_all
 
-Problems = list[str | PosecalError]
-
-# --- frames ---------------------------------------------------------------------------------------------------
+Names = tuple[str, ...]
 
 
-def match_frames(
-    hypotheses: StoredPoses,
-    truth: StoredPoses,
-    sizes: tuple[int, int],
-    declarations: Declarations,
-    hint: str,
-    problems: Problems,
-    remarks: list[str],
-) -> tuple[Rows, Rows]:
-    """Match frames by id, or by their order where one of the two has no ids.
+class Matcher:
+    """Hypotheses and truth that are being matched, with what does not fit and what is to be known.
 
     Parameters
     ----------
     hypotheses, truth : StoredPoses
         As stored or passed.
-    sizes : tuple of int
-        M of the two.
-    declarations : Declarations
-        What the user declares.
-    hint : str
-        A sentence on other layouts that would fit.
+    declared : Declarations
+        What the user declares about them.
+
+    Attributes
+    ----------
+    layouts : tuple of two Layouts
+        Of the hypotheses and of the truth.
+    shape, true_shape : tuple of int
+        (N, M, K, D) and (M, K, D).
     problems, remarks : list
-        What does not fit, and what is to be known, is added to them.
-
-    Returns
-    -------
-    rows, true_rows : arrays of int
-        The poses of the two that belong together, in the order of the truth.
+        What does not fit, and what a careful reader should know.
     """
-    before = len(problems)
-    for poses, number in zip((hypotheses, truth), sizes, strict=True):
-        if poses.frame_id is not None and len(poses.frame_id) != number:
-            problem = f"{poses.name}: {len(poses.frame_id):,} frame_id for {number:,} poses; expected one each. {hint}"
-            problems.append(problem.strip())
-    if hypotheses.frame_id is None or truth.frame_id is None:
-        if sizes[0] != sizes[1]:
-            without = [poses.name for poses in (hypotheses, truth) if poses.frame_id is None]
-            problems.append(
-                f"{hypotheses.name} has M = {sizes[0]:,} poses and {truth.name} {sizes[1]:,}; expected as many. "
-                f"{hint}Give both a frame_id to match them by ({' and '.join(without)} without)."
+
+    def __init__(self, hypotheses: StoredPoses, truth: StoredPoses, declared: Declarations) -> None:
+        self.hypotheses, self.truth, self.declared = hypotheses, truth, declared
+        self.layouts = choose_layouts(hypotheses, truth, declared.axes, declared.truth_axes)
+        self.shape = self.layouts[0].shape(hypotheses.array.shape)
+        self.true_shape = self.layouts[1].shape(truth.array.shape)
+        self.problems: list[str | PosecalError] = []
+        self.remarks: list[str] = []
+        raise_all(_empty(poses) for poses in (hypotheses, truth) if 0 in poses.array.shape)
+
+    def attributes(self) -> dict[str, Any]:
+        """Give the attributes of :class:`posecal.data.pose_data.PoseData`, in the truth's order of frames and joints.
+
+        Raises
+        ------
+        PoseDataError
+            For everything that does not fit, all at once.
+        """
+        hypotheses, truth, problems = self.hypotheses, self.truth, self.problems
+        n, m, k, d = self.shape
+        factor, true_factor = self._unit_factors()
+        rows, true_rows = self._frames()
+        true_names, columns, true_columns = self._joints()
+        if d != self.true_shape[2]:
+            problems.append(f"{hypotheses.name} has D = {d} and {truth.name} {self.true_shape[2]}; expected as many.")
+        labels, true_labels = self._labels_of(hypotheses, m), self._labels_of(truth, self.true_shape[0])
+        marks, true_marks = self._occluded(hypotheses, (m, k)), self._occluded(truth, self.true_shape[:2])
+        where = None if truth.where is None else attempt(problems, checked_mask, truth.where, self.true_shape[:2])
+        scores = hypotheses.scores
+        if scores is not None and scores.shape != (n, m):
+            problems.append(f"{hypotheses.name}: scores {scores.shape}; expected (N, M) = {(n, m)}.")
+        fps = hypotheses.fps if truth.fps is None else truth.fps
+        if fps is not None:
+            fps = attempt(problems, checked_number, fps, "fps", _is_rate, "frames per second, above 0")
+        if (count := self.declared.n_hypotheses) is not None:
+            which, expected = option("n_hypotheses"), f"1 to N = {n}, the hypotheses of {hypotheses.name}"
+            n = int(attempt(problems, checked_number, count, which, range(1, n + 1).__contains__, expected) or 0)
+        raise_all(problems)
+
+        y = in_millimetres(self.layouts[1].read(truth.array, np.arange(self.true_shape[0])), true_factor)
+        root = attempt(problems, root_index, self.declared.root_joint, true_names, y)
+        labels = {name: values[rows] for name, values in labels.items()}
+        labels = self._merged(labels, {name: values[true_rows] for name, values in true_labels.items()}, true_rows)
+        raise_all(problems)
+        if root is not None and root not in true_columns:
+            with np.errstate(invalid="ignore"):  # joints that don't count may hold anything
+                y = y - y[:, root, None]
+            self.remarks.append(
+                f"{hypotheses.name} lacks the root {true_names[root]}; its positions are taken as relative to it."
             )
-        return np.arange(sizes[0]), np.arange(sizes[1])
-    ids, true_ids = hypotheses.frame_id.tolist(), truth.frame_id.tolist()
-    for poses, names in ((hypotheses, ids), (truth, true_ids)):
-        repeated = [name for name, count in Counter(names).items() if count > 1]
-        if repeated:
-            problems.append(
-                f"{poses.name} has {len(repeated):,} of {len(names):,} frame_id more than once "
-                f"(first: {first_few(repeated)}). Give each frame once."
+        if root is None and self.declared.root_joint != "none":
+            root_joint = option("root_joint")
+            self.remarks.append(
+                f"no root joint is known, so positions are taken as they stand; {root_joint} names one."
             )
-    row = {name: number for number, name in enumerate(ids)}
-    known = set(true_ids)
-    shared = [number for number, name in enumerate(true_ids) if name in row]
-    if not shared and len(problems) == before:
-        problems.append(_nothing_shared(hypotheses, truth, "frame_id", ids, true_ids))
-    for poses, other, names, number in (
-        (hypotheses, truth, [name for name in true_ids if name not in row], len(true_ids)),
-        (truth, hypotheses, [name for name in ids if name not in known], len(ids)),
-    ):
-        lacks = f"{poses.name} lacks {len(names):,} of the {number:,} frames of {other.name}"
-        if names and declarations.missing == "skip":
-            remarks.append(f"{lacks}: skipped.")
-        elif names and shared:
-            problems.append(f"{lacks} (first: {first_few(names)}). Pass {option('missing', 'skip')} to score the rest.")
-    return np.array([row[true_ids[m]] for m in shared], dtype=np.intp), np.array(shared, dtype=np.intp)
+        occluded = _part(true_marks, true_rows, true_columns)
+        return {
+            "hypotheses": ArrayHypotheses(hypotheses.array, self.layouts[0], rows, columns, factor, n),
+            "truth": np.ascontiguousarray(y[true_rows][:, true_columns]),
+            "joints": tuple(true_names[k] for k in true_columns),
+            "root": next((k for k, column in enumerate(true_columns) if column == root), None),
+            "frame_id": true_rows.astype(str) if truth.frame_id is None else truth.frame_id[true_rows],
+            "order": true_rows,
+            "labels": labels,
+            "occluded": _part(marks, rows, columns) if occluded is None else occluded,
+            "scores": None if scores is None else scores[:n, rows],
+            "fps": fps,
+            "names": (hypotheses.name, truth.name),
+            "where": _part(where, true_rows, true_columns),
+            "usable": None,
+            "remarks": tuple(self.remarks),
+            "reference": None,
+        }
 
+    def _unit_factors(self) -> tuple[float, float]:
+        """Millimetres in one unit of both; ``unit`` is for what declares none, or must agree with both."""
+        name, unit = "truth_unit", self.declared.truth_unit
+        if unit is None and not (self.truth.unit is not None and self.hypotheses.unit is None):
+            name, unit = "unit", self.declared.unit
+        factor = attempt(self.problems, unit_factor, self.hypotheses, "unit", self.declared.unit)
+        return factor or 1.0, attempt(self.problems, unit_factor, self.truth, name, unit) or 1.0
 
-def _nothing_shared(
-    hypotheses: StoredPoses, truth: StoredPoses, what: str, names: Sequence[str], true_names: Sequence[str]
-) -> str:
-    return (
-        f"{hypotheses.name} and {truth.name} have no {what} in common ({first_few(names)} against "
-        f"{first_few(true_names)}); expected the same names."
-    )
+    def _frames(self) -> tuple[Rows, Rows]:
+        """Match frames by id, or by their order where one of the two has no ids."""
+        hypotheses, truth = self.hypotheses, self.truth
+        sizes, before = (self.shape[1], self.true_shape[0]), len(self.problems)
+        fitting = plausible_layouts(hypotheses.array.shape, self.true_shape)
+        fitting = [text for text in fitting if text != self.layouts[0].text]
+        hint = f" The shapes fit {option('axes', fitting[0])}." if fitting else ""
+        for poses, size in zip((hypotheses, truth), sizes, strict=True):
+            if poses.frame_id is not None and len(poses.frame_id) != size:
+                number = len(poses.frame_id)
+                self.problems.append(f"{poses.name}: {number:,} frame_id for {size:,} poses; expected one each.{hint}")
+        if hypotheses.frame_id is None or truth.frame_id is None:
+            if sizes[0] != sizes[1]:
+                without = " and ".join(poses.name for poses in (hypotheses, truth) if poses.frame_id is None)
+                self.problems.append(
+                    f"{hypotheses.name} has M = {sizes[0]:,} poses and {truth.name} {sizes[1]:,}; expected as many."
+                    f"{hint} Give both a frame_id to match them by ({without} without)."
+                )
+            return np.arange(sizes[0]), np.arange(sizes[1])
+        ids, true_ids = hypotheses.frame_id.tolist(), truth.frame_id.tolist()
+        for poses, names in ((hypotheses, ids), (truth, true_ids)):
+            if repeated := _repeated(names):
+                self.problems.append(
+                    f"{poses.name} has {len(repeated):,} of {len(names):,} frame_id more than once "
+                    f"(first: {first_few(repeated)}). Give each frame once."
+                )
+        row = {name: number for number, name in enumerate(ids)}
+        known = set(true_ids)
+        shared = [number for number, name in enumerate(true_ids) if name in row]
+        if not shared and len(self.problems) == before:
+            self._nothing_shared("frame_id", ids, true_ids)
+        for poses, other, names, lacking in (
+            (hypotheses, truth, true_ids, [name for name in true_ids if name not in row]),
+            (truth, hypotheses, ids, [name for name in ids if name not in known]),
+        ):
+            lacks = f"{poses.name} lacks {len(lacking):,} of the {len(names):,} frames of {other.name}"
+            if lacking and self.declared.missing == "skip":
+                self.remarks.append(f"{lacks}: skipped.")
+            elif lacking and shared:
+                skip = option("missing", "skip")
+                self.problems.append(f"{lacks} (first: {first_few(lacking)}). Pass {skip} to score the rest.")
+        return np.array([row[true_ids[m]] for m in shared], dtype=np.intp), np.array(shared, dtype=np.intp)
 
+    def _nothing_shared(self, what: str, names: Sequence[str], true_names: Sequence[str]) -> None:
+        self.problems.append(
+            f"{self.hypotheses.name} and {self.truth.name} have no {what} in common ({first_few(names)} against "
+            f"{first_few(true_names)}); expected the same names."
+        )
 
-# --- joints ---------------------------------------------------------------------------------------------------
+    def _joints(self) -> tuple[Names, Rows, Rows]:
+        """Name joints, and match them by name, or by their order where the hypotheses' have none."""
+        size, true_size = self.shape[2], self.true_shape[1]
+        names = joint_names(self.hypotheses, size, self.declared, self.problems)
+        true_names = joint_names(self.truth, true_size, self.declared, self.problems)
+        true_names = true_names or (names if size == true_size else None) or _numbered(true_size)
+        common = option("shared_joints", "common")
+        if names is None:
+            if size != true_size:
+                self.problems.append(
+                    f"{self.hypotheses.name} has K = {size} joints and {self.truth.name} {true_size}; expected as "
+                    f"many, or joints named in both and {common}."
+                )
+            return true_names, np.arange(size), np.arange(size)
+        lacking = [name for name in true_names if name not in names]
+        beyond = [name for name in names if name not in true_names]
+        shared = [k for k, name in enumerate(true_names) if name in names]
+        for poses, missing in ((self.hypotheses, lacking), (self.truth, beyond)):
+            if missing and shared and self.declared.shared_joints == "same":
+                self.problems.append(
+                    f"{poses.name} lacks {len(missing)} of the other's joints ({first_few(missing)}). "
+                    f"Pass {common} to score the shared ones."
+                )
+        if not shared:
+            self._nothing_shared("joint", names, true_names)
+        elif (lacking or beyond) and self.declared.shared_joints == "common":
+            self.remarks.append(f"{len(shared)} joints are in both; left out: {first_few([*lacking, *beyond], 5)}.")
+        columns = np.array([names.index(true_names[k]) for k in shared], dtype=np.intp)
+        return true_names, columns, np.array(shared, dtype=np.intp)
+
+    def _labels_of(self, poses: StoredPoses, number: int) -> Labels:
+        """Give the labels that have a value for each of so many poses; all of those must that can only be labels."""
+        labels = {name: values if values.ndim else np.full(number, values) for name, values in poses.labels.items()}
+        self.problems += [
+            f"{poses.name}: {name} has {len(values):,} values for {number:,} poses; expected one each."
+            for name, values in labels.items()
+            if len(values) != number and name in poses.required_labels
+        ]
+        return {name: values for name, values in labels.items() if len(values) == number}
+
+    def _merged(self, labels: Labels, true_labels: Labels, true_rows: Rows) -> Labels:
+        """Put the labels of matched frames together; clips of a layout are sequences."""
+        for name in true_labels:
+            different = int((labels[name] != true_labels[name]).sum()) if name in labels else 0
+            if different:
+                self.problems.append(
+                    f"{self.hypotheses.name} and {self.truth.name} differ in {name} of {different:,} of "
+                    f"{len(true_rows):,} frames. Are they in the same order? A frame_id of both matches them."
+                )
+        labels = {**true_labels, **labels}
+        layout, true_layout = self.layouts
+        clip = true_layout.clip_length(self.truth.array.shape) or layout.clip_length(self.hypotheses.array.shape)
+        if clip and "sequence" not in labels:
+            labels = {"sequence": (true_rows // clip).astype(str), **labels}
+        return labels
+
+    def _occluded(self, poses: StoredPoses, shape: tuple[int, ...]) -> BoolArray | None:
+        """Give the joints, (M, K), that are marked as occluded, or not as visible; None without marks."""
+        if len(poses.marks) > 1:
+            self.problems.append(f"{poses.name} has both occluded and visible; expected one of them.")
+        for name, marks in poses.marks.items():
+            if marks.shape != shape:
+                self.problems.append(f"{poses.name}: {name} {marks.shape}; expected (M, K) = {shape}.")
+            return ~marks if name == "visible" else marks
+        return None
 
 
 def joint_names(
-    poses: StoredPoses, size: int, declarations: Declarations, problems: Problems
-) -> tuple[str, ...] | None:
+    poses: StoredPoses, size: int, declared: Declarations, problems: list[str | PosecalError]
+) -> Names | None:
     """Give posecal's names of K joints, as stored or else as declared; None where there are none."""
-    names = declarations.joint_names if poses.joints is None else poses.joints
+    names = declared.joint_names if poses.joints is None else poses.joints
     if names is None:
         return None
     if len(names) != size:
-        of_set = poses.joints is None and isinstance(declarations.joints, str)
-        what = f"{declarations.joints} has {len(names)} joints" if of_set else f"{len(names)} joints named"
+        of_set = poses.joints is None and isinstance(declared.joints, str)
+        what = f"{declared.joints} has {len(names)} joints" if of_set else f"{len(names)} joints named"
         problems.append(f"{poses.name}: {what} for K = {size}; expected one name each.")
         return None
     names = tuple(canonical_name(name) for name in names)
-    repeated = [name for name, count in Counter(names).items() if count > 1]
-    if repeated:
+    if repeated := _repeated(names):
         problems.append(f"{poses.name} names joints more than once: {first_few(repeated)}.")
     return names
 
 
-def numbered(size: int) -> tuple[str, ...]:
-    """Name K joints by their numbers."""
-    return tuple(f"joint {k}" for k in range(size))
-
-
-def match_joints(
-    hypotheses: StoredPoses,
-    truth: StoredPoses,
-    names: tuple[str, ...] | None,
-    true_names: tuple[str, ...],
-    size: int,
-    declarations: Declarations,
-    problems: Problems,
-    remarks: list[str],
-) -> tuple[Rows, Rows]:
-    """Match joints by name, or by their order where the hypotheses' have none.
-
-    Parameters
-    ----------
-    hypotheses, truth : StoredPoses
-        As stored or passed.
-    names, true_names : tuple of str
-        Of their joints.
-    size : int
-        K of the hypotheses.
-    declarations : Declarations
-        What the user declares.
-    problems, remarks : list
-        What does not fit, and what is to be known, is added to them.
-
-    Returns
-    -------
-    columns, true_columns : arrays of int
-        The joints of the two that belong together, in the order of the truth.
-    """
-    if names is None:
-        if size != len(true_names):
-            problems.append(
-                f"{hypotheses.name} has K = {size} joints and {truth.name} {len(true_names)}; expected as many, or "
-                f"joints named in both and {option('shared_joints', 'common')}."
-            )
-        return np.arange(size), np.arange(size)
-    lacking = [name for name in true_names if name not in names]
-    beyond = [name for name in names if name not in true_names]
-    shared = [k for k, name in enumerate(true_names) if name in names]
-    for poses, missing in ((hypotheses, lacking), (truth, beyond)):
-        if missing and shared and declarations.shared_joints == "same":
-            problems.append(
-                f"{poses.name} lacks {len(missing)} of the other's joints ({first_few(missing)}). "
-                f"Pass {option('shared_joints', 'common')} to score the shared ones."
-            )
-    if not shared:
-        problems.append(_nothing_shared(hypotheses, truth, "joint", names, true_names))
-    elif (lacking or beyond) and declarations.shared_joints == "common":
-        remarks.append(f"{len(shared)} joints are in both; left out: {first_few([*lacking, *beyond], 5)}.")
-    return np.array([names.index(true_names[k]) for k in shared], dtype=np.intp), np.array(shared, dtype=np.intp)
-
-
-def root_index(declared: str | int | None, names: tuple[str, ...], truth: FloatArray) -> int | None:
+def root_index(declared: str | int | None, names: Names, truth: FloatArray) -> int | None:
     """Give the joint to subtract: as declared, the hip, or the one unnamed joint whose truth is 0 throughout.
 
     Raises
@@ -183,78 +265,23 @@ def root_index(declared: str | int | None, names: tuple[str, ...], truth: FloatA
     PoseDataError
         For a joint that is not there.
     """
-    root = None if declared is None else str(declared)
+    if declared is None:
+        hip = Skeleton(names).root
+        resting = np.flatnonzero(~truth.any(axis=(0, 2)))
+        return int(resting[0]) if hip is None and len(resting) == 1 and len(names) > 1 else hip
+    root = str(declared)
     if root == "none":
         return None
-    if root is not None:
-        index = (
-            int(root) if root.isdecimal() else next((k for k, n in enumerate(names) if n == canonical_name(root)), -1)
-        )
-        if not 0 <= index < len(names):
-            raise PoseDataError(
-                f"{option('root_joint')}: {declared!r} is not among the joints. {did_you_mean(root, names)}"
-            )
-        return index
-    hip = Skeleton(names).root
-    if hip is not None:
-        return hip
-    resting = np.flatnonzero(~truth.any(axis=(0, 2)))
-    return int(resting[0]) if len(resting) == 1 and len(names) > 1 else None
-
-
-# --- labels and marks -----------------------------------------------------------------------------------------
-
-
-def labels_of(poses: StoredPoses, number: int, problems: Problems) -> Labels:
-    """Give the labels that have a value for each of so many poses; all of those must that can only be labels."""
-    labels = {name: values if values.ndim else np.full(number, values) for name, values in poses.labels.items()}
-    problems += [
-        f"{poses.name}: {name} has {len(values):,} values for {number:,} poses; expected one each."
-        for name, values in labels.items()
-        if len(values) != number and name in poses.required_labels
-    ]
-    return {name: values for name, values in labels.items() if len(values) == number}
-
-
-def occluded_of(poses: StoredPoses, shape: tuple[int, ...], problems: Problems) -> BoolArray | None:
-    """Give the joints, (M, K), that are marked as occluded, or not as visible; None without marks."""
-    if len(poses.marks) > 1:
-        problems.append(f"{poses.name} has both occluded and visible; expected one of them.")
-    for name, marks in poses.marks.items():
-        if marks.shape != shape:
-            problems.append(f"{poses.name}: {name} {marks.shape}; expected (M, K) = {shape}.")
-            return None
-        return ~marks if name == "visible" else marks
-    return None
-
-
-def match_labels(hypotheses: StoredPoses, truth: StoredPoses, labels: Labels, true_labels: Labels) -> Labels:
-    """Put the labels of matched frames together.
-
-    Raises
-    ------
-    PoseDataError
-        Where the two differ.
-    """
-    differing = {
-        name: int((labels[name] != values).sum())
-        for name, values in true_labels.items()
-        if name in labels and not np.array_equal(labels[name], values)
-    }
-    raise_all(
-        f"{hypotheses.name} and {truth.name} differ in {name} of {number:,} of {len(labels[name]):,} frames. "
-        "Are they in the same order? A frame_id of both matches them."
-        for name, number in differing.items()
-    )
-    return {**true_labels, **{name: values for name, values in labels.items() if name not in true_labels}}
-
-
-# --- hypotheses without a truth -------------------------------------------------------------------------------
+    index = int(root) if root.isdecimal() else next((k for k, n in enumerate(names) if n == canonical_name(root)), -1)
+    if not 0 <= index < len(names):
+        which = option("root_joint")
+        raise PoseDataError(f"{which}: {declared!r} is not among the joints. {did_you_mean(root, names)}")
+    return index
 
 
 def resolve_hypotheses(
     poses: StoredPoses, declarations: Declarations | None = None
-) -> tuple[ArrayHypotheses, tuple[str, ...], int | None]:
+) -> tuple[ArrayHypotheses, Names, int | None]:
     """Read hypotheses without a truth.
 
     Parameters
@@ -279,13 +306,32 @@ def resolve_hypotheses(
         For a layout, a unit or names that don't fit.
     """
     declared = declarations or Declarations()
-    layout = Layout(resolve(poses, "axes", poses.axes, declared.axes) or HYPOTHESES, HYPOTHESES)
-    n, m, k, _ = layout.shape(poses.array.shape)
-    problems: Problems = []
-    if 0 in poses.array.shape:
-        problems.append(f"{poses.name}: nothing in it; its shape is {poses.array.shape}.")
+    axes = resolve(poses, "axes", poses.axes, declared.axes) or HYPOTHESES
+    layout = named_call(poses, Layout, axes, HYPOTHESES)
+    n, m, k, _ = named_call(poses, layout.shape, poses.array.shape)
+    problems: list[str | PosecalError] = [_empty(poses)] if 0 in poses.array.shape else []
     factor = attempt(problems, unit_factor, poses, "unit", declared.unit) or 1.0
-    joints = joint_names(poses, k, declared, problems) or numbered(k)
+    joints = joint_names(poses, k, declared, problems) or _numbered(k)
     raise_all(problems)
     hypotheses = ArrayHypotheses(poses.array, layout, np.arange(m), np.arange(k), factor, n)
     return hypotheses, joints, root_index(declared.root_joint, joints, hypotheses.read(0, 1)[0])
+
+
+def _empty(poses: StoredPoses) -> str:
+    return f"{poses.name}: nothing in it; its shape is {poses.array.shape}."
+
+
+def _numbered(size: int) -> Names:
+    return tuple(f"joint {k}" for k in range(size))
+
+
+def _repeated(names: Sequence[str]) -> list[str]:
+    return [name for name, count in Counter(names).items() if count > 1]
+
+
+def _part(mask: BoolArray | None, rows: Rows, columns: Rows) -> BoolArray | None:
+    return None if mask is None else mask[rows][:, columns]
+
+
+def _is_rate(fps: float) -> bool:
+    return 0 < fps < math.inf

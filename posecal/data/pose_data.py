@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -11,34 +10,14 @@ from typing import Any, Literal, Self, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.arrays import (
-    BoolArray,
-    FloatArray,
-    as_array,
-    as_label_arrays,
-    as_labels,
-    as_marks,
-    as_scores,
-    checked_mask,
-    checked_number,
-)
+from posecal.data.arrays import BoolArray, FloatArray, as_array, as_label_arrays, as_labels, as_marks, as_scores
 from posecal.data.checks import check_units
-from posecal.data.declarations import Declarations, choose_layouts, unit_factor
-from posecal.data.layout import HYPOTHESES, plausible_layouts
-from posecal.data.match import (
-    Problems,
-    joint_names,
-    labels_of,
-    match_frames,
-    match_joints,
-    match_labels,
-    numbered,
-    occluded_of,
-    root_index,
-)
+from posecal.data.declarations import Declarations
+from posecal.data.layout import HYPOTHESES
+from posecal.data.match import Matcher
 from posecal.data.read import read_poses
-from posecal.data.stored_poses import ArrayHypotheses, Hypotheses, Labels, Rows, StoredPoses, in_millimetres
-from posecal.errors import PoseDataError, attempt, option, raise_all
+from posecal.data.stored_poses import Hypotheses, Labels, Rows, StoredPoses
+from posecal.errors import PosecalError, PoseDataError, attempt, raise_all
 
 T = TypeVar("T")
 Source = npt.ArrayLike | str | os.PathLike[str]
@@ -180,7 +159,7 @@ class PoseData:
         shared_joints: Literal["same", "common"] = "same",
         n_hypotheses: int | None = None,
     ) -> None:
-        problems: Problems = []
+        problems: list[str | PosecalError] = []
         declared = axes, truth_axes, unit, truth_unit, joints, root_joint, missing, shared_joints, n_hypotheses
         declarations = attempt(problems, Declarations, *declared)
         predicted = attempt(problems, read_poses, hypotheses, "hypotheses")
@@ -250,7 +229,7 @@ class PoseData:
         return self.replace(
             **part,
             hypotheses=self.hypotheses.select(rows),
-            labels=_part(self.labels, rows),
+            labels={name: values[rows] for name, values in self.labels.items()},
             reference=None if self.reference is None else self.reference.select(rows),
         )
 
@@ -283,97 +262,9 @@ def match_poses(hypotheses: StoredPoses, truth: StoredPoses, declarations: Decla
         For everything that does not fit, all at once.
     """
     declared = declarations or Declarations()
-    layout, true_layout = choose_layouts(hypotheses, truth, declared.axes, declared.truth_axes)
-    n, m, k, d = layout.shape(hypotheses.array.shape)
-    true_shape = true_m, true_k, true_d = true_layout.shape(truth.array.shape)
-    raise_all(
-        f"{poses.name}: nothing in it; its shape is {poses.array.shape}."
-        for poses in (hypotheses, truth)
-        if 0 in poses.array.shape
-    )
-    problems: Problems = []
-    remarks: list[str] = []
-    factor, true_factor = _unit_factors(hypotheses, truth, declared, problems)
-    fitting = [text for text in plausible_layouts(hypotheses.array.shape, true_shape) if text != layout.text]
-    hint = f"The shapes fit {option('axes', fitting[0])}. " if fitting else ""
-    rows, true_rows = match_frames(hypotheses, truth, (m, true_m), declared, hint, problems, remarks)
-    names = joint_names(hypotheses, k, declared, problems)
-    true_names = joint_names(truth, true_k, declared, problems) or (names if k == true_k else None) or numbered(true_k)
-    columns, true_columns = match_joints(hypotheses, truth, names, true_names, k, declared, problems, remarks)
-    if d != true_d:
-        problems.append(f"{hypotheses.name} has D = {d} and {truth.name} {true_d}; expected as many.")
-    labels, true_labels = labels_of(hypotheses, m, problems), labels_of(truth, true_m, problems)
-    where = None if truth.where is None else attempt(problems, checked_mask, truth.where, (true_m, true_k))
-    own_marks, true_marks = occluded_of(hypotheses, (m, k), problems), occluded_of(truth, (true_m, true_k), problems)
-    scores, fps = hypotheses.scores, hypotheses.fps if truth.fps is None else truth.fps
-    if scores is not None and scores.shape != (n, m):
-        problems.append(f"{hypotheses.name}: scores {scores.shape}; expected (N, M) = {(n, m)}.")
-    if fps is not None:
-        fps = attempt(problems, checked_number, fps, "fps", lambda f: 0 < f < math.inf, "frames per second, above 0")
-    if declared.n_hypotheses is not None:
-        expected = f"1 to N = {n}, the hypotheses of {hypotheses.name}"
-        in_range = range(1, n + 1).__contains__
-        count = attempt(problems, checked_number, declared.n_hypotheses, option("n_hypotheses"), in_range, expected)
-        n = int(count or 0)
-    raise_all(problems)
-
-    y = in_millimetres(true_layout.read(truth.array, np.arange(true_m)), true_factor)
-    root = attempt(problems, root_index, declared.root_joint, true_names, y)
-    sides = _part(labels, rows), _part(true_labels, true_rows)
-    merged = attempt(problems, match_labels, hypotheses, truth, *sides) or {}
-    raise_all(problems)
-    if root is not None and root not in true_columns:
-        with np.errstate(invalid="ignore"):  # joints that don't count may hold anything
-            y = y - y[:, root, None]
-        remarks.append(f"{hypotheses.name} lacks the root {true_names[root]}; taken as relative to it.")
-    clip = true_layout.clip_length(truth.array.shape) or layout.clip_length(hypotheses.array.shape)
-    if clip and "sequence" not in merged:
-        merged = {"sequence": (true_rows // clip).astype(str), **merged}
-    occluded = _cut(true_marks, true_rows, true_columns)
-    data = _with_attributes(
-        PoseData,
-        hypotheses=ArrayHypotheses(hypotheses.array, layout, rows, columns, factor, n),
-        truth=np.ascontiguousarray(y[true_rows][:, true_columns]),
-        joints=tuple(true_names[k] for k in true_columns),
-        root=next((k for k, column in enumerate(true_columns) if column == root), None),
-        frame_id=true_rows.astype(str) if truth.frame_id is None else truth.frame_id[true_rows],
-        order=true_rows,
-        labels=merged,
-        occluded=_cut(own_marks, rows, columns) if occluded is None else occluded,
-        scores=None if scores is None else scores[:n, rows],
-        fps=fps,
-        names=(hypotheses.name, truth.name),
-        where=_cut(where, true_rows, true_columns),
-        usable=None,
-        remarks=(),
-        reference=None,
-    )
+    data = _with_attributes(PoseData, **Matcher(hypotheses, truth, declared).attributes())
     unit = declared.unit is not None
     true_unit = unit or truth.unit is not None or declared.truth_unit is not None
     unit = unit or hypotheses.unit is not None
     each = declared.truth_unit is not None or (unit and truth.unit is not None)
-    remarks += check_units(data, unit, true_unit, each=each)
-    if root is None and declared.root_joint != "none":
-        remarks.append(
-            f"no root joint is known, so positions are taken as they stand; {option('root_joint')} names one."
-        )
-    return data.replace(remarks=tuple(remarks))
-
-
-def _unit_factors(
-    hypotheses: StoredPoses, truth: StoredPoses, declared: Declarations, problems: Problems
-) -> tuple[float, float]:
-    """Give the millimetres in one unit of both; ``unit`` is for what declares none, or must agree with both."""
-    name, unit = "truth_unit", declared.truth_unit
-    if unit is None and not (truth.unit is not None and hypotheses.unit is None):
-        name, unit = "unit", declared.unit
-    factor = attempt(problems, unit_factor, hypotheses, "unit", declared.unit)
-    return factor or 1.0, attempt(problems, unit_factor, truth, name, unit) or 1.0
-
-
-def _part(labels: Labels, rows: Rows) -> Labels:
-    return {name: values[rows] for name, values in labels.items()}
-
-
-def _cut(mask: BoolArray | None, rows: Rows, columns: Rows) -> BoolArray | None:
-    return None if mask is None else mask[rows][:, columns]
+    return data.replace(remarks=(*data.remarks, *check_units(data, unit, true_unit, each=each)))

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -78,6 +78,7 @@ _SPELLINGS = {
 }
 
 
+@cache
 def canonical_name(name: str) -> str:
     """Give posecal's name for a joint, whatever its spelling; a name it doesn't know stays as it is.
 
@@ -183,7 +184,7 @@ class Skeleton:
 
     @property
     def is_known(self) -> bool:
-        """Whether every joint has a place on the human tree."""
+        """Whether every joint is on the human tree."""
         return all(canonical_name(name) in _TREE for name in self.joints)
 
     @property

@@ -10,8 +10,7 @@ import tempfile
 import zipfile
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from types import TracebackType
-from typing import Any, BinaryIO, Self
+from typing import Any, BinaryIO
 
 import numpy as np
 import numpy.typing as npt
@@ -118,7 +117,7 @@ def _give_name(unnamed: BinaryIO, path: Path) -> None:
 # --- archives -------------------------------------------------------------------------------------------------
 
 
-class Archive:
+class Archive(zipfile.ZipFile):
     """An .npz file that is being written.
 
     Parameters
@@ -130,16 +129,7 @@ class Archive:
     """
 
     def __init__(self, file: BinaryIO, *, compressed: bool = False) -> None:
-        self._method = zipfile.ZIP_DEFLATED if compressed else zipfile.ZIP_STORED
-        self._zip = zipfile.ZipFile(file, "w", allowZip64=True)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._zip.close()
+        super().__init__(file, "w", zipfile.ZIP_DEFLATED if compressed else zipfile.ZIP_STORED)
 
     def add(self, name: str, array: npt.NDArray[Any]) -> None:
         """Write a member."""
@@ -150,8 +140,8 @@ class Archive:
     ) -> None:
         """Write a member of which only pieces along the first axis are at hand."""
         info = zipfile.ZipInfo(f"{name}.npy")  # of no date: the same arrays give the same bytes
-        info.compress_type = self._method
-        with self._zip.open(info, "w", force_zip64=True) as member:
+        info.compress_type = self.compression
+        with self.open(info, "w", force_zip64=True) as member:
             header = {"descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False, "shape": shape}
             np.lib.format.write_array_header_2_0(member, header)
             for piece in pieces:

@@ -21,9 +21,10 @@ from posecal.data.pose_data import PoseData
 from posecal.engine.block import Block, block_length
 from posecal.engine.cells import CellIndex
 from posecal.engine.chunks import Chunk, join_chunks, read_chunks
-from posecal.engine.metric import DataSpec, Metric, Statistic
+from posecal.engine.metric import Metric, Statistic
 from posecal.engine.prepare import Prepared, refuse_non_finite
 from posecal.engine.protocol import Protocol
+from posecal.engine.scope import DataSpec
 from posecal.engine.threads import run_in_order
 from posecal.engine.totals import Totals
 

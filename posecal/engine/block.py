@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 Result = TypeVar("Result")
 
-BLOCK_BYTES = 2 * 1024 * 1024
+BLOCK_BYTES = 1536 * 1024
 """About what the offsets of one block take: few enough to stay in cache, enough to be worth the calls."""
 
 MOST_POSES = 2048
@@ -267,11 +267,11 @@ def _relative(truth: FloatArray, root: int | None, dtype: np.dtype[np.floating])
 def _reuse_freed_memory() -> None:
     """Let the memory of one block's arrays be that of the next one's.
 
-    glibc returns freed arrays of more than 128 KiB to the system, which has to clear every page again for the next: a
-    third of the time of a walk. It returns fewer once an array was freed that is larger (``man mallopt``,
-    M_MMAP_THRESHOLD); this one is never written to. Nothing happens elsewhere.
+    glibc returns freed arrays of more than 128 KiB to the system, which has to clear every page again for the next:
+    half of the time of a walk. It keeps them once a larger array was freed, of up to 32 MiB (``man mallopt``,
+    M_MMAP_THRESHOLD); this one is never written to. Elsewhere nothing happens.
     """
-    np.empty(32 * 1024 * 1024 - 4096, dtype=np.uint8)  # the largest that counts
+    np.empty(31 * 1024 * 1024, dtype=np.uint8)
 
 
 # --- blocks of arrays ---------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""How far do true poses reach? The box that holds all of them, and what it is without any one sequence."""
+"""Range of the coordinates of true poses, of all and without any one sequence."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import FloatArray
-
-__all__ = ["CoordinateRange", "coordinate_range"]
 
 Ints = npt.NDArray[np.intp]
 

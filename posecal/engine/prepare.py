@@ -47,7 +47,7 @@ def prepare(data: PoseData) -> Prepared:
     Returns
     -------
     Prepared
-        For :class:`Accumulator`.
+        For :class:`posecal.Evaluation`.
     """
     names, own = np.zeros(0, dtype=np.str_), np.arange(len(data.truth))
     if "sequence" in data.labels:
@@ -79,7 +79,7 @@ def add_spread_labels(
     PoseData
         With labels.
     """
-    entries = [entry for entry in by if SPREAD.match(entry)]
+    entries = [entry for entry in by if SPREAD.match(entry) and label_name(entry) not in data.labels]
     if not entries:
         return data
     values = np.concatenate(list(map_blocks(data, spread, threads)))

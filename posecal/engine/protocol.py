@@ -162,21 +162,21 @@ class Protocol:
         return {name: value for name, value in self.options.items() if value != default[name]}
 
 
-def _joined(names: object) -> object:
+def _joined(names: Any) -> Any:
     """Give a list or tuple of names as text, with commas; anything else as it is."""
     listed = isinstance(names, (list, tuple)) and all(isinstance(name, str) for name in names)
-    return ", ".join(names) if listed else names  # type: ignore[arg-type]
+    return ", ".join(names) if listed else names
 
 
-def _text(index: object) -> object:
+def _text(index: Any) -> Any:
     """Give a whole number as text; anything else as it is."""
-    return str(index) if isinstance(index, Integral) and not isinstance(index, bool) else index
+    return str(index) if isinstance(index, Integral) else index
 
 
-def _number(value: object) -> object:
+def _number(value: Any) -> Any:
     """Give a number, or text that is one, as float; anything else as it is."""
     try:
-        return value if isinstance(value, bool) or not isinstance(value, (str, Real)) else float(value)
+        return value if isinstance(value, bool) or not isinstance(value, str | Real) else float(value)
     except ValueError:
         return value
 

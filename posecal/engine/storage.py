@@ -14,19 +14,18 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.write import write_file, write_members
-from posecal.engine.metric import DataSpec, Metric
+from posecal.engine.metric import Metric
 from posecal.engine.protocol import Protocol
+from posecal.engine.scope import DataSpec
 from posecal.engine.totals import Totals
 from posecal.errors import PoseFileError
-
-__all__ = ["FORMAT", "is_result", "load_totals", "save_totals"]
 
 FORMAT = 2
 """The version of the file format."""
 
 
 def save_totals(totals: Totals, path: str | os.PathLike[str]) -> None:
-    """Write the sums into a compressed ``.npz`` file, whole or not at all.
+    """Write the sums into a compressed ``.npz`` file, completely or not at all.
 
     Parameters
     ----------
@@ -97,7 +96,7 @@ def load_totals(path: str | os.PathLike[str]) -> Totals:
             counts=_part(members, "count/"),
             per_pose=_part(members, "per_pose/"),
             cell_of=members["cell_of"],
-            own_metrics=tuple(Metric.from_description(found) for found in about["own_metrics"]),
+            own_metrics=tuple(Metric.from_description(texts) for texts in about["own_metrics"]),
         )
     except PoseFileError:
         raise
@@ -105,16 +104,8 @@ def load_totals(path: str | os.PathLike[str]) -> Totals:
         raise PoseFileError(f"{path}: no such file.") from None
     except IsADirectoryError:
         raise PoseFileError(f"{path}: is a folder; expected a result of posecal evaluate --save.") from None
-    except (
-        KeyError,
-        TypeError,
-        AttributeError,
-        ValueError,
-        EOFError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ):
-        raise PoseFileError(f"{name}: no result of posecal evaluate --save, or not a whole one.") from None
+    except (KeyError, TypeError, AttributeError, ValueError, EOFError, zipfile.BadZipFile, zlib.error):
+        raise PoseFileError(f"{name}: no result of posecal evaluate --save, or not a complete one.") from None
     except OSError as error:
         raise PoseFileError(f"{path}: can't be read ({error.strerror}).") from None
 

@@ -1,4 +1,4 @@
-"""How are blocks measured by several threads, and come out in their order?"""
+"""Tasks on threads, with results in the order of the tasks."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
 
-from posecal.errors import PoseDataError
+import numpy as np
 
-__all__ = ["available_cores", "run_in_order"]
+from posecal.errors import PoseDataError
 
 Result = TypeVar("Result")
 
@@ -21,18 +21,28 @@ def run_in_order(tasks: Iterable[Callable[[], Result]], threads: int | None = No
     Parameters
     ----------
     tasks : iterable of callables
-        Taken one by one, a few ahead of what was yielded.
+        Started one by one, a few ahead of the last result that was yielded.
     threads : int, optional
         How many; by default one per core that this process may use.
 
+    Yields
+    ------
+    object
+        The result of each task.
+
+    Raises
+    ------
+    PoseDataError
+        For a number of threads that is none.
+
     Notes
     -----
-    NumPy lets go of the interpreter's lock in its loops, so threads over blocks scale. Results are added up by
-    one thread in the order of the poses: numbers don't depend on the number of threads.
+    NumPy releases the interpreter's lock in its loops, so threads over blocks scale. Results are added up by one thread
+    in the order of the poses: numbers don't depend on the number of threads.
     """
     threads = available_cores() if threads is None else threads
-    if threads < 1:
-        raise PoseDataError(f"threads: {threads}; expected at least 1.")
+    if not isinstance(threads, (int, np.integer)) or threads < 1:
+        raise PoseDataError(f"threads: {threads!r}; expected a whole number, at least 1.")
     if threads == 1:
         for task in tasks:
             yield task()

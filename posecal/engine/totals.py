@@ -17,8 +17,9 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import FloatArray
-from posecal.engine.metric import DataSpec, Metric, Statistic
+from posecal.engine.metric import Metric, Statistic
 from posecal.engine.protocol import Protocol
+from posecal.engine.scope import DataSpec
 from posecal.errors import PoseDataError, did_you_mean
 
 CURVES = ("calibration", "rank_tests")

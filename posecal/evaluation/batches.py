@@ -14,7 +14,6 @@ from posecal.data.pose_data import PoseData
 from posecal.engine.accumulate import Accumulator
 from posecal.engine.cells import CellIndex
 from posecal.engine.merge import merge_totals
-from posecal.engine.metric import DataSpec
 from posecal.engine.prepare import (
     Prepared,
     add_spread_labels,
@@ -24,6 +23,7 @@ from posecal.engine.prepare import (
 )
 from posecal.engine.presets import as_protocol
 from posecal.engine.protocol import Protocol
+from posecal.engine.scope import DataSpec
 from posecal.engine.totals import Totals
 from posecal.errors import PoseDataError, first_few, option
 from posecal.evaluation.sources import Progress, as_pose_data

@@ -85,6 +85,7 @@ def _residuals(offsets: FloatArray, truth: FloatArray, weights: FloatArray, how:
     B, K, D, n = offsets.shape
     centred = how in _ROTATING or how == "rms_mean"
     shares, target = weights.astype(np.float64)[..., None], truth.astype(np.float64)
+    shares /= np.maximum(shares.sum(axis=1, keepdims=True), 0.5)  # to 1 in double, too
     if centred:
         target = target - (shares * target).sum(axis=1, keepdims=True)
     weighted = np.concatenate([shares * target, shares], axis=2).swapaxes(1, 2)

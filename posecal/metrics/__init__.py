@@ -1,4 +1,4 @@
-"""Metrics of hypotheses: functions of arrays, and beside each what reports say of it.
+"""Metrics of hypotheses: functions of arrays, and the entries of reports that are made of them.
 
 Every function takes ``hypotheses`` (N, M, K, D) and ``truth`` (M, K, D) as they stand and returns (M,) values, one per
 pose; average them as you like. ``mpjpe``: the MPJPE family; ``best_of``: minMPJPE against the number of hypotheses;

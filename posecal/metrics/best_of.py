@@ -14,7 +14,8 @@ import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray, as_array, checked, checked_choice
 from posecal.engine.block import Block, per_pose
-from posecal.engine.metric import Curve, Metric, Scope, Statistic, entry
+from posecal.engine.metric import Curve, Metric, Statistic, entry
+from posecal.engine.scope import Scope
 from posecal.errors import PoseDataError
 from posecal.geometry.procrustes import ALIGNMENTS, Alignment
 from posecal.metrics.mpjpe import BEST_ERROR, error_words
@@ -167,7 +168,7 @@ def _errors_by_n(scope: Scope) -> Statistic:
 def subset_metrics(scope: Scope) -> Iterator[Metric]:
     """Expected minMPJPE at round numbers of hypotheses."""
     statistic, N = _errors_by_n(scope), scope.spec.n_hypotheses
-    for place, n in enumerate(curve_sizes(N)):
+    for index, n in enumerate(curve_sizes(N)):
         if n in ROUND_SIZES:
             yield BEST_ERROR(
                 name=f"min_mpjpe_at_{n}",
@@ -176,7 +177,7 @@ def subset_metrics(scope: Scope) -> Iterator[Metric]:
                 definition=f"mean over poses and over all subsets of {n} of the N={N} hypotheses of the smallest "
                 f"error; error: {error_words(scope)}",
                 statistic=statistic,
-                finish=entry(place),
+                finish=entry(index),
             )
 
 

@@ -14,7 +14,8 @@ import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray, checked_number, squared_norms
 from posecal.engine.block import Block
-from posecal.engine.metric import Metric, Scope, Statistic, entry
+from posecal.engine.metric import Metric, Statistic, entry
+from posecal.engine.scope import Scope
 from posecal.metrics.proper import fair_per_pose
 
 
@@ -48,10 +49,10 @@ def brier_counts(block: Block, joints: BoolArray | None = None, threshold: float
     """One-hot table of the predicted share and the outcome, (B, N + 1, 2); its sums give the reliability diagram."""
     n = block.n_hypotheses
     share, happened, counted = _within(block, joints, threshold, block)
-    found = np.zeros((len(share), n + 1, 2))
-    found[np.arange(len(share)), np.rint(share * n).astype(int), happened.astype(int)] = 1
-    found[~counted] = np.nan
-    return found
+    table = np.zeros((len(share), n + 1, 2))
+    table[np.arange(len(share)), np.rint(share * n).astype(int), happened.astype(int)] = 1
+    table[~counted] = np.nan
+    return table
 
 
 def brier_score(
@@ -185,11 +186,11 @@ _BRIER = partial(
 )
 
 
-def _part(place: int) -> Callable[[FloatArray], FloatArray]:
+def _part(index: int) -> Callable[[FloatArray], FloatArray]:
     """Finish by one part of the Brier score, from counts (..., N + 1, 2) to (...)."""
 
     def finish(counts: FloatArray) -> FloatArray:
-        parts = [reliability(table).parts[place] for table in counts.reshape(-1, *counts.shape[-2:])]
+        parts = [reliability(table).parts[index] for table in counts.reshape(-1, *counts.shape[-2:])]
         return np.array(parts).reshape(counts.shape[:-2])
 
     return finish
@@ -211,7 +212,7 @@ def brier_metrics(scope: Scope) -> Iterator[Metric]:
         statistic=Statistic("brier", partial(fair_brier, joints=scope.moving, threshold=threshold)),
         finish=entry(),
     )
-    for place, (name, words) in enumerate(
+    for index, (name, words) in enumerate(
         (
             ("miscalibration", "that recalibrated probabilities would remove"),
             ("discrimination", "that telling poses apart removes"),
@@ -224,5 +225,5 @@ def brier_metrics(scope: Scope) -> Iterator[Metric]:
             definition=f"part of the Brier score {words}, by isotonic regression of o on p, equal p pooled (CORP); "
             f"o, p: {event}",
             statistic=Statistic("brier_counts", counted),
-            finish=_part(place),
+            finish=_part(index),
         )

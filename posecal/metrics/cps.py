@@ -14,7 +14,8 @@ import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray, checked_choice
 from posecal.engine.block import Block, per_pose
-from posecal.engine.metric import Curve, Metric, Scope, Statistic
+from posecal.engine.metric import Curve, Metric, Statistic
+from posecal.engine.scope import Scope
 from posecal.geometry.procrustes import ALIGNMENTS, Alignment
 from posecal.metrics.mpjpe import aligned_words
 from posecal.metrics.pck import SELECTED, SELECTIONS, THRESHOLDS, Score, Selection, correct_share
@@ -62,14 +63,14 @@ def pose_score(
     masks = (None if mask is None else mask.tobytes() for mask in (joints, fit))
     worst = block.share(("largest_error", align, *masks), largest)
     if select == "own":
-        found = score(worst.min(axis=-1))
+        scores = score(worst.min(axis=-1))
     elif select == "linked":
-        found = score(linked(block, worst, body))
+        scores = score(linked(block, worst, body))
     else:
-        found = score(worst).mean(axis=1)
-    found = np.asarray(found, dtype=np.float64)
-    found[~weights.any(axis=1)] = np.nan
-    return found
+        scores = score(worst).mean(axis=1)
+    scores = np.asarray(scores, dtype=np.float64)
+    scores[~weights.any(axis=1)] = np.nan
+    return scores
 
 
 def cps(

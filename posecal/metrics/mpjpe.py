@@ -23,7 +23,8 @@ import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray, checked, checked_choice, checked_index
 from posecal.engine.block import Block, per_pose
-from posecal.engine.metric import Metric, Scope, Statistic, entry, per_joint
+from posecal.engine.metric import Metric, Statistic, entry, per_joint
+from posecal.engine.scope import Scope
 from posecal.errors import PoseDataError
 from posecal.geometry.procrustes import ALIGNMENTS, Alignment
 from posecal.metrics.position import OF_POSES, OfPoses, joint_errors, linked, pose_errors, sorted_errors
@@ -257,7 +258,7 @@ def _of_hypotheses(scope: Scope, prefix: str, align: Alignment) -> Iterator[Metr
     brief, words = f"best of N={n} per frame", f"smallest of the N={n} errors"
     if linking:
         brief, words = f"best of N={n} after aligning minMPJPE's", f"error of minMPJPE's of the N={n} hypotheses"
-    for place, (name, label, short, long) in enumerate(
+    for index, (name, label, short, long) in enumerate(
         (
             ("min_mpjpe", "minMPJPE", brief, words),
             ("mpjpe", "MPJPE", f"mean of N={n}", f"mean of the N={n} errors"),
@@ -265,20 +266,20 @@ def _of_hypotheses(scope: Scope, prefix: str, align: Alignment) -> Iterator[Metr
             ("worst_mpjpe", "MPJPE, worst of N", f"worst of N={n}", f"largest of the N={n} errors"),
         )
     ):
-        headline, by_joint = prefix + name in {"min_mpjpe", "mpjpe", "pa_min_mpjpe"}, place < 2 and not prefix
-        metric = (ERROR if place else BEST_ERROR)(
+        headline, by_joint = prefix + name in {"min_mpjpe", "mpjpe", "pa_min_mpjpe"}, index < 2 and not prefix
+        metric = (ERROR if index else BEST_ERROR)(
             name=prefix + name,
             label=_label(prefix, label),
             brief=f"{short}, {scope.number(body)}",
             definition=f"mean over poses of the {long}; error: {error_words(scope, align)}",
             statistic=statistic,
-            finish=entry(place),
-            by_joint=(joints, per_joint(place)) if by_joint else None,
+            finish=entry(index),
+            by_joint=(joints, per_joint(index)) if by_joint else None,
             headline=headline,
             in_group_table=headline,
             in_joint_table=by_joint,
         )
-        yield metric if place else _best_per(scope, metric, align, prefix)
+        yield metric if index else _best_per(scope, metric, align, prefix)
 
 
 def _best_per(scope: Scope, metric: Metric, align: Alignment, prefix: str) -> Metric:

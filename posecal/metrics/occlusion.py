@@ -15,7 +15,8 @@ from posecal.calibration.curve import joint_ece, signed_area
 from posecal.calibration.ranks import LEVELS, inside
 from posecal.data.arrays import BoolArray, FloatArray
 from posecal.engine.block import Block
-from posecal.engine.metric import Deviation, Metric, Scope, Statistic, entry
+from posecal.engine.metric import Deviation, Metric, Statistic, entry
+from posecal.engine.scope import Scope
 from posecal.metrics.position import joint_errors
 from posecal.metrics.sharpness import joint_radii
 

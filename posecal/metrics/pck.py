@@ -19,7 +19,8 @@ import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray, checked_choice, checked_number
 from posecal.engine.block import Block, per_pose
-from posecal.engine.metric import Curve, Metric, Scope, Statistic, entry
+from posecal.engine.metric import Curve, Metric, Statistic, entry
+from posecal.engine.scope import Scope
 from posecal.geometry.procrustes import Alignment
 from posecal.metrics.position import joint_errors, linked
 
@@ -33,7 +34,7 @@ AUC_STEP, AUC_THRESHOLDS = 5.0, 31
 
 
 def correct_share(errors: FloatArray, threshold: float | FloatArray, *, strict: bool = True) -> FloatArray:
-    """Say 1 where an error is below the threshold (or at it, where not strict), else 0."""
+    """1 where an error is below the threshold (or at it, where not strict), else 0."""
     return np.asarray(errors < threshold if strict else errors <= threshold, dtype=np.float64)
 
 
@@ -51,10 +52,10 @@ def correct_joints(
     right = block.errors < threshold if strict else block.errors <= threshold
     shares = (weights[:, None] @ right)[:, 0]
     if select == "linked":
-        found = linked(block, shares, body)
+        share = linked(block, shares, body)
     else:
-        found = shares.max(axis=-1) if select == "own" else shares.mean(axis=-1)
-    return np.where(weights.any(axis=1), found, np.nan)
+        share = shares.max(axis=-1) if select == "own" else shares.mean(axis=-1)
+    return np.where(weights.any(axis=1), share, np.nan)
 
 
 def auc_share(errors: FloatArray, *, exact: bool = False, strict: bool = True) -> FloatArray:
@@ -85,7 +86,7 @@ def joint_score(
     score : callable
         From errors in mm to numbers that fall with the error, elementwise; 0 at infinity.
     select : str
-        One of :data:`SELECTIONS`; ``own`` takes the best hypothesis at each threshold that the score adds up.
+        One of :data:`SELECTIONS`; ``own`` takes the best hypothesis at each threshold that the score sums over.
     align : str
         See :mod:`posecal.geometry.procrustes`.
     joints : bool array (K,), optional
@@ -102,25 +103,25 @@ def joint_score(
     """
     weights = block.weights(joints).astype(np.float64)
     fit = body if fit is None else fit
-    found: FloatArray
+    scores: FloatArray
     if select == "own":
-        found = score(_best_ordered(block, align, joints, fit)).sum(axis=1)
+        scores = score(_best_ordered(block, align, joints, fit)).sum(axis=1)
         number = np.maximum(np.count_nonzero(weights, axis=1), 1)
-        found /= number.reshape(-1, *[1] * (found.ndim - 1))
+        scores /= number.reshape(-1, *[1] * (scores.ndim - 1))
     elif select == "linked":
         errors = linked(block, joint_errors(block, align, None, fit), body)
-        found = np.einsum("bk,bk...->b...", weights, score(errors))
+        scores = np.einsum("bk,bk...->b...", weights, score(errors))
     else:
-        scores = score(joint_errors(block, align, None, fit))
-        found = np.einsum("bk,bkn...->b...", weights, scores) / block.n_hypotheses
-    found[~weights.any(axis=1)] = np.nan
-    return found
+        each = score(joint_errors(block, align, None, fit))
+        scores = np.einsum("bk,bkn...->b...", weights, each) / block.n_hypotheses
+    scores[~weights.any(axis=1)] = np.nan
+    return scores
 
 
 def _least_of_each_rank(errors: FloatArray) -> FloatArray:
     """Sort (K, B, N) errors over the K joints and give the smallest of the N hypotheses, (K, B).
 
-    Few joints are sorted by a network of comparisons, each of two whole rows of memory.
+    Few joints are sorted by a network of comparisons, each of two rows of memory.
     """
     if len(errors) > 40:
         return np.asarray(np.sort(errors, axis=0).min(axis=-1))
@@ -134,7 +135,7 @@ def _least_of_each_rank(errors: FloatArray) -> FloatArray:
 
 @cache
 def _comparisons(n: int) -> list[tuple[int, int]]:
-    """Pairs of places that Batcher's odd-even merge sort puts in order, one after another."""
+    """Pairs of positions that Batcher's odd-even merge sort puts in order, one after another."""
     return [
         (i + j, i + j + step)
         for size in (1 << level for level in range((n - 1).bit_length()))
@@ -211,7 +212,7 @@ def pck(
     See Also
     --------
     auc : Mean of PCK over thresholds.
-    posecal.metrics.cps : The same question of whole poses.
+    posecal.metrics.cps : The same of entire poses.
 
     References
     ----------

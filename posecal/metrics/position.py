@@ -153,6 +153,5 @@ def linked(block: Block, values: FloatArray, body: BoolArray | None = None) -> F
     """Take from values (B, ..., N) those of the hypothesis that minMPJPE chooses, (B, ...)."""
     errors = pose_errors(block, body=body)
     chosen = np.where(np.isnan(errors), np.inf, errors).argmin(axis=-1)
-    places = chosen.reshape(-1, *[1] * (values.ndim - 1))
-    taken: FloatArray = np.take_along_axis(values, places, axis=-1).squeeze(axis=-1)
-    return taken
+    index = chosen.reshape(-1, *[1] * (values.ndim - 1))
+    return np.asarray(np.take_along_axis(values, index, axis=-1).squeeze(axis=-1))

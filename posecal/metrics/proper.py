@@ -1,4 +1,4 @@
-"""Proper scores of the whole predicted distribution, which no model can improve by a wrong spread.
+"""Proper scores of the predicted distribution, which no model can improve by a wrong spread.
 
 The scores here are *fair*: unbiased in N, so that models with different numbers of hypotheses can share a column,
 and the expected score of a sampler is best when it samples from the truth. The energy score looks at whole poses
@@ -22,7 +22,8 @@ import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray, checked, squared_norms
 from posecal.engine.block import Block, per_pose
-from posecal.engine.metric import Metric, Scope, Statistic, entry, mean_over_joints
+from posecal.engine.metric import Metric, Statistic, entry, mean_over_joints
+from posecal.engine.scope import Scope
 from posecal.errors import PoseDataError
 
 STRIP = 50
@@ -39,11 +40,11 @@ def _half_mean_distances(points: FloatArray) -> FloatArray:
     B, S, D, n = points.shape
     centres = points.mean(axis=-1, keepdims=True)
     left, right = np.ones((2, S, D + 2, n), dtype=points.dtype)
-    room = np.empty(S * min(STRIP, n) * n, dtype=points.dtype)
+    buffer = np.empty(S * min(STRIP, n) * n, dtype=points.dtype)
     strips = []
     for start in range(0, n, STRIP):
         own, later = min(STRIP, n - start), n - start
-        distances = room[: S * own * later].reshape(S, own, later)
+        distances = buffer[: S * own * later].reshape(S, own, later)
         times = np.repeat(np.array([1, 2], dtype=points.dtype), [own, later - own])
         factors = left[..., start : start + own].swapaxes(-1, -2), right[..., start:]
         strips.append((factors, distances, np.einsum("sii->si", distances[..., :own]), times))
@@ -64,7 +65,7 @@ def _half_mean_distances(points: FloatArray) -> FloatArray:
 
 
 def joint_energies(block: Block, joints: BoolArray | None = None) -> FloatArray:
-    """Fair energy score of every joint and, in the last place, of the whole pose.
+    """Fair energy score of every joint and, last, of the entire pose.
 
     Returns
     -------
@@ -79,9 +80,9 @@ def joint_energies(block: Block, joints: BoolArray | None = None) -> FloatArray:
     if not scored.all():
         offsets, squares = offsets * scored[..., None, None], squares * scored[..., None]
     each = block.errors.mean(axis=-1, dtype=np.float64) - _half_mean_distances(block.offsets)
-    whole = np.sqrt(squares.sum(axis=1)).mean(axis=-1, dtype=np.float64)
-    whole -= _half_mean_distances(offsets.reshape(B, 1, K * D, n))[:, 0]
-    return np.where(np.column_stack([scored, scored.any(axis=1)]), np.column_stack([each, whole]), np.nan)
+    of_pose = np.sqrt(squares.sum(axis=1)).mean(axis=-1, dtype=np.float64)
+    of_pose -= _half_mean_distances(offsets.reshape(B, 1, K * D, n))[:, 0]
+    return np.where(np.column_stack([scored, scored.any(axis=1)]), np.column_stack([each, of_pose]), np.nan)
 
 
 def joint_crps(block: Block, joints: BoolArray | None = None) -> FloatArray:
@@ -140,12 +141,7 @@ def fair_per_pose(
 
 
 def energy_score(
-    hypotheses: npt.ArrayLike,
-    truth: npt.ArrayLike,
-    /,
-    *,
-    where: npt.ArrayLike | None = None,
-    root: int | None = None,
+    hypotheses: npt.ArrayLike, truth: npt.ArrayLike, /, *, where: npt.ArrayLike | None = None, root: int | None = None
 ) -> FloatArray:
     r"""Fair energy score of each whole pose.
 
@@ -202,12 +198,7 @@ def energy_score(
 
 
 def crps(
-    hypotheses: npt.ArrayLike,
-    truth: npt.ArrayLike,
-    /,
-    *,
-    where: npt.ArrayLike | None = None,
-    root: int | None = None,
+    hypotheses: npt.ArrayLike, truth: npt.ArrayLike, /, *, where: npt.ArrayLike | None = None, root: int | None = None
 ) -> FloatArray:
     r"""Fair continuous ranked probability score of each pose, the mean over its coordinates: CRPS.
 
@@ -254,12 +245,7 @@ def crps(
 
 
 def variogram_score(
-    hypotheses: npt.ArrayLike,
-    truth: npt.ArrayLike,
-    /,
-    *,
-    where: npt.ArrayLike | None = None,
-    root: int | None = None,
+    hypotheses: npt.ArrayLike, truth: npt.ArrayLike, /, *, where: npt.ArrayLike | None = None, root: int | None = None
 ) -> FloatArray:
     r"""Fair variogram score of order ½ of each pose, on the distances between its joints.
 
@@ -287,7 +273,7 @@ def variogram_score(
     Notes
     -----
     Blind to where the pose is and which way it faces. Differs from the published code: the distance between two
-    points takes the place of the difference of two numbers.
+    points replaces the difference of two numbers.
 
     See Also
     --------

@@ -14,7 +14,8 @@ import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray, checked_number, squared_norms
 from posecal.engine.block import Block, per_pose
-from posecal.engine.metric import Metric, Scope, Statistic, mean_over_joints, per_joint
+from posecal.engine.metric import Metric, Statistic, mean_over_joints, per_joint
+from posecal.engine.scope import Scope
 
 
 def joint_deviations(block: Block, *, population: bool = False) -> FloatArray:
@@ -33,12 +34,12 @@ def joint_deviations(block: Block, *, population: bool = False) -> FloatArray:
 
 
 def predicted_spread(block: Block, joints: BoolArray | None = None) -> FloatArray:
-    """How wide a pose's hypotheses lie: mean over its moving joints of :func:`joint_deviations`, (B,), mm."""
-    found = joint_deviations(block)
+    """Predicted spread of a pose: mean over its moving joints of :func:`joint_deviations`, (B,), mm."""
+    deviations = joint_deviations(block)
     if joints is not None:
-        found = np.where(joints, found, np.nan)
-    moving = mean_over_joints(np.where(found > 0, found, np.nan))
-    return np.where(np.isnan(moving), mean_over_joints(found), moving)
+        deviations = np.where(joints, deviations, np.nan)
+    moving = mean_over_joints(np.where(deviations > 0, deviations, np.nan))
+    return np.where(np.isnan(moving), mean_over_joints(deviations), moving)
 
 
 def joint_radii(block: Block, shares: tuple[float, ...]) -> FloatArray:
@@ -51,10 +52,10 @@ def joint_radii(block: Block, shares: tuple[float, ...]) -> FloatArray:
     """
     n = block.n_hypotheses
     squares = block.share("sorted_squares", lambda: np.sort(squared_norms(block.from_median), axis=-1))
-    places = [max(1, int(np.ceil(round(share * n, 9)))) - 1 for share in shares]
-    found = np.sqrt(squares[..., places], dtype=np.float64)
-    found[~block.where] = np.nan
-    return found
+    ranks = [max(1, int(np.ceil(round(share * n, 9)))) - 1 for share in shares]
+    radii = np.sqrt(squares[..., ranks], dtype=np.float64)
+    radii[~block.where] = np.nan
+    return radii
 
 
 def diversity(
@@ -192,9 +193,9 @@ _SHARPNESS = partial(
 )
 
 
-def _mean_of(place: int) -> Callable[[FloatArray], FloatArray]:
+def _mean_of(index: int) -> Callable[[FloatArray], FloatArray]:
     """Finish by the mean over joints of one entry of each."""
-    return lambda means: mean_over_joints(means[..., place])
+    return lambda means: mean_over_joints(means[..., index])
 
 
 def sharpness_metrics(scope: Scope) -> Iterator[Metric]:
@@ -210,7 +211,7 @@ def sharpness_metrics(scope: Scope) -> Iterator[Metric]:
         return np.where(scope.moving, joint_deviations(block, population=population), np.nan)
 
     statistic = Statistic("radii", radii, per_joint=True)
-    for place, share in enumerate((50, 90)):
+    for index, share in enumerate((50, 90)):
         yield _SHARPNESS(
             name=f"radius_{share}",
             label=f"radius of {share} %",
@@ -218,8 +219,8 @@ def sharpness_metrics(scope: Scope) -> Iterator[Metric]:
             definition=f"sharpness: radius about the per-coordinate median that holds {share} % of the N={n} "
             f"hypotheses, mean over poses, then over {joints}",
             statistic=statistic,
-            finish=_mean_of(place),
-            by_joint=(statistic, per_joint(place)),
+            finish=_mean_of(index),
+            by_joint=(statistic, per_joint(index)),
             in_group_table=share == 50,
             in_joint_table=True,
         )

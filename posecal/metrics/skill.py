@@ -9,7 +9,8 @@ import numpy as np
 
 from posecal.data.arrays import FloatArray
 from posecal.engine.block import Block
-from posecal.engine.metric import Metric, Scope, Statistic
+from posecal.engine.metric import Metric, Statistic
+from posecal.engine.scope import Scope
 from posecal.metrics.brier import brier_metrics, fair_brier
 from posecal.metrics.proper import score_metrics
 
@@ -50,7 +51,7 @@ def skill_metrics(scope: Scope) -> Iterator[Metric]:
 
 def _skill(means: FloatArray, metric: Metric) -> FloatArray:
     """Compare a score with its reference's, from means (..., *shape, 2) to (...)."""
-    score, reference = (np.asarray(metric.finish(means[..., place])) for place in (0, 1))
+    score, reference = (np.asarray(metric.finish(means[..., index])) for index in (0, 1))
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(reference > NOTHING, 1 - score / reference, np.nan)
 

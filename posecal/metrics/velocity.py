@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray, as_array, checked, checked_number, squared_norms
 from posecal.engine.block import Block, per_pose
-from posecal.engine.metric import Metric, Scope, Statistic
+from posecal.engine.metric import Metric, Statistic
+from posecal.engine.scope import Scope
 from posecal.errors import PoseDataError
 from posecal.metrics.position import OfPoses
 
@@ -29,9 +30,9 @@ def velocity_errors(block: Block, *, of: OfPoses | None = None, body: BoolArray 
         steps = steps.mean(axis=-1, keepdims=True)
     errors = np.sqrt(squared_norms(steps))
     weights = block.weights(block.where_before if body is None else block.where_before & body)
-    found: FloatArray = np.einsum("bk,bkn->bn", weights, errors)
-    found[~weights.any(axis=1)] = np.nan
-    return found
+    means: FloatArray = np.einsum("bk,bkn->bn", weights, errors)
+    means[~weights.any(axis=1)] = np.nan
+    return means
 
 
 def mpjve(

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from functools import cache
 
 from posecal.data.arrays import checked_choice
 from posecal.data.skeleton import JOINT_SETS
-from posecal.engine.metric import DataSpec, Family, Metric
+from posecal.engine.metric import Family, Metric
 from posecal.engine.protocol import CHOICES, Protocol
+from posecal.engine.scope import DataSpec
 from posecal.registry import known_metrics, registered_metrics
 from posecal.report.table import AuxiliaryRow, auxiliary_rows
 
@@ -111,6 +113,7 @@ def metrics_table(family: Family) -> list[tuple[str, str, str, str, str]]:
     ]
 
 
+@cache
 def _changing_options() -> dict[str, set[str]]:
     """Find the options that change each metric: its definition, label or unit."""
     default = known_metrics(Protocol(), EVERYTHING)

@@ -54,6 +54,17 @@ def p_value(value: float) -> str:
     return "p < 0.001" if value < 0.001 else f"p = {value:.3f}"
 
 
+def short_p(value: float) -> str:
+    """Write a p-value for a table.
+
+    Examples
+    --------
+    >>> short_p(0.0005), short_p(0.25)
+    ('< 0.001', '0.250')
+    """
+    return p_value(value).removeprefix("p ").removeprefix("= ")
+
+
 def counted(number: int, one: str, many: str = "") -> str:
     """Write how many there are of something.
 

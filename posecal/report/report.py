@@ -70,7 +70,7 @@ class Report:
     --------
     >>> import numpy as np
     >>> from posecal.evaluation import evaluate
-    >>> report = evaluate(np.zeros((2, 8, 3, 3)) + 4.0, np.zeros((8, 3, 3)) + 1.0)
+    >>> report = evaluate(np.full((2, 8, 4, 3), 4.0), np.full((8, 4, 3), 1.0), unit="mm")
     >>> round(report["mpjpe"], 3)
     5.196
     """
@@ -106,13 +106,7 @@ class Report:
         return auxiliary_rows(self.metrics)
 
     def metrics_in(self, group: str | None) -> dict[str, Metric]:
-        """Give the metrics of a group, which by occlusion are others.
-
-        Raises
-        ------
-        PoseDataError
-            For a group that the report doesn't have.
-        """
+        """Give the metrics of a group, which by occlusion are others."""
         if group not in self.groups:
             known = [name for name in self.groups if name is not None]
             raise PoseDataError(f"group: {group!r} is not in the report. {did_you_mean(str(group), known)}")
@@ -210,11 +204,6 @@ class Report:
         low, high : float
             NaN with fewer than two sequences, and for calibration errors, which are never below 0 and have a
             :meth:`test` instead.
-
-        Raises
-        ------
-        PoseDataError
-            Where the report has no such number.
         """
         metric, cells = self._find(name, group)
         if name in self.auxiliary or metric.deviation is not None:
@@ -241,11 +230,6 @@ class Report:
         Null
             The observed error, mean and 95 % quantile of a calibrated sampler's, p-value and band; NaN p with too few
             sequences.
-
-        Raises
-        ------
-        PoseDataError
-            Where the report has no such error.
         """
         metric, cells = self._find(name, group)
         if name in self.auxiliary or metric.deviation is None:
@@ -292,13 +276,7 @@ class Report:
         return int(np.broadcast_to(at_joints, (*at_joints.shape, 1)[:1])[self._joint(joint)])
 
     def definition(self, name: str, group: str | None = None) -> str:
-        """Give the definition of a number, in one line.
-
-        Raises
-        ------
-        PoseDataError
-            Where it is not in the report.
-        """
+        """Give the definition of a number, in one line."""
         metric, _ = self._find(name, group)
         if name not in self.auxiliary:
             return metric.definition
@@ -330,22 +308,15 @@ class Report:
             (rows and curves).
         joints, definitions : bool
             In text, Markdown and LaTeX, add the table per joint, and the definition of every number.
-        width : int
-            Of text: columns of the terminal.
-        colour : bool
-            Of text: whether to use the terminal's colours.
+        width, colour : int and bool
+            Of text: columns of the terminal, and whether to use its colours.
         words : callable
             How remarks name options: ``for_python`` or ``for_command_line`` of :mod:`posecal.errors`.
 
         Returns
         -------
         str
-            All of it, without a final line break.
-
-        Raises
-        ------
-        PoseDataError
-            For another form.
+            Without a final line break.
         """
         if form == "json":
             return json.dumps(as_dict(self, words), ensure_ascii=False, indent=1)
@@ -370,13 +341,7 @@ class Report:
         return html_fragment(self)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the sums into a file, from which any report can be made later.
-
-        Raises
-        ------
-        PoseFileError
-            Where the file can't be written.
-        """
+        """Write the sums into a file, from which any report can be made later; PoseFileError where that can't be."""
         save_totals(self.totals, path)
 
     # --- lookups ----------------------------------------------------------------------------------------------

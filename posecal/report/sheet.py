@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -31,21 +32,30 @@ class Table:
     ----------
     title : str
         Its heading; the text for a terminal shows the first column's instead.
-    columns : tuple of (str, bool)
-        Headings, and whether a column holds numbers, which are aligned at their right and never broken over lines.
-    rows : list of tuples of str
+    headings : sequence of str
+        Of the columns.
+    rows : sequence of tuples of str
         Cells.
+    words : collection of str
+        Headings of columns of words, beside the first; all others hold numbers, which are aligned at their right and
+        never broken over lines.
     """
 
     title: str
-    columns: tuple[tuple[str, bool], ...]
-    rows: list[tuple[str, ...]]
+    headings: Sequence[str]
+    rows: Sequence[tuple[str, ...]]
+    words: Collection[str] = ()
+
+    @property
+    def columns(self) -> list[tuple[str, bool]]:
+        """The headings, and whether a column holds numbers."""
+        return [(heading, k > 0 and heading not in self.words) for k, heading in enumerate(self.headings)]
 
     def frame(self) -> pd.DataFrame:
         """Give the table as a pandas data frame of text."""
         import pandas as pd
 
-        return pd.DataFrame(self.rows, columns=[heading for heading, _ in self.columns], dtype=str)
+        return pd.DataFrame(list(self.rows), columns=list(self.headings), dtype=str)
 
     def parts(self, width: int) -> list[RichTable]:
         """Lay the table out for a terminal: where its numbers don't fit, as several with the same first column."""

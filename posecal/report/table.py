@@ -253,18 +253,9 @@ def _is_test_of_ece(report: Report, row: AuxiliaryRow, group: str) -> bool:
 
 
 def _row(report: Report, entry: Metric | AuxiliaryRow, group: str | None = None, joint: str | None = None) -> Row:
-    return Row(
-        metric=entry.name,
-        label=entry.label,
-        group=group,
-        joint=joint,
-        value=report.value(entry.name, group, joint),
-        unit=entry.unit,
-        direction=entry.direction,
-        definition=report.definition(entry.name, group),
-        poses=report.count(entry.name, group, joint),
-        **dict(zip(("low", "high"), report.interval(entry.name, group, joint), strict=True)),
-    )
+    name, value = entry.name, report.value(entry.name, group, joint)
+    about = entry.unit, entry.direction, report.definition(name, group), report.count(name, group, joint)
+    return Row(name, entry.label, group, joint, value, *about, *report.interval(name, group, joint))
 
 
 def as_dict(report: Report, words: Callable[[str], str] = for_python) -> dict[str, object]:

@@ -11,7 +11,7 @@ from posecal.engine.metric import Metric
 from posecal.engine.presets import PRESETS
 from posecal.engine.protocol import Protocol
 from posecal.errors import for_python
-from posecal.report.format import MISSING, counted, number, p_value, short_number, span
+from posecal.report.format import MISSING, counted, number, short_number, short_p, span
 from posecal.report.sheet import Sheet, Table
 from posecal.report.summary import remarks
 
@@ -31,6 +31,7 @@ FAMILIES = {
 }
 """Titles of tables, by family and whether its metrics are tested against a calibrated sampler."""
 
+WHAT = "what it is"
 ARROWS = {"lower": "↓", "higher": "↑", "zero": "0", "none": ""}
 
 
@@ -91,54 +92,49 @@ def short_title(report: Report) -> str:
 
 
 def _values(report: Report, title: str, metrics: list[Metric]) -> Table:
-    columns = ((title, False), ("value", True), ("95 % interval", True), ("", False), ("what it is", False))
     rows = []
     for metric in metrics:
         interval = span(*report.interval(metric.name), metric.unit)
         value = number(report[metric.name], metric.unit)
         rows.append((metric.label, value, interval, ARROWS[metric.direction], metric.brief))
-    return Table(title, columns, [*rows])
+    return Table(title, (title, "value", "95 % interval", "", WHAT), rows, ("", WHAT))
 
 
 def _tests(report: Report, title: str, metrics: list[Metric]) -> Table:
     """Lay out errors with those of a calibrated sampler and p-values, of rank tests the adjusted ones."""
-    adjusted = {name: p for name, (_, p) in report.rank_tests().items()}
-    p_heading = "adjusted p" if metrics[0].name in adjusted else "p"
-    numbers = ("value", "null mean", "null 95 %", p_heading)
-    columns = ((title, False), *((heading, True) for heading in numbers), ("", False), ("what it is", False))
+    adjusted = {name: p for name, (_, p) in report.rank_tests().items()} if metrics[0].family == "rank_tests" else {}
+    headings = (title, "value", "null mean", "null 95 %", "adjusted p" if adjusted else "p", "", WHAT)
     rows = []
     for metric in metrics:
         test, brief = report.test(metric.name), metric.brief
         p = adjusted.get(metric.name, test.p)
         null = (MISSING, MISSING, "no test")
         if not math.isnan(p):
-            null = (short_number(test.mean), short_number(test.high), p_value(p).removeprefix("p ").removeprefix("= "))
+            null = (short_number(test.mean), short_number(test.high), short_p(p))
         if f"{metric.name}_floor" in report.auxiliary:
             brief += f"; {report[f'{metric.name}_floor']:.4f} if frames were independent"
         rows.append((metric.label, number(report[metric.name]), *null, ARROWS[metric.direction], brief))
-    return Table(title, columns, [*rows])
+    return Table(title, headings, rows, ("", WHAT))
 
 
 def _by_label(report: Report, label: str) -> Table:
     groups = [group for group in report.groups if (group or "").startswith(f"{label}=")]
     metrics = {n: m for n, m in report.metrics_in(groups[0]).items() if m.in_group_table}
-    columns = ((label, False), ("poses", True), *((metric.label, True) for metric in metrics.values()))
     rows = []
     for group in groups:
         poses = max((report.count(name, group) for name in metrics), default=0)
         values = (short_number(report.value(name, group), metric.unit) for name, metric in metrics.items())
         rows.append((str(group).partition("=")[2], f"{poses:,}", *values))
-    return Table(f"By {label}", columns, [*rows])
+    return Table(f"By {label}", (label, "poses", *(metric.label for metric in metrics.values())), rows)
 
 
 def _by_joint(report: Report) -> Table:
     metrics = {name: metric for name, metric in report.metrics.items() if metric.in_joint_table}
-    columns = (("joint", False), *((metric.label, True) for metric in metrics.values()))
     rows = [
         (joint, *(short_number(report.value(name, joint=joint), metric.unit) for name, metric in metrics.items()))
         for joint in report.totals.spec.joints
     ]
-    return Table("By joint", columns, [*rows])
+    return Table("By joint", ("joint", *(metric.label for metric in metrics.values())), rows)
 
 
 def comparison_sheet(comparison: Comparison) -> Sheet:
@@ -146,14 +142,13 @@ def comparison_sheet(comparison: Comparison) -> Sheet:
     names, first = comparison.names, comparison.totals[0]
     metrics = {n: m for n, m in comparison.metrics.items() if m.headline or m.family in {"scores", "rank_tests"}}
     rows = [_compared(comparison, metric) for metric in metrics.values()]
-    ranks = "" if len(names) == 2 else " (rank)"
-    columns = (("metric", False), *((f"{name}{ranks}", True) for name in names))
-    if not ranks:
-        columns += (("difference", True), ("95 % interval", True), ("p", True), ("better", False))
+    headings = ("metric", *names, "difference", "95 % interval", "p", "better")
+    if len(names) > 2:
+        headings = ("metric", *(f"{name} (rank)" for name in names))
     return Sheet(
         f"{' against '.join(names)} · the same M = {first.poses.sum():,} poses, paired by {first.units()}",
         sentences=_comparison_sentences(comparison),
-        tables=[Table("Comparison", columns, rows)],
+        tables=[Table("Comparison", headings, rows, ["better"])],
         footer=f"signature: {first.signature}",
     )
 
@@ -169,7 +164,7 @@ def _compared(comparison: Comparison, metric: Metric) -> tuple[str, ...]:
     digits = 2 if metric.unit else 4
     low, high, p = difference.low, difference.high, difference.p
     interval = "" if math.isnan(low) else f"{low:+.{digits}f} to {high:+.{digits}f}"
-    p_text = "" if math.isnan(p) else p_value(p).removeprefix("p ").removeprefix("= ")
+    p_text = "" if math.isnan(p) else short_p(p)
     return metric.label, *values, f"{difference.value:+.{digits}f}", interval, p_text, difference.better or ""
 
 
@@ -190,20 +185,22 @@ def _comparison_sentences(comparison: Comparison) -> list[str]:
 
 def presets_sheet() -> Sheet:
     """Lay out the published protocols with every option that they set, then all options."""
-    presets: list[tuple[str, ...]] = [
+    presets = [
         (preset.name, preset.source, "\n".join(f"{k} = {v}" for k, v in preset.options.items()), preset.note)
         for preset in PRESETS.values()
     ]
-    options: list[tuple[str, ...]] = []
+    options = []
     for option in fields(Protocol):
         about = option.metadata
         values = " | ".join(about["choices"]) if "choices" in about else about["form"]
         options.append((option.name, str(option.default), values, about["about"]))
     headings = ("preset", "follows", "sets", "note"), ("option", "default", "values", "what it says")
-    columns = [tuple((heading, False) for heading in row) for row in headings]
     return Sheet(
         "Published protocols, each with the options that it sets, and all options",
-        tables=[Table("Presets", columns[0], presets), Table("Options", columns[1], options)],
+        tables=[
+            Table("Presets", headings[0], presets, headings[0]),
+            Table("Options", headings[1], options, headings[1]),
+        ],
     )
 
 
@@ -226,17 +223,16 @@ def spread_sheet(factors: Mapping[str, float], poses: int, judged: tuple[Report,
         sentences.append(f"Spread factor {factor:.4f} for all joints, fitted on {counted(poses, 'pose')}.")
     else:
         sentences.append(f"A spread factor for each of {len(moving)} joints, fitted on {counted(poses, 'pose')}.")
-        rows: list[tuple[str, ...]] = [(joint, f"{factor:.4f}") for joint, factor in moving.items()]
-        tables.append(Table("Factors", (("joint", False), ("factor", True)), rows))
+        rows = [(joint, f"{factor:.4f}") for joint, factor in moving.items()]
+        tables.append(Table("Factors", ("joint", "factor"), rows))
     if judged is None:
         sentences.append("Not judged: --split says what it does to sequences that it was not fitted on.")
     else:
         before, after, parts = judged
         names = ("ece", "signed_area", "coverage_50", "coverage_90", "radius_50", "min_mpjpe", "mpjpe")
         metrics = [before.metrics[name] for name in names]
-        rows = [(m.label, *(number(report[m.name], m.unit) for report in (before, after))) for m in metrics]
-        columns = ((f"held out, {parts} parts", False), ("before", True), ("after", True))
-        tables.append(Table("Held-out sequences", columns, rows))
+        compared = [(m.label, *(number(report[m.name], m.unit) for report in (before, after))) for m in metrics]
+        tables.append(Table("Held-out sequences", (f"held out, {parts} parts", "before", "after"), compared))
         cost = after["min_mpjpe"] - before["min_mpjpe"]
         if cost > 0:
             sentences.append(f"It costs {cost:.1f} mm of minMPJPE, which rewards a spread that is too narrow.")
@@ -263,13 +259,9 @@ def radius_sheet(
     """
     known = {joint: radius for joint, radius in radii.items() if not math.isnan(radius)}
     sentences = [f"Radii about the median that hold {1 - alpha:.0%} of the truths of {poses:,} poses."]
-    columns: tuple[tuple[str, bool], ...] = (("joint", False), (f"radius, {unit}", True))
-    rows: list[tuple[str, ...]] = [(joint, f"{radius:.2f}") for joint, radius in known.items()]
-    if coverage is None:
-        sentences.append(
-            "Not judged: --split says how many truths they hold in sequences that they were not fitted on."
-        )
-    else:
-        columns += (("held-out coverage", True),)
-        rows = [(*row, f"{coverage[row[0]]:.3f}") for row in rows]
-    return Sheet("Conformal radii", sentences, tables=[Table("Radii", columns, rows)])
+    headings, rows = ["joint", f"radius, {unit}"], [(joint, f"{radius:.2f}") for joint, radius in known.items()]
+    if coverage is not None:
+        judged = [(joint, radius, f"{coverage[joint]:.3f}") for joint, radius in rows]
+        return Sheet("Conformal radii", sentences, tables=[Table("Radii", [*headings, "held-out coverage"], judged)])
+    sentences.append("Not judged: --split says how many truths they hold in sequences that they were not fitted on.")
+    return Sheet("Conformal radii", sentences, tables=[Table("Radii", headings, rows)])

@@ -1,12 +1,12 @@
-"""How often does each test reject a perfect sampler, when the frames of a video resemble their neighbours?
+"""Rejection rates of calibration tests on perfect samplers whose frames resemble their neighbours.
 
 Run from a checkout: ``python -m tests.benchmarks.level --replicates 1000``. Prints a Markdown table.
 
 Ranks of the truth are simulated directly. Each joint's is uniform and follows an AR(1) process from frame to frame
 (a Gaussian copula); the joints of a frame share a common factor. A spread that is wrong by a factor moves the ranks
 as it moves those of isotropic Gaussians in three dimensions. What is judged is posecal's own
-:func:`posecal.stats.resampling.sign_flips`, on sums over sequences, and beside it the tests that everybody uses and that
-take every frame for a draw of its own.
+:func:`posecal.stats.resampling.sign_flips`, on sums over sequences, and the usual tests beside it,
+which treat all frames as independent.
 """
 
 from __future__ import annotations
@@ -22,9 +22,8 @@ import numpy.typing as npt
 from scipy import signal, special, stats
 
 from posecal.calibration import LEVELS
-from posecal.stats.resampling import Deviation, sign_flips
-
-__all__ = ["DESIGNS", "Design", "Rates", "independent_tests", "interval", "ranks", "rejection_rates"]
+from posecal.engine.metric import Deviation
+from posecal.stats.resampling import sign_flips
 
 Floats = npt.NDArray[np.floating]
 Ranks = npt.NDArray[np.intp]
@@ -94,15 +93,15 @@ def _deviation_of_ranks(hypotheses: int) -> Floats:
     return np.clip(LEVELS * (hypotheses + 1) - np.arange(hypotheses + 1)[:, None], 0, 1) - LEVELS
 
 
-def deviations(found: Ranks, hypotheses: int) -> Floats:
+def deviations(of_truth: Ranks, hypotheses: int) -> Floats:
     """Sums over the frames of each sequence of W(q) - q, (S, K, Q)."""
-    S, K, _ = found.shape
-    row = (np.arange(S * K).reshape(S, K, 1) * (hypotheses + 1) + found).ravel()
+    S, K, _ = of_truth.shape
+    row = (np.arange(S * K).reshape(S, K, 1) * (hypotheses + 1) + of_truth).ravel()
     table = np.bincount(row, minlength=S * K * (hypotheses + 1)).reshape(S * K, -1)
     return (table @ _deviation_of_ranks(hypotheses)).reshape(S, K, -1)
 
 
-# --- tests that take frames as independent ------------------------------------------------------------------------
+# --- tests that treat frames as independent ------------------------------------------------------------------------
 
 
 @cache
@@ -151,8 +150,8 @@ class Rates:
 
 def interval(rejected: int, replicates: int) -> tuple[float, float]:
     """Wilson's 95 % Monte-Carlo interval of a rejection rate."""
-    found = stats.binomtest(rejected, replicates).proportion_ci(method="wilson")
-    return float(found.low), float(found.high)
+    ends = stats.binomtest(rejected, replicates).proportion_ci(method="wilson")
+    return float(ends.low), float(ends.high)
 
 
 def rejection_rates(
@@ -169,7 +168,7 @@ def rejection_rates(
     seed : int
         Of the generator.
     independent : bool
-        Whether the tests that take frames as independent are counted too.
+        Whether the tests that treat frames as independent are counted too.
     draws : int
         Sign patterns.
     """
@@ -177,22 +176,22 @@ def rejection_rates(
     rejected: dict[str, int] = {}
     counts = np.full((design.sequences, design.joints), design.frames)
     for _ in range(replicates):
-        found = ranks(design, random)
-        for name, yes in _judge(design, found, counts, random, independent=independent, draws=draws):
+        drawn = ranks(design, random)
+        for name, yes in _judge(design, drawn, counts, random, independent=independent, draws=draws):
             rejected[name] = rejected.get(name, 0) + yes
     return Rates(rejected, replicates)
 
 
 def _judge(
     design: Design,
-    found: Ranks,
+    drawn: Ranks,
     counts: npt.NDArray[np.int64],
     random: np.random.Generator,
     *,
     independent: bool,
     draws: int,
 ) -> Iterator[tuple[str, bool]]:
-    D = deviations(found, design.hypotheses)
+    D = deviations(drawn, design.hypotheses)
     for name, deviation in SUMMARIES.items():
         null = sign_flips(D, counts, deviation, draws=draws)
         yield name, null.p <= NOMINAL
@@ -200,7 +199,7 @@ def _judge(
             curve = np.median(D.sum(axis=0) / counts.sum(axis=0)[:, None], axis=0)
             yield BAND, bool((np.abs(curve) > null.band * np.sqrt(LEVELS * (1 - LEVELS)) + 1e-7).any())
     if independent:
-        uniform = (found + random.random(found.shape)) / (design.hypotheses + 1)
+        uniform = (drawn + random.random(drawn.shape)) / (design.hypotheses + 1)
         for name, yes in independent_tests(uniform[:, 0].ravel()).items():
             yield f"{name}, one joint", yes
         for name, yes in independent_tests(uniform.ravel()).items():

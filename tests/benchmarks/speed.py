@@ -1,9 +1,11 @@
-"""How fast is posecal, against the plain NumPy formulas, in one run?
+"""Time of the report and of its parts, against the plain NumPy formulas and against copying the array, in one run.
 
-    python tests/benchmarks/speed.py
+    OMP_NUM_THREADS=1 python tests/benchmarks/speed.py
 
-On N=200, M=2000, K=16, float32 (77 MB): the median of some runs of each way, and ratios. Every fast number is held
-against the plain one's before it is timed.
+On N=200, M=2000, K=16, float32 (77 MB): the median of some runs of each way, and ratios. Every fast number is compared
+with the plain one's before it is timed. Then the walk over the blocks beside the whole report, made of arrays and
+printed, for this and for other shapes (many poses, many joints, many groups and sequences, these also at half their
+size), and batches beside one call.
 """
 
 from __future__ import annotations
@@ -11,17 +13,18 @@ from __future__ import annotations
 import argparse
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
+import posecal
 from posecal.calibration import DEFINITIONS, LEVELS
 from posecal.calibration.ranks import inside
 from posecal.data.arrays import FloatArray
-from posecal.data.pose_data import PoseData
-from tests.helpers.sums import accumulate
 from posecal.engine.block import Block, iter_blocks
-from posecal.engine.protocol import Protocol
 from posecal.engine.threads import available_cores, run_in_order
 from posecal.geometry.procrustes import aligned_errors
 from posecal.metrics.pck import correct_joints
@@ -94,6 +97,54 @@ def fast_procrustes(x: FloatArray, y: FloatArray, threads: int) -> FloatArray:
     return np.concatenate(list(run_in_order((lambda b=b: measure(b) for b in iter_blocks(x, y)), threads)), axis=1)
 
 
+class Shape(NamedTuple):
+    """How many hypotheses, poses, joints, sequences and groups; 0 for poses without such a label."""
+
+    n: int
+    m: int
+    k: int
+    sequences: int = 0
+    groups: int = 0
+
+    def __str__(self) -> str:
+        words = f"N={self.n}, M={self.m:,}, K={self.k:,}"
+        words += f", {self.sequences:,} sequences" if self.sequences else ""
+        return words + (f", {self.groups:,} groups" if self.groups else "")
+
+    def poses(self) -> tuple[FloatArray, FloatArray]:
+        """Draw hypotheses (N, M, K, 3) and truth (M, K, 3), mm."""
+        random = np.random.default_rng(0)
+        y = random.normal(0, 300, (self.m, self.k, 3)).astype(np.float32)
+        return (y + random.normal(0, 100, (self.n, *y.shape))).astype(np.float32), y
+
+    @property
+    def labels(self) -> dict[str, npt.NDArray[np.str_]]:
+        """The labels of the poses."""
+        numbers = {"sequence": self.sequences, "group": self.groups}
+        return {
+            name: (np.arange(self.m) * number // self.m).astype(np.str_) for name, number in numbers.items() if number
+        }
+
+
+REPORTS = (
+    Shape(200, 2000, 16),
+    Shape(4, 120_000, 4, 236),
+    Shape(10, 16, 6890),
+    Shape(4, 20_000, 4, 10_000, 1000),
+    Shape(4, 20_000, 4, 10_000, 500),
+    Shape(4, 20_000, 4, 5000, 1000),
+)
+"""What the whole report is timed on."""
+
+FAMILIES = {
+    "position": "min_mpjpe, mpjpe, mean_pose_mpjpe",
+    "Procrustes": "pa_min_mpjpe, cps",
+    "PCK": "pck, auc",
+    "calibration": "ece, ece_paper, ece_reference",
+    "spread": "radius_50, radius_90, diversity",
+}
+
+
 def seconds(run: Callable[[], object], times: int) -> float:
     """Median time of a call."""
     found = []
@@ -104,56 +155,101 @@ def seconds(run: Callable[[], object], times: int) -> float:
     return statistics.median(found)
 
 
-def row(name: str, ours: float, against: float, what: str) -> None:
+def row(name: str, ours: float, ratio: float, what: str) -> None:
     """Print one comparison."""
-    print(f"{name:58} {ours * 1e3:9.1f} ms   {against / ours:6.1f} × {what}")
+    print(f"{name:66} {ours * 1e3:9.1f} ms   {ratio:6.2f} {what}", flush=True)
+
+
+def families(times: int) -> None:
+    """Time each family, and the whole report, in copies of the array."""
+    x, y = REPORTS[0].poses()
+    data = posecal.PoseData(x, y, unit="mm", axes="NMKD")
+    copy = seconds(x.copy, times)
+    row("copying the array", copy, 1, "copies")
+    for name, metrics in FAMILIES.items():
+        took = seconds(partial(posecal.evaluate, data, metrics=metrics, threads=1), times)
+        row(f"{name}, 1 thread", took, took / copy, "copies")
+    for threads in dict.fromkeys((1, available_cores())):
+        sums = seconds(partial(posecal.evaluate, data, threads=threads), times)
+        row(f"the default report, its sums alone, {threads} thread(s)", sums, sums / copy, "copies")
+        whole = seconds(lambda n=threads: str(posecal.evaluate(x, y, unit="mm", axes="NMKD", threads=n)), times)
+        row(f"the default report, {threads} thread(s)", whole, whole / copy, "copies")
+
+
+def report(shape: Shape, times: int) -> None:
+    """Time the walk over the blocks of some poses, and the whole report from arrays to print."""
+    x, y = shape.poses()
+    by: Sequence[str] = ("group",) if shape.groups else ()
+    data = posecal.PoseData(x, y, unit="mm", axes="NMKD", labels=shape.labels)
+    walk = seconds(partial(posecal.evaluate, data, by=by, threads=1), times)
+    row(f"{shape}: the walk over the blocks", walk, 1, "walks")
+
+    def whole() -> str:
+        return str(posecal.evaluate(x, y, unit="mm", axes="NMKD", labels=shape.labels, by=by, threads=1))
+
+    took = seconds(whole, times)
+    row(f"{shape}: the report", took, took / walk, "walks")
+
+
+def reports(times: int) -> None:
+    """Time the report on each shape."""
+    for shape in REPORTS:
+        report(shape, times)
+
+
+def batches(times: int) -> None:
+    """Time 40 batches of 64 poses beside one call."""
+    x, y = Shape(200, 40 * 64, 16).poses()
+
+    def in_batches() -> posecal.Report:
+        evaluation = posecal.Evaluation(unit="mm", axes="NMKD", threads=1)
+        for start in range(0, len(y), 64):
+            evaluation.update(x[:, start : start + 64], y[start : start + 64])
+        return evaluation.compute()
+
+    one = seconds(partial(posecal.evaluate, x, y, unit="mm", axes="NMKD", threads=1), times)
+    row("N=200, M=2,560, K=16: one call", one, 1, "calls")
+    took = seconds(in_batches, times)
+    row("N=200, M=2,560, K=16: 40 batches of 64 poses", took, took / one, "calls")
+
+
+def against_plain(times: int) -> None:
+    """Compare with the plain NumPy formulas, in numbers and in time."""
+    x, y = REPORTS[0].poses()
+    cores = tuple(dict.fromkeys((1, available_cores())))
+    for fast, plain in zip(fast_errors(x, y, 1), plain_errors(x, y), strict=True):
+        np.testing.assert_allclose(fast, plain, rtol=1e-4, atol=1e-3)
+    plain_time = seconds(lambda: plain_errors(x, y), max(1, times // 2))
+    row("minMPJPE + PCK + 3 ECE, plain NumPy", plain_time, 1, "× faster than plain")
+    for threads in cores:
+        ours = seconds(partial(fast_errors, x, y, threads), times)
+        row(f"minMPJPE + PCK + 3 ECE, blocks, {threads} thread(s)", ours, plain_time / ours, "× faster than plain")
+    difference = np.abs(fast_procrustes(x, y, 1) - plain_procrustes(x, y)).max()
+    svd_time = seconds(lambda: plain_procrustes(x, y), max(1, times // 2))
+    row(f"Procrustes, batched SVD (differs by {difference:.1e} mm at most)", svd_time, 1, "× faster than SVD")
+    for threads in cores:
+        ours = seconds(partial(fast_procrustes, x, y, threads), times)
+        row(f"Procrustes, blocks, {threads} thread(s)", ours, svd_time / ours, "× faster than SVD")
+
+
+PARTS: dict[str, Callable[[int], None]] = {
+    "plain": against_plain,
+    "families": families,
+    "reports": reports,
+    "batches": batches,
+}
 
 
 def main() -> None:
     """Run all comparisons."""
-    options = argparse.ArgumentParser(description=__doc__)
-    options.add_argument("--poses", type=int, default=2000)
+    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     options.add_argument("--times", type=int, default=5)
+    options.add_argument("--parts", nargs="+", choices=PARTS, default=[*PARTS])
     asked = options.parse_args()
-    random = np.random.default_rng(0)
-    y = random.normal(0, 300, (asked.poses, 16, 3)).astype(np.float32)
-    x = (y + random.normal(0, 100, (200, *y.shape))).astype(np.float32)
-    cores = available_cores()
-    print(f"N=200, M={asked.poses}, K=16, float32, {x.nbytes / 1e6:.0f} MB; NumPy {np.__version__}, {cores} cores")
-    copy = seconds(lambda: x.copy(), asked.times)
-    row("copying the array", copy, copy, "itself")
-
-    for fast, plain in zip(fast_errors(x, y, 1), plain_errors(x, y), strict=True):
-        np.testing.assert_allclose(fast, plain, rtol=1e-4, atol=1e-3)
-    plain_time = seconds(lambda: plain_errors(x, y), max(1, asked.times // 2))
-    row("minMPJPE + PCK + 3 ECE, plain NumPy", plain_time, plain_time, "itself")
-    for threads in dict.fromkeys((1, cores)):
-        ours = seconds(lambda threads=threads: fast_errors(x, y, threads), asked.times)
-        row(f"minMPJPE + PCK + 3 ECE, blocks, {threads} thread(s)", ours, plain_time, "faster than plain")
-
-    difference = np.abs(fast_procrustes(x, y, 1) - plain_procrustes(x, y)).max()
-    svd_time = seconds(lambda: plain_procrustes(x, y), max(1, asked.times // 2))
-    row(f"Procrustes, batched SVD (differs by {difference:.1e} mm at most)", svd_time, svd_time, "itself")
-    for threads in dict.fromkeys((1, cores)):
-        ours = seconds(lambda threads=threads: fast_procrustes(x, y, threads), asked.times)
-        row(f"Procrustes, blocks, {threads} thread(s)", ours, svd_time, "faster than SVD")
-
-    pairs = PoseData(x, y, axes="NMKD", unit="mm")
-    families = {
-        "position": "min_mpjpe, mpjpe, mean_pose_mpjpe",
-        "Procrustes": "pa_min_mpjpe, cps",
-        "PCK": "pck, auc",
-        "calibration": "ece, ece_paper, ece_reference",
-        "spread": "radius_50, radius_90, diversity",
-        "the default report": "default",
-    }
-    for name, metrics in families.items():
-        for threads in (1,) if metrics != "default" else dict.fromkeys((1, cores)):
-            protocol = Protocol(metrics=metrics)
-            time_ = seconds(lambda p=protocol, t=threads: accumulate(pairs, p, threads=t), asked.times)
-            print(
-                f"{f'{name}, {threads} thread(s)':58} {time_ * 1e3:9.1f} ms   {time_ / copy:6.1f} × the time of copying"
-            )
+    print(f"float32; NumPy {np.__version__}, {available_cores()} cores")
+    for part in asked.parts:
+        print(f"\n{part}")
+        PARTS[part](asked.times)
 
 
 if __name__ == "__main__":

@@ -52,7 +52,7 @@ def test_results_of_shards_merge_into_that_of_the_whole() -> None:
         np.testing.assert_allclose(np.nan if got is None else got, expected, rtol=1e-6, atol=1e-9, err_msg=str(key))
 
 
-@pytest.mark.parametrize("kind", ["reliability", "joints", "errors", "correct"])
+@pytest.mark.parametrize("kind", ["reliability", "joints", "errors", "pck"])
 def test_a_saved_result_is_drawn(kind: str) -> None:
     assert done("plot", kind, "result.npz", "-o", "picture.svg") == ""
     from posecal.plot import draw, figure_bytes

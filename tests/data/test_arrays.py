@@ -202,7 +202,7 @@ def test_whole_numbers_and_truth_values_stay_what_they_are() -> None:
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ([[1.0, 2.0], [3.0]], "truth: lists of unequal lengths; expected an array. Pad them and mask that."),
+        ([[1.0, 2.0], [3.0]], "truth: lists of unequal lengths; expected an array. Pad the shorter ones, and mask"),
         ([torch.zeros(2), torch.zeros(3)], "truth: lists of unequal lengths; expected an array."),
         (torch.zeros(3, device="meta"), "truth: a Tensor that can't be read ("),
         (torch.zeros(3, 3).to_sparse(), "truth: a Tensor that can't be read ("),

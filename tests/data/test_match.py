@@ -138,6 +138,15 @@ def test_common_joints_are_scored_in_the_truths_order_and_the_rest_is_named() ->
     assert "3 joints are in both; left out: Hip, RHip, RKnee, RFoot, LKnee and 10 more." in pairs.remarks
 
 
+def test_joints_that_only_one_side_has_are_left_out_and_said() -> None:
+    common = Declarations(shared_joints="common")
+    fewer = match_poses(hyps(hypotheses()[:, :, 1:], joints=JOINTS[1:]), gt(joints=JOINTS), common)
+    assert "16 joints are in both; left out: Hip." in fewer.remarks
+    more = match_poses(hyps(joints=JOINTS), gt(truth()[:, :16], joints=JOINTS[:16]), common)
+    assert "16 joints are in both; left out: RWrist." in more.remarks
+    assert match_poses(hyps(joints=JOINTS), gt(joints=JOINTS), common).remarks == ()
+
+
 @pytest.mark.parametrize("joints", ["same", "common"])
 def test_no_joint_in_common_is_refused_once_and_shown(joints: Any) -> None:
     words = (
@@ -173,6 +182,13 @@ def test_a_joint_set_of_another_size_is_refused() -> None:
         match_poses(hyps(), gt(), Declarations(joints="h36m-16"))
 
 
+def test_names_of_a_file_come_before_a_joint_set() -> None:
+    with pytest.raises(PoseDataError, match=r"^gt\.npz: 2 joints named for K = 17; expected one name each\.$"):
+        match_poses(hyps(), gt(joints=("Hip", "Head")), Declarations(joints="h36m-17"))
+    back = JOINTS[::-1]
+    assert match_poses(hyps(joints=back), gt(joints=back), Declarations(joints="h36m-17")).joints == back
+
+
 def test_names_in_one_file_name_the_joints_of_both() -> None:
     assert match_poses(hyps(joints=JOINTS), gt()).joints == JOINTS
     assert match_poses(hyps(), gt(joints=JOINTS)).joints == JOINTS
@@ -195,6 +211,18 @@ def test_the_one_unnamed_joint_that_stays_at_zero_is_the_root() -> None:
         K - 1,
         False,
     )
+
+
+def test_a_joint_that_stays_at_zero_in_some_coordinates_or_poses_is_no_root() -> None:
+    flat, resting = truth() + 5, truth() + 5
+    flat[:, 3, 0] = resting[1:, 3] = 0
+    for true in (flat, resting):
+        assert moved(match_poses(hyps(), gt(true))) == (None, True)
+
+
+def test_a_single_joint_is_no_root() -> None:
+    data = match_poses(hyps(hypotheses()[:, :, 1:2]), gt(np.zeros((M, 1, 3))), Declarations(unit="mm"))
+    assert moved(data) == (None, True)
 
 
 def test_without_a_root_positions_are_taken_as_they_stand_and_that_is_said() -> None:
@@ -228,7 +256,7 @@ def test_a_root_that_the_hypotheses_lack_is_subtracted_from_the_truth_alone() ->
     )
     np.testing.assert_array_equal(pairs.truth, truth()[:, 1:])
     assert pairs.root is None
-    assert "hyps.npz lacks the root Hip; taken as relative to it." in pairs.remarks
+    assert "hyps.npz lacks the root Hip; its positions are taken as relative to it." in pairs.remarks
 
 
 # --- labels, marks and scores ---------------------------------------------------------------------------------
@@ -303,6 +331,10 @@ def test_frames_per_second_that_can_not_be_are_refused(rate: float) -> None:
         match_poses(hyps(), gt(fps=rate))
 
 
+def test_any_rate_of_frames_above_0_is_taken() -> None:
+    assert match_poses(hyps(), gt(fps=0.5)).fps == 0.5
+
+
 def test_the_truths_frames_per_second_come_first() -> None:
     assert match_poses(hyps(fps=25), gt(fps=50)).fps == 50
     assert match_poses(hyps(fps=25), gt()).fps == 25
@@ -354,3 +386,21 @@ def test_hypotheses_alone_need_no_truth() -> None:
     assert (joints, root) == (JOINTS, 0)
     with pytest.raises(PoseDataError, match=r"^hyps\.npz: nothing in it; its shape is \(5, 0, 17, 3\)\.$"):
         resolve_hypotheses(hyps(np.ones((5, 0, 17, 3))))
+
+
+def test_hypotheses_alone_without_names_are_relative_to_the_joint_at_zero_of_the_first() -> None:
+    moved_on = hypotheses() + 5
+    moved_on[0, 0, 3] = moved_on[-1, 0, 4] = moved_on[1, 0, 5] = 0
+    stored, joints, root = resolve_hypotheses(hyps(moved_on))
+    assert (root, joints[3], stored.n_hypotheses) == (3, "joint 3", N)
+
+
+def test_everything_that_is_wrong_with_hypotheses_alone_is_said_at_once() -> None:
+    with pytest.raises(
+        PoseDataError, match=r"^2 problems:\n  - hyps\.npz: unit: 'inch'; .*\n  - hyps\.npz: 2 joints named"
+    ):
+        resolve_hypotheses(hyps(unit="inch", joints=("Hip", "Head")))
+    with pytest.raises(PoseDataError, match=r"^hyps\.npz: axes: 'NM' lacks K, D; expected"):
+        resolve_hypotheses(hyps(axes="NM"))
+    with pytest.raises(PoseDataError, match=r"^hyps\.npz: axes: NMKD names 4 axes; the array has 3"):
+        resolve_hypotheses(hyps(truth()))

@@ -272,7 +272,7 @@ def test_the_first_hypotheses_may_be_kept() -> None:
         ({"occluded": OCCLUDED.T}, "truth: occluded (17, 7); expected (M, K) = (7, 17)."),
         ({"scores": SCORES.T}, "hypotheses: scores (7, 5); expected (N, M) = (5, 7)."),
         ({"scores": SCORES * np.nan}, "scores: 35 of 35 are NaN; expected numbers (N, M)."),
-        ({"scores": "high"}, "scores: dtype <U4; expected real numbers (N, M)."),
+        ({"scores": "high"}, "scores: str; expected real numbers such as float32."),
         ({"fps": 0}, "fps: 0; expected frames per second, above 0."),
         ({"fps": "fast"}, "fps: 'fast'; expected frames per second, above 0."),
         ({"fps": True}, "fps: True; expected frames per second, above 0."),

@@ -1,14 +1,28 @@
-"""Does a block hold what the formulas ask for?"""
+"""Blocks: their layout, what they compute for several metrics, and how poses are cut into them."""
 
 from __future__ import annotations
 
+import gc
 import math
+import platform
+import subprocess
+import sys
+import weakref
 
 import numpy as np
+import numpy.typing as npt
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from posecal.engine.block import Block, iter_blocks
+from posecal.data.arrays import squared_norms
+from posecal.data.skeleton import JOINT_SETS
+from posecal.engine.block import BLOCK_BYTES, MOST_POSES, Block, block_length, iter_blocks, per_pose
+from posecal.engine.protocol import Protocol
+from posecal.engine.scope import DataSpec
 from posecal.errors import PoseDataError
+from posecal.metrics import min_mpjpe
+from posecal.registry import known_metrics
 from tests.helpers import oracles
 from tests.helpers.random_worlds import Array, skewed
 
@@ -26,6 +40,18 @@ def test_offsets_are_hypotheses_minus_truth_with_hypotheses_last(arrays: tuple[A
     assert block.offsets.shape == (M, K, D, N)
     for n, m, k, d in np.ndindex(N, M, K, D):
         assert block.offsets[m, k, d, n] == x[n, m, k, d] - y[m, k, d]
+
+
+@pytest.mark.parametrize("dtype", ["f2", "f4", ">f4", "f8", "g"])
+@pytest.mark.parametrize("order", ["NMKD", "MNKD", "KDMN"])
+def test_offsets_do_not_depend_on_the_memory_layout(order: str, dtype: str) -> None:
+    x, y = (np.round(array).astype(dtype) for array in skewed(3, N, M, K))
+    axes = ["NMKD".index(letter) for letter in order]
+    turned = np.ascontiguousarray(x.transpose(axes)).transpose(np.argsort(axes))
+    found = Block(turned, y).offsets
+    assert found.flags.c_contiguous
+    assert found.dtype == (np.float64 if dtype in {"f8", "g"} else np.float32)
+    np.testing.assert_array_equal(found, (x.astype("f8") - y.astype("f8")).transpose(1, 2, 3, 0))
 
 
 def test_positions_are_relative_to_the_root(arrays: tuple[Array, Array]) -> None:
@@ -54,6 +80,26 @@ def test_the_median_is_numpys(n: int) -> None:
     np.testing.assert_allclose(Block(x, y).median, np.median(x - y, axis=0), atol=1e-12)
 
 
+@pytest.mark.parametrize("n", [1, 2, 5, 6])
+def test_the_variance_is_numpys(n: int) -> None:
+    x, y = skewed(1, n, M, K)
+    block = Block(x, y)
+    np.testing.assert_allclose(block.variance, x.var(axis=0), rtol=1e-10, atol=1e-9)
+    np.testing.assert_allclose(block.from_median.transpose(3, 0, 1, 2), x - np.median(x, axis=0), atol=1e-10)
+
+
+@pytest.mark.parametrize("far", [0.1, 1234.56, 9e4])
+def test_the_variance_in_single_precision_does_not_cancel_and_is_0_where_all_agree(far: float) -> None:
+    random = np.random.default_rng(2)
+    x = (far + random.normal(0, 1 + far / 100, (200, 3, 2, 3))).astype("f4")
+    x[:, 1] = x[0, 1]
+    x[0, 2] += np.float32(100 * (1 + far))  # far from all others
+    found = Block(x, np.zeros((3, 2, 3), dtype="f4")).variance
+    assert found.dtype == np.float64
+    assert not found[1].any()
+    np.testing.assert_allclose(found, x.astype("f8").var(axis=0), rtol=2e-5)
+
+
 def test_errors_are_distances_from_the_truth(arrays: tuple[Array, Array]) -> None:
     block = Block(*arrays)
     expected = oracles.joint_errors(*arrays).transpose(1, 2, 0)
@@ -78,7 +124,7 @@ def test_weights_share_a_pose_among_the_joints_that_count() -> None:
     np.testing.assert_allclose(block.weights(only), [[0.5, 0.5, 0], [1, 0, 0], [0, 0, 0], [0, 0, 0]])
 
 
-def test_the_whole_of_a_block_holds_the_joints_that_can_be_used_but_do_not_count(arrays: tuple[Array, Array]) -> None:
+def test_alignments_are_fitted_to_usable_joints_that_need_not_count(arrays: tuple[Array, Array]) -> None:
     x, y = (array.copy() for array in arrays)
     where, usable = np.zeros((M, K), dtype=bool), np.ones((M, K), dtype=bool)
     where[:, 1], usable[2, 0] = True, False
@@ -87,26 +133,44 @@ def test_the_whole_of_a_block_holds_the_joints_that_can_be_used_but_do_not_count
     block = Block(x, y, where, usable=usable, root=1)
     expected = usable.copy()
     expected[3, 2] = False
-    np.testing.assert_array_equal(block.whole.where, expected)
+    np.testing.assert_array_equal(block.fit_block.where, expected)
     offsets = oracles.relative(x, 1) - oracles.relative(y, 1)
-    np.testing.assert_allclose(block.whole.offsets[expected], offsets.transpose(1, 2, 3, 0)[expected])
+    np.testing.assert_allclose(block.fit_block.offsets[expected], offsets.transpose(1, 2, 3, 0)[expected])
     assert not block.offsets[~where].any()
     assert not block.non_finite.any()
     np.testing.assert_allclose(
-        block.scale_dispersion(2).whole.offsets[expected], Block(x, y, expected, root=1).stretched(2).offsets[expected]
+        block.scale_dispersion(2).fit_block.offsets[expected],
+        Block(x, y, expected, root=1).scale_dispersion(2).offsets[expected],
     )
 
 
-def test_a_block_of_which_every_usable_joint_counts_is_its_own_whole(arrays: tuple[Array, Array]) -> None:
+def test_alignments_are_fitted_to_the_joints_that_count_where_no_others_are_usable(
+    arrays: tuple[Array, Array],
+) -> None:
     block = Block(*arrays, np.random.default_rng(0).random((M, K)) < 0.5)
-    assert block.whole is block
-    assert block.scale_dispersion(2).whole is not block.whole
-    stretched = block.scale_dispersion(2)
-    assert stretched.whole is stretched
+    assert block.fit_block is block
+    scaled = block.scale_dispersion(2)
+    assert scaled.fit_block is scaled
+
+
+def test_scaling_the_dispersion_moves_hypotheses_from_their_median(arrays: tuple[Array, Array]) -> None:
+    x, y = arrays
+    block = Block(x, y, scores=np.ones((N, M)), occluded=np.ones((M, K), dtype=bool))
+    assert block.errors.any()
+    assert block.variance.all()
+    scaled = block.scale_dispersion(1.5)
+    centre = np.median(x, axis=0)
+    np.testing.assert_allclose(scaled.offsets, Block(centre + 1.5 * (x - centre), y).offsets, atol=1e-10)
+    np.testing.assert_allclose(scaled.sorted, np.sort(scaled.offsets, axis=-1))
+    np.testing.assert_allclose(scaled.errors, np.linalg.norm(scaled.offsets, axis=2))
+    np.testing.assert_allclose(scaled.variance, 1.5**2 * block.variance)
+    assert scaled.where is block.where
+    assert scaled.occluded is block.occluded
+    np.testing.assert_array_equal(scaled.scores, block.scores)
 
 
 @pytest.mark.parametrize("root", [None, 1])
-def test_the_box_reaches_over_the_true_poses_of_other_sequences_of_which_a_joint_counts(
+def test_the_range_is_that_of_the_true_poses_of_other_sequences_of_which_a_joint_counts(
     arrays: tuple[Array, Array], root: int | None
 ) -> None:
     y = arrays[1].copy()
@@ -124,7 +188,7 @@ def test_the_box_reaches_over_the_true_poses_of_other_sequences_of_which_a_joint
             np.testing.assert_allclose([ends[m, k, d] for ends in found], expected)
 
 
-def test_blocks_of_poses_and_what_is_made_of_them_have_the_box_of_all_of_them(
+def test_blocks_of_poses_and_what_is_made_of_them_have_the_range_of_all_of_them(
     arrays: tuple[Array, Array], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("posecal.engine.block.BLOCK_BYTES", 1)
@@ -132,8 +196,7 @@ def test_blocks_of_poses_and_what_is_made_of_them_have_the_box_of_all_of_them(
     assert len(blocks) == M
     for block in blocks:
         np.testing.assert_array_equal(block.scale_dispersion(1.3).range_of_others, block.range_of_others)
-    whole = Block(*arrays, root=0).range_of_others
-    for end, of_all in enumerate(whole):
+    for end, of_all in enumerate(Block(*arrays, root=0).range_of_others):
         np.testing.assert_array_equal([block.range_of_others[end][0] for block in blocks], of_all)
 
 
@@ -179,3 +242,135 @@ def test_velocities_start_anew_with_a_sequence_and_where_a_joint_did_not_count(a
 
 def test_the_first_pose_of_all_has_no_pose_before(arrays: tuple[Array, Array]) -> None:
     assert not Block(*arrays).where_before[0].any()
+
+
+def test_the_pose_before_may_come_from_an_earlier_read(arrays: tuple[Array, Array]) -> None:
+    x, y = arrays
+    where = np.random.default_rng(5).random((M, K)) < 0.6
+    rest = Block(x[:, 3:], y[3:], where[3:], previous=(x[:, 2:3], y[2:3], where[2:3]))
+    np.testing.assert_allclose(rest.velocity_offsets, Block(x, y, where).velocity_offsets[3:])
+    unmasked = Block(x[:, 3:], y[3:], previous=(x[:, 2:3], y[2:3], None))
+    np.testing.assert_allclose(unmasked.velocity_offsets, Block(x, y).velocity_offsets[3:])
+
+
+def test_a_block_is_freed_as_soon_as_nobody_holds_it() -> None:
+    """Without waiting for the search for reference cycles, or memory would grow with the poses."""
+    x, y = np.random.default_rng(0).normal(0, 300, (2, 5, 4, 17, 3))
+    gc.disable()
+    try:
+        (lay_out,) = iter_blocks(x, y[0])
+        block = lay_out()
+        for metric in known_metrics(Protocol(), DataSpec(5, JOINT_SETS["h36m-17"], root=0)).values():
+            metric.statistic.compute(block)
+        gone = weakref.ref(block)
+        del block, lay_out
+        assert gone() is None
+    finally:
+        gc.enable()
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="about glibc's allocator")
+def test_the_memory_of_freed_blocks_is_used_again() -> None:
+    walks = """
+import resource, numpy as np
+from posecal.metrics import mpjpe
+x = np.zeros((50, 1000, 17, 3), dtype="f4")
+def pages():
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    mpjpe(x, x[0], align="similarity")
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+pages()
+print(pages() * resource.getpagesize() / x.nbytes)
+"""
+    run = subprocess.run([sys.executable, "-c", walks], capture_output=True, text=True, check=True)
+    assert float(run.stdout) < 0.5  # 10 where every block's arrays are new
+
+
+def test_squared_norms_are_sums_of_squares() -> None:
+    assert squared_norms(np.array([[3.0, 1.0], [4.0, 2.0]])).tolist() == [25.0, 5.0]
+
+
+# --- what is not a number -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("root", [None, 0])
+def test_a_coordinate_that_is_not_finite_is_refused_with_its_place(value: float, root: int | None) -> None:
+    x, y = skewed(2, N, 40, K)
+    x[3, 33, 2, 1] = value
+    with pytest.raises(PoseDataError, match=r"non-finite coordinates \(first: pose 33, joint 2\)\. Mask those joints"):
+        min_mpjpe(x, y, root=root)
+
+
+def test_the_place_does_not_depend_on_the_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    x, y = skewed(2, N, 40, K)
+    y[33, 2, 1] = np.nan
+    monkeypatch.setattr("posecal.engine.block.BLOCK_BYTES", 1)
+    with pytest.raises(PoseDataError, match="pose 33, joint 2"):
+        min_mpjpe(x, y)
+
+
+def test_a_root_that_is_not_finite_is_refused() -> None:
+    x, y = skewed(2, N, M, K)
+    x[0, 5, 1] = np.inf
+    with pytest.raises(PoseDataError, match=r"non-finite coordinates \(first: pose 5"):
+        min_mpjpe(x, y, root=1)
+
+
+@pytest.mark.parametrize("root", ["0", 1.0, K, -K - 1, True, [0]])
+def test_a_root_that_is_no_joint_is_refused(root: object) -> None:
+    with pytest.raises(PoseDataError, match=r"root: .*; expected the index of one of 4 joints"):
+        min_mpjpe(*skewed(2, N, M, K), root=root)  # type: ignore[arg-type]
+
+
+def test_a_root_may_be_counted_from_the_end() -> None:
+    x, y = skewed(2, N, M, K)
+    np.testing.assert_array_equal(min_mpjpe(x, y, root=np.int64(-1)), min_mpjpe(x, y, root=K - 1))
+
+
+def test_large_numbers_whose_squares_overflow_are_not_called_infinite() -> None:
+    x, y = np.full((1, 1, 1, 3), 1e25, dtype="f4"), np.zeros((1, 1, 3), dtype="f4")
+    with np.errstate(over="ignore"):
+        assert not Block(x, y).non_finite.any()
+
+
+# --- cutting ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [4, 8])
+def test_a_block_holds_about_as_many_bytes_as_it_should(size: int) -> None:
+    assert block_length((200, 9999, 16, 3), f"f{size}") == BLOCK_BYTES // (200 * 16 * 3 * size) > 1
+
+
+def test_a_block_has_at_least_one_pose_and_never_too_many() -> None:
+    assert block_length((10**6, 5, 17, 3), "f8") == 1
+    assert block_length((1, 10**6, 1, 1), "f4") == MOST_POSES
+
+
+@given(
+    st.integers(1, 9), st.integers(1, 4), st.integers(1, 5), st.integers(1, 3), st.integers(0, 6), st.integers(0, 10**6)
+)
+def test_blocks_of_every_length_join_to_one_block(m: int, n: int, k: int, d: int, length: int, seed: int) -> None:
+    x, y = skewed(seed, n, m, k, d)
+    random = np.random.default_rng(seed)
+    where, follows = random.random((m, k)) < 0.7, random.random(m) < 0.7
+    sequence: npt.NDArray[np.intp] = random.integers(0, 3, m)
+    all_poses = Block(x, y, where, follows=follows, sequence=sequence)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("posecal.engine.block.BLOCK_BYTES", length * n * k * d * 8)
+        blocks = [lay_out() for lay_out in iter_blocks(x, y, where, follows=follows, sequence=sequence)]
+    assert [len(block.where) for block in blocks][:-1] == [max(length, 1)] * (len(blocks) - 1)
+    for name in ("offsets", "truth", "where", "velocity_offsets", "where_before"):
+        joined = np.concatenate([getattr(block, name) for block in blocks])
+        assert joined.tobytes() == np.ascontiguousarray(getattr(all_poses, name)).tobytes(), name
+    for end in range(2):
+        joined = np.concatenate([block.range_of_others[end] for block in blocks])
+        np.testing.assert_array_equal(joined, all_poses.range_of_others[end])
+
+
+def test_a_statistic_of_every_pose_comes_in_the_order_of_the_poses(
+    arrays: tuple[Array, Array], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("posecal.engine.block.BLOCK_BYTES", 2 * N * K * D * 8)
+    found = per_pose(lambda block: block.truth[:, 0, 0], *arrays)
+    np.testing.assert_allclose(found, arrays[1][:, 0, 0])

@@ -1,22 +1,23 @@
-"""Do results of shards add to what one run gives?"""
+"""Merged results of shards are what one run gives."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from posecal.calibration.rank_tests import NEEDS_COORDINATE_RANGE
-from tests.helpers.sums import accumulate
 from posecal.engine.merge import merge_totals
 from posecal.engine.protocol import Protocol
 from posecal.errors import PoseDataError
 from posecal.registry import known_metrics
-from posecal.stats.leave_one_out import without
+from posecal.stats.jackknife import leave_one_out
 from posecal.stats.skill import climatology, with_reference
 from tests.helpers.example_totals import SPEC, WALK, keeping, totals
 from tests.helpers.random_worlds import World, world
+from tests.helpers.sums import accumulate
 
 
 def cut(some: World, *cuts: int) -> list[World]:
@@ -62,27 +63,27 @@ def test_one_part_merges_into_itself() -> None:
         np.testing.assert_array_equal(merged.counts[name], part.counts[name])
 
 
-def test_remarks_are_said_once() -> None:
+def test_a_remark_that_parts_share_stands_once() -> None:
     other = totals(cells={"sequence": np.array(["d"] * 4), "action": np.array(["sit"] * 4)}, remarks=("few", "slow"))
     other.sums["height"] = other.sums["height"] + [1, 2, 3, 4]
     assert merge_totals([totals(remarks=("few",)), other]).remarks == ("few", "slow")
 
 
 def test_runs_of_frames_stay_runs_of_frames_of_their_own_shard() -> None:
-    """23 frames of two shards are 23 runs of one frame, as in one go: so are their sums, and what is read off them."""
+    """23 poses of two shards are 23 runs of one pose, as in one run: so are their sums, and what is read off them."""
     pairs = world(6, M=23).pairs.replace(labels={})
     parts = [accumulate(part.pairs.replace(labels={})) for part in cut(world(6, M=23), 9)]
     merged, whole = merge_totals(parts), accumulate(pairs)
-    assert not merged.sequences
+    assert not merged.has_sequences
     assert merged.poses.tolist() == [1] * 23
     for name, sums in whole.sums.items():
         np.testing.assert_allclose(merged.sums[name], sums, rtol=1e-12, err_msg=name)
     one = known_metrics(Protocol(), whole.spec)["mpjpe"]
-    np.testing.assert_allclose(sorted(without(merged, one)), sorted(without(whole, one)), rtol=1e-12)
+    np.testing.assert_allclose(sorted(leave_one_out(merged, one)), sorted(leave_one_out(whole, one)), rtol=1e-12)
 
 
 def test_the_same_runs_of_frames_twice_are_refused() -> None:
-    part = totals(sequences=False)
+    part = totals(has_sequences=False)
     with pytest.raises(PoseDataError, match=r"part 1 and part 2 hold the same poses"):
         merge_totals([part, part])
 
@@ -99,12 +100,35 @@ def test_the_same_runs_of_frames_twice_are_refused() -> None:
         ),
         ({"version": "2.0"}, r"not made alike: posecal 1\.0 against 2\.0\."),
         ({"sums": {}, "counts": {}}, r"a and b differ in what they hold: height, joints\."),
-        ({"cells": {"sequence": np.array(["a", "b", "b", "c"])}}, r"a and b differ in what they hold: action\."),
+        ({"has_sequences": False}, r"a and b: only one has sequence labels; expected both, or neither\."),
     ],
 )
 def test_results_that_were_not_made_alike_do_not_add(changes: dict[str, object], words: str) -> None:
     with pytest.raises(PoseDataError, match=words):
         merge_totals([totals(), totals(**changes)], ["a", "b"])
+
+
+def test_labels_that_one_shard_lacks_are_dropped_and_their_cells_joined() -> None:
+    """As where a label splits a sequence of one shard alone."""
+    other = totals(cells={"sequence": np.array(["d", "d", "e", "e"])})
+    for parts in ([totals(), other], [other, totals()]):
+        merged = merge_totals(parts)
+        assert list(merged.cells) == ["sequence"]
+        assert dict(zip(merged.cells["sequence"], merged.poses, strict=True)) == {
+            "a": 3,
+            "b": 3,
+            "c": 4,
+            "d": 4,
+            "e": 6,
+        }
+        heights = dict(zip(merged.cells["sequence"], merged.sums["height"], strict=True))
+        assert heights == {"a": 30, "b": 22, "c": 0, "d": 38, "e": 14}
+
+
+@pytest.mark.parametrize("parts", [[], [3], [totals(), "result.npz"]])
+def test_what_is_no_result_is_refused(parts: list[Any]) -> None:
+    with pytest.raises(PoseDataError, match=r"^merge: expected results, at least one\."):
+        merge_totals(parts)
 
 
 def test_velocities_per_second_add_only_at_one_frame_rate() -> None:
@@ -136,7 +160,7 @@ def test_the_same_poses_twice_are_refused() -> None:
         merge_totals([totals(), totals()], ["one.npz", "two.npz"])
 
 
-def test_kept_values_of_shards_follow_their_cells() -> None:
+def test_values_per_pose_of_shards_follow_their_cells() -> None:
     whole, added = keeping()
     first = replace(whole, per_pose={"kept": whole.per_pose["kept"][:3]}, cell_of=whole.cell_of[:3])
     other = replace(

@@ -9,8 +9,9 @@ import pytest
 
 from posecal.data.skeleton import JOINT_SETS
 from posecal.engine.block import Block
-from posecal.engine.metric import DataSpec, Direction, Family, Metric, Scope, Statistic, entry
+from posecal.engine.metric import Direction, Family, Metric, Statistic, entry
 from posecal.engine.protocol import Protocol
+from posecal.engine.scope import DataSpec, Scope
 from posecal.errors import PoseDataError
 from posecal.registry import known_metrics
 

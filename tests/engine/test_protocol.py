@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from posecal.data.skeleton import JOINT_SETS
-from posecal.engine.metric import DataSpec
 from posecal.engine.presets import PRESETS, preset
 from posecal.engine.protocol import CHOICES, OverJoints, Protocol, named_joints
+from posecal.engine.scope import DataSpec
 from posecal.errors import PoseDataError
 from posecal.registry import metrics_of
 
@@ -97,6 +97,7 @@ def test_a_threshold_is_a_length(threshold: float) -> None:
 
 def test_a_threshold_is_read_from_text_and_from_any_real_number() -> None:
     assert Protocol().changed({"pck_threshold": "75.5"}).pck_threshold == 75.5
+    assert Protocol(pck_threshold=0.5).pck_threshold == 0.5
     for threshold in (75, np.float32(75), np.int16(75), Fraction(75)):
         assert type(Protocol(pck_threshold=threshold).pck_threshold) is float
         assert Protocol(pck_threshold=threshold) == Protocol(pck_threshold=75.0)

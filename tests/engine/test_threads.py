@@ -1,4 +1,4 @@
-"""Do tasks on threads give what they give alone, in their order?"""
+"""Tasks on threads: results, their order, and errors."""
 
 from __future__ import annotations
 
@@ -68,6 +68,12 @@ def test_an_error_in_a_task_comes_out_and_stops_the_rest(threads: int) -> None:
     with pytest.raises(PoseDataError, match="truth: a test"):
         list(run_in_order(tasks(), threads))
     assert len(taken) < 100
+
+
+@pytest.mark.parametrize("threads", [0, -1, 1.0, "2"])
+def test_a_number_of_threads_that_is_none_is_refused(threads: object) -> None:
+    with pytest.raises(PoseDataError, match=r"threads: .*; expected a whole number, at least 1\."):
+        next(run_in_order([number(1)], threads))  # type: ignore[arg-type]
 
 
 def test_without_a_mask_of_cores_all_cores_are_used(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -200,9 +200,7 @@ def test_processes_merge_and_padded_frames_are_counted_once(world: Arrays) -> No
     assert report.test("ece").p == one.test("ece").p
 
 
-def test_frames_of_earlier_batches_that_both_have_are_refused(
-    world: Arrays, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_frames_of_earlier_batches_that_both_have_are_refused(world: Arrays, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("posecal.engine.block.BLOCK_BYTES", 4000)  # blocks of nine poses
     first, second = rank(world, np.arange(0, 60)), rank(world, np.arange(10, 90))
     before = first.totals().poses.sum()

@@ -77,6 +77,16 @@ def test_single_precision_stays_within_its_rounding(how: Alignment) -> None:
     np.testing.assert_allclose(single, errors(x, y, w, how), atol=12 * 1200 * 2**-24)
 
 
+@pytest.mark.parametrize("unit", [1e-3, 1e3])
+def test_poses_of_another_size_keep_their_precision(unit: float) -> None:
+    random = np.random.default_rng(10)
+    y = random.normal(0, 300, (11, 6, 3)).astype("f4")
+    x = (unit * (np.einsum("mij,mkj->mki", random_rotations(random, 11), y)))[None].astype("f4")
+    w = np.ones((11, 6), dtype="f4")
+    # The offsets are rounded to 2**-24 of some 1,200 mm or of the larger size, and then scaled.
+    np.testing.assert_allclose(errors(x, y, w, "similarity"), 0, atol=4 * 1200 * 2**-24 * max(1, 1 / unit))
+
+
 @pytest.mark.parametrize(
     ("how", "scale", "mirror", "shift"),
     [

@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from posecal.engine.metric import DataSpec, Metric, Statistic, entry
+from posecal.engine.metric import Metric, Statistic, entry
 from posecal.engine.protocol import Protocol
+from posecal.engine.scope import DataSpec
 from posecal.engine.totals import Totals
 
 SPEC = DataSpec(7, ("Head", "Hip"), 1, ("sequence", "action"), 25.0)

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.pose_data import PoseData
-from posecal.engine.metric import DataSpec
 from posecal.engine.protocol import Protocol
+from posecal.engine.scope import DataSpec
 from posecal.engine.totals import Totals
 from posecal.evaluation import evaluate
 from posecal.registry import known_metrics

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,7 +9,6 @@ from hypothesis import strategies as st
 
 from posecal.engine.block import Block
 from posecal.errors import PoseDataError
-from posecal.geometry.procrustes import Alignment
 from posecal.metrics import auc, cps, pck
 from posecal.metrics.cps import cps_area, pose_score
 from posecal.metrics.pck import SELECTIONS, Selection, auc_share, correct_joints, correct_share, joint_score
@@ -44,7 +41,6 @@ def lattice(seed: int) -> tuple[Array, Array]:
 
 
 THRESHOLDS = [5.0 * i for i in range(31)]
-EDGES = [0.0, 1e-150, *(v for t in (1, 5, 145, 150, 299, 300) for v in (t, np.nextafter(t, 0), np.nextafter(t, 999)))]
 
 
 @given(st.floats(0, 400, allow_subnormal=False))
@@ -69,21 +65,6 @@ def test_exact_auc_is_the_area_left_of_150_mm(error: float) -> None:
     np.testing.assert_allclose(auc_share(np.array(error), exact=True), max(0, 150 - error) / 150)
 
 
-def trapezoid(error: float) -> float:
-    heights = [float(error < t) for t in range(1, 301)]
-    return sum((one + other) / 2 for one, other in itertools.pairwise(heights))
-
-
-@given(st.floats(0, 400, allow_subnormal=False))
-def test_cps_of_an_error_is_the_trapezoid_over_300_thresholds(error: float) -> None:
-    np.testing.assert_allclose(cps_area(np.array(error)), trapezoid(error))
-
-
-@pytest.mark.parametrize("error", EDGES)
-def test_cps_is_right_at_its_thresholds_and_next_to_them(error: float) -> None:
-    np.testing.assert_allclose(cps_area(np.array(error)), trapezoid(error))
-
-
 def test_scores_are_nothing_at_infinity() -> None:
     for exact in (False, True):
         for strict in (False, True):
@@ -97,17 +78,6 @@ def test_the_largest_auc_is_30_of_31_thresholds() -> None:
     assert auc(y[None], y) == pytest.approx(30 / 31)
     assert auc(y[None], y, strict=False) == 1
     assert auc(y[None], y, exact=True) == 1
-
-
-def test_the_largest_cps_is_299_mm() -> None:
-    y = np.random.default_rng(0).normal(0, 300, (1, 5, 3))
-    np.testing.assert_allclose(cps(y[None], y), 299)
-
-
-def test_a_cps_of_190_is_a_worst_joint_of_about_110_mm() -> None:
-    y = np.zeros((1, 2, 3))
-    x = y[None] + [[0, 0, 0], [110.4, 0, 0]]
-    assert cps(x, y, align="none") == 300 - 110 - 0.5
 
 
 # --- of poses --------------------------------------------------------------------------------------------------------
@@ -139,16 +109,6 @@ def test_exact_auc_is_the_area_under_the_staircase(select: Selection, where: Mas
     link = oracles.links(oracles.pose_errors(x, y, where))
     expected = oracles.auc_integral(oracles.joint_errors(x, y), where, select, link)
     np.testing.assert_allclose(auc(x, y, exact=True, select=select, where=where), expected)
-
-
-@pytest.mark.parametrize("align", ["none", "similarity", "rigid", "scale"])
-@pytest.mark.parametrize("select", SELECTIONS)
-def test_cps_is_the_loop_over_300_thresholds(select: Selection, align: Alignment, where: Mask) -> None:
-    x, y = skewed(4, N, M, K)
-    link = oracles.links(oracles.pose_errors(x, y, where))
-    moved = oracles.aligned(x, y, where, align)
-    expected = oracles.cps(oracles.joint_errors(moved, y), where, select, link)
-    np.testing.assert_allclose(cps(x, y, select=select, align=align, where=where), expected)
 
 
 def test_a_root_is_subtracted_and_counts(arrays: tuple[Array, Array]) -> None:

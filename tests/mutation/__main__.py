@@ -21,6 +21,7 @@ from tests.mutation.runner import BaselineError, Outcome, Runner
 
 ALSO = {
     "posecal/calibration/": ("test_definitions.py", "test_laws.py"),
+    "posecal/data/": ("test_match_layouts.py", "test_unreadable_files.py"),
     "posecal/engine/": ("test_definitions.py", "test_laws.py"),
     "posecal/geometry/": ("test_definitions.py", "test_laws.py"),
     "posecal/metrics/": ("test_definitions.py", "test_laws.py"),

@@ -199,6 +199,7 @@ def _difference(old: str, new: str) -> str:
         start = max(_same(old, new) - 25, 0)
         end = max(_same(old[start:][::-1], new[start:][::-1]) - 25, 0)
     cut = [" ".join(text[start : len(text) - end].split()) for text in (old, new)]
+    cut = [f"{'...' * bool(start)}{text}{'...' * bool(end)}" for text in cut]
     return " -> ".join(text if len(text) <= 80 else f"{text[:77]}..." for text in cut)
 
 

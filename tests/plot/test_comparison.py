@@ -9,14 +9,14 @@ from matplotlib.figure import Figure
 
 from posecal.errors import PoseDataError
 from posecal.plot import accuracy_and_calibration, draw_comparison
-from posecal.stats.comparison import Comparison, compare
+from posecal.stats.comparison import Comparison, compare_totals
 from tests.helpers.reports import report_of
 
 NAMES = ["right", "narrow"]
 
 
 def pair(metrics: str = "default") -> Comparison:
-    return compare([report_of(spread, metrics=metrics).totals for spread in (1.0, 0.5)], NAMES)
+    return compare_totals([report_of(spread, metrics=metrics).totals for spread in (1.0, 0.5)], NAMES)
 
 
 @pytest.fixture

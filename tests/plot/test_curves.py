@@ -13,12 +13,12 @@ import posecal
 from posecal.calibration import LEVELS
 from posecal.demo import sample
 from posecal.errors import PoseDataError
-from posecal.plot import correct, errors_by_n, reliability, signed_areas
-from posecal.plot.curves import drawn_definition
+from posecal.plot import errors_by_n, pck_curves, reliability, signed_areas
+from posecal.plot.curves import default_definition
 from posecal.report.report import Report
 from tests.helpers.reports import N, report_of, unlabelled, world
 
-DRAWERS = [reliability, errors_by_n, correct, signed_areas]
+DRAWERS = [reliability, errors_by_n, pck_curves, signed_areas]
 
 
 @pytest.fixture
@@ -75,7 +75,7 @@ def test_there_is_a_faint_line_behind_it_for_every_joint_but_the_root(ax: Axes) 
     assert [entry.get_gid() for entry in ax.lines if str(entry.get_gid()).startswith("joint ")] == [
         f"joint {name}" for name in joints[1:]
     ]
-    coverage = report.calibration().coverage[joints.index("RKnee")]
+    coverage = report.calibration().joints[joints.index("RKnee")]
     np.testing.assert_allclose(points(ax, "joint RKnee")[:, 1], coverage)
     assert line(ax, "joint RKnee").get_zorder() < line(ax, "summary").get_zorder()
 
@@ -114,7 +114,7 @@ def test_the_band_of_a_calibrated_sampler_is_about_the_diagonal_and_widest_at_it
     assert found is not None
     edge = found.get_paths()[0].vertices
     middle = np.sort(edge[np.isclose(edge[:, 0], 0.5), 1])
-    half = 0.5 * report.null("ece").band  # the root of q (1 − q) is a half there
+    half = 0.5 * report.test("ece").band  # the root of q (1 − q) is a half there
     np.testing.assert_allclose([middle[0], middle[-1]], [0.5 - half, 0.5 + half])
     np.testing.assert_allclose(edge[np.isclose(edge[:, 0], 0), 1], 0, atol=1e-12)
 
@@ -122,7 +122,9 @@ def test_the_band_of_a_calibrated_sampler_is_about_the_diagonal_and_widest_at_it
 def test_there_is_no_band_where_sequences_allow_no_test(ax: Axes) -> None:
     here = world()
     few = slice(0, 9)
-    report = posecal.evaluate(sample(here, N)[:, few], here.truth[few], labels={"sequence": here.sequence[few]})
+    report = posecal.evaluate(
+        sample(here, N)[:, few], here.truth[few], labels={"sequence": here.sequence[few]}, axes="NMKD", unit="mm"
+    )
     reliability(report, ax=ax)
     assert band(ax) is None
     assert line(ax, "summary") is not None
@@ -139,14 +141,14 @@ def test_another_definition_is_drawn_where_it_is_asked_for_or_the_only_one(ax: A
     reliability(report_of(), definition="paper", ax=ax)
     np.testing.assert_allclose(points(ax, "summary")[:, 1], report_of().summary_curve("paper"))
     assert band(ax) is None
-    assert drawn_definition(report_of()) == "exchangeable"
-    assert drawn_definition(report_of(metrics="ece_reference")) == "reference"
+    assert default_definition(report_of()) == "exchangeable"
+    assert default_definition(report_of(metrics="ece_reference")) == "reference"
 
 
 def test_the_line_says_what_stands_for_all_joints(ax: Axes) -> None:
     here = world()
     report = posecal.evaluate(
-        sample(here, 5), here.truth, joints="h36m-17", protocol=posecal.Protocol(ece_over="worst")
+        sample(here, 5), here.truth, joints="h36m-17", protocol=posecal.Protocol(ece_over="worst"), unit="mm"
     )
     reliability(report, ax=ax)
     assert line(ax, "summary").get_label() == "worst joint"
@@ -156,7 +158,10 @@ def test_the_line_says_what_stands_for_all_joints(ax: Axes) -> None:
     ("report", "words"),
     [
         (lambda: unlabelled(n=1), r"^reliability: calibration needs at least 2 hypotheses; there is 1\.$"),
-        (lambda: report_of(metrics="mpjpe"), r"^reliability: the report has no calibration curves\. Evaluate the met"),
+        (
+            lambda: report_of(metrics="mpjpe"),
+            r'^reliability: the report has no calibration curves\. Evaluate with metrics="ece"\.$',
+        ),
     ],
 )
 def test_without_curves_there_is_no_diagram(report: Callable[[], Report], words: str, ax: Axes) -> None:
@@ -185,7 +190,7 @@ def test_ticks_are_round_numbers_of_hypotheses(ax: Axes) -> None:
 
 def test_shares_of_correct_joints_and_poses_rise_and_meet_the_reported_pck(ax: Axes) -> None:
     report = report_of(1.5)
-    correct(report, ax=ax)
+    pck_curves(report, ax=ax)
     for gid in ("pck_curve", "cps_curve"):
         x, y = points(ax, gid).T
         assert (np.diff(y) >= 0).all()
@@ -204,4 +209,4 @@ def test_a_curve_that_the_report_lacks_is_said(ax: Axes) -> None:
     ):
         errors_by_n(report_of(metrics="pck"), ax=ax)
     with pytest.raises(PoseDataError, match=r"^curve: the report has no pck_curve; it is among the default metrics\.$"):
-        correct(report_of(metrics="pck"), ax=ax)
+        pck_curves(report_of(metrics="pck"), ax=ax)

@@ -13,7 +13,7 @@ from posecal.plot import check_suffix, draw, figure_bytes, save
 from tests.helpers.reports import report_of, unlabelled, world
 
 STARTS = {".svg": b"<?xml", ".png": b"\x89PNG\r\n", ".pdf": b"%PDF-"}
-KINDS = ("reliability", "joints", "errors", "correct")
+KINDS = ("reliability", "joints", "errors", "pck")
 
 
 def words_of(kind: str, **how: str) -> str:
@@ -56,7 +56,7 @@ def test_every_picture_carries_the_signature(kind: str) -> None:
 def test_the_reliability_diagram_s_caption_gives_the_ece_its_definition_and_the_chance() -> None:
     report, words = report_of(), words_of("reliability")
     assert f"ECE {report.value('ece'):.4f}: {report.definition('ece')}." in words
-    assert f"p = {report.null('ece').p:.3f}" in words
+    assert f"p = {report.test('ece').p:.3f}" in words
     assert "Grey: each joint; dashed: a calibrated sampler." in words
 
 
@@ -87,14 +87,17 @@ def test_an_unknown_picture_is_refused_with_the_nearest() -> None:
     [
         (
             "reliability",
-            r"^reliability: the report has no calibration curves\. Evaluate the metrics ece, or default\.$",
+            r'^reliability: the report has no calibration curves\. Evaluate with metrics="ece"\.$',
         ),
-        ("joints", r"^signed_area is not in the report\. "),
+        ("joints", r"^metric: 'signed_area' is not in the report\. "),
         ("errors", r"^curve: the report has no errors_by_n; it is among the default metrics\.$"),
-        ("correct", r"^curve: the report has no pck_curve; it is among the default metrics\.$"),
-        ("guide", r"^sparsification: the report kept no spreads and errors; they are among the default metrics\.$"),
-        ("event", r"^event: the report has no Brier score\. Evaluate with --scores\.$"),
-        ("rank_tests", r"^battery: the report has none\. Evaluate with --rank-tests\.$"),
+        ("pck", r"^curve: the report has no pck_curve; it is among the default metrics\.$"),
+        (
+            "sparsification",
+            r"^sparsification: the report has no spreads and errors; they are among the default metrics\.$",
+        ),
+        ("event", r'^event: the report has no Brier score\. Evaluate with metrics="scores"\.$'),
+        ("rank_tests", r'^rank_tests: the report has none\. Evaluate with metrics="rank_tests"\.$'),
     ],
 )
 def test_what_a_picture_lacks_is_said_with_what_to_ask_for(kind: str, words: str) -> None:

@@ -1,4 +1,4 @@
-"""The battery's small multiples, the guide and the event: tested on the numbers of their lines."""
+"""Pictures of rank tests, sparsification and the reliability of an event: tested on the numbers of their lines."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from matplotlib.figure import Figure
 from posecal.calibration import LEVELS
 from posecal.calibration.rank_tests import RANK_TESTS
 from posecal.errors import PoseDataError
-from posecal.plot import deviation, draw_rank_tests, event, guide
+from posecal.plot import draw_rank_tests, event_reliability, rank_test, sparsification
 from posecal.plot.style import INK, ORANGE
 from tests.helpers.reports import report_of
 
-WIDE = {"spread": 2.5, "metrics": "default, battery, scores"}
+WIDE = {"spread": 2.5, "metrics": "default, rank_tests, scores"}
 
 
 @pytest.fixture
@@ -24,7 +24,7 @@ def ax() -> Axes:
 
 def test_a_line_is_the_curve_s_difference_from_the_diagonal(ax: Axes) -> None:
     report = report_of(**WIDE)  # type: ignore[arg-type]
-    deviation(report, "mahalanobis", ax=ax)
+    rank_test(report, "mahalanobis", ax=ax)
     line = ax.lines[-1]
     np.testing.assert_allclose(line.get_xdata(), LEVELS)
     np.testing.assert_allclose(line.get_ydata(), report.rank_curves("mahalanobis")[0] - LEVELS)
@@ -32,20 +32,20 @@ def test_a_line_is_the_curve_s_difference_from_the_diagonal(ax: Axes) -> None:
 
 def test_the_grey_band_is_what_chance_allows(ax: Axes) -> None:
     report = report_of(**WIDE)  # type: ignore[arg-type]
-    deviation(report, "tarp", ax=ax)
+    rank_test(report, "tarp", ax=ax)
     (band,) = (entry for entry in ax.collections if entry.get_gid() == "band")
     edge = band.get_paths()[0].vertices[:, 1].max()
-    np.testing.assert_allclose(edge, report.null("tarp").band / 2)  # √(q (1 - q)) is 1/2 at its most
+    np.testing.assert_allclose(edge, report.test("tarp").band / 2)  # √(q (1 - q)) is 1/2 at its most
 
 
-def test_what_fires_is_orange_and_what_does_not_is_dark(ax: Axes) -> None:
+def test_what_is_rejected_is_orange_and_what_is_not_is_dark(ax: Axes) -> None:
     for spread in (1.0, 2.5):
         report = report_of(spread, metrics=WIDE["metrics"])  # type: ignore[arg-type]
         for test in report.rank_tests():
             axes = Figure().add_subplot()
-            deviation(report, test, ax=axes)
-            fired = report.rank_tests()[test][1] < 0.05
-            assert axes.title.get_color() == (ORANGE if fired else INK)
+            rank_test(report, test, ax=axes)
+            rejected = report.rank_tests()[test][1] < 0.05
+            assert axes.title.get_color() == (ORANGE if rejected else INK)
 
 
 def test_every_test_has_its_picture_with_its_name_and_adjusted_p() -> None:
@@ -57,16 +57,18 @@ def test_every_test_has_its_picture_with_its_name_and_adjusted_p() -> None:
         assert title.endswith("p < 0.001" if p < 0.001 else f"p = {p:.3f}")
 
 
-def test_without_a_battery_there_is_no_picture(ax: Axes) -> None:
-    with pytest.raises(PoseDataError, match=r"battery: the report has none\. Evaluate with --rank-tests"):
+def test_without_rank_tests_there_is_no_picture(ax: Axes) -> None:
+    with pytest.raises(
+        PoseDataError, match=r'^rank_tests: the report has none\. Evaluate with metrics="rank_tests"\.$'
+    ):
         draw_rank_tests(report_of())
-    with pytest.raises(PoseDataError, match="tarp is no test in the report"):
-        deviation(report_of(), "tarp", ax=ax)
+    with pytest.raises(PoseDataError, match="tarp is no rank test of the report"):
+        rank_test(report_of(), "tarp", ax=ax)
 
 
-def test_the_guide_shows_what_is_left_by_spread_and_by_error(ax: Axes) -> None:
+def test_the_sparsification_shows_what_is_left_by_spread_and_by_error(ax: Axes) -> None:
     report = report_of()
-    guide(report, ax=ax)
+    sparsification(report, ax=ax)
     drawn = [np.asarray(line.get_ydata(), dtype=float) for line in ax.lines]
     for curve in report.sparsification():
         assert any(len(line) == len(curve) and np.abs(line - curve).max() < 1e-12 for line in drawn)
@@ -74,6 +76,6 @@ def test_the_guide_shows_what_is_left_by_spread_and_by_error(ax: Axes) -> None:
 
 def test_the_event_shows_the_isotonic_frequencies(ax: Axes) -> None:
     report = report_of(**WIDE)  # type: ignore[arg-type]
-    event(report, ax=ax)
+    event_reliability(report, ax=ax)
     observed = report.event_reliability().observed
     assert any(set(np.round(observed, 9)) <= set(np.round(np.asarray(line.get_ydata(), float), 9)) for line in ax.lines)

@@ -60,8 +60,8 @@ def test_a_spread_of_0_4_is_found_and_undone_to_2_percent() -> None:
 def test_a_map_that_was_fitted_on_others_calibrates() -> None:
     map_ = fit_spread(pairs_of(*gaussian(1, 12, 300, 4, spread=0.4)), threads=1)
     pairs = pairs_of(*gaussian(2, 12, 200, 4, spread=0.4), labels={"sequence": sequences(200, 40)})
-    assert report_of(pairs, "ece").null("ece").p <= 1e-3
-    assert report_of(map_.applied(pairs), "ece").null("ece").p > 0.01
+    assert report_of(pairs, "ece").test("ece").p <= 1e-3
+    assert report_of(map_.applied(pairs), "ece").test("ece").p > 0.01
 
 
 def test_each_joint_has_a_factor_of_its_own_where_it_is_asked_for() -> None:
@@ -78,8 +78,8 @@ def test_held_out_sequences_are_calibrated_by_the_factor_of_the_others() -> None
     pairs = pairs_of(x, y, labels={"sequence": sequences(240, 24)})
     before, after, factors = cross_fitted(pairs, FEW, folds=3, threads=1)
     one, other = Report(before), Report(after)
-    assert one.null("ece").p <= 1e-3
-    assert other.null("ece").p > 0.01
+    assert one.test("ece").p <= 1e-3
+    assert other.test("ece").p > 0.01
     assert one.value("signed_area") < -0.1 < other.value("signed_area") < 0.1
     assert before.poses.sum() == after.poses.sum() == 240
     part = folds_of(pairs, 3)

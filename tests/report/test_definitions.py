@@ -12,11 +12,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from tests.helpers.sums import accumulate
 from posecal.engine.protocol import Protocol
 from posecal.registry import known_metrics, occlusion_metrics_of
 from tests.helpers.naive_registry import Twin
 from tests.helpers.random_worlds import World, world
+from tests.helpers.sums import accumulate
 
 Joints = npt.NDArray[np.float64]
 

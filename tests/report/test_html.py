@@ -1,4 +1,4 @@
-"""The page is one whole file: it needs no other, and nothing from the data can act in it."""
+"""The page is one file that needs no other, and nothing from the data can act in it."""
 
 import re
 from functools import cache
@@ -10,9 +10,9 @@ import pytest
 
 import posecal
 from posecal.demo import sample
-from posecal.errors import PoseFileError
+from posecal.errors import PoseFileError, for_command_line
 from posecal.report.html import as_html, write_html
-from posecal.report.sheets import report_sheet
+from posecal.report.text import report_sheet
 from tests.helpers.reports import report_of, unlabelled, world
 
 VOID = {"meta", "br", "link", "img", "input", "hr"}
@@ -87,7 +87,7 @@ def test_the_page_needs_no_other_file_and_runs_nothing() -> None:
 def test_the_tables_hold_the_cells_of_the_report() -> None:
     report, cells = report_of(metrics="all", by=("action",)), Page(written()).cells
     for table in report_sheet(report, joints=True).tables:
-        assert [heading for heading, _ in table.columns] in cells
+        assert list(table.headings) in cells
         for row in table.rows:
             assert list(row) in cells
 
@@ -102,7 +102,7 @@ def test_the_pictures_are_within_the_page_and_say_what_they_show() -> None:
         "PCK and CPS against the threshold",
         "the error left when the most uncertain poses are dropped",
         "reliability of: the median pose is right at every joint",
-        "tests for what the ECE can't see",
+        "rank tests for what the ECE can't see",
     ]
     assert page.tags.count("svg") == len(said)
 
@@ -136,6 +136,8 @@ def test_whatever_a_file_says_is_text_and_nothing_more() -> None:
         root_joint="none",
         labels={"sequence": here.sequence, "action": np.char.add(here.action, odd)},
         by=["action"],
+        axes="NMKD",
+        unit="mm",
     )
     text = as_html(report, f"<img src=x onerror=alert(1)>{odd}")
     page = Page(text)
@@ -144,6 +146,29 @@ def test_whatever_a_file_says_is_text_and_nothing_more() -> None:
     assert any(f"sitting{odd}" in row for row in page.cells)
     assert any("<i>joint</i>" in row for row in page.cells)
     assert f"<img src=x onerror=alert(1)>{odd}" in page.text
+    fragment = Page(report._repr_html_())
+    assert outward(fragment) == []
+    assert not {"script", "img", "i"} & set(fragment.tags)
+    assert any(f"sitting{odd}" in row for row in fragment.cells)
+
+
+def test_notebooks_show_sentences_remarks_and_tables() -> None:
+    report = report_of(by=("action",))
+    page = Page(report._repr_html_())
+    assert page.open == []
+    assert not {"html", "head", "body", "h1", "svg", "style"} & set(page.tags)
+    for line in (*report.summary, *(f"note: {remark}" for remark in report.remarks), report.signature):
+        assert line in page.text
+    for table in report_sheet(report).tables:
+        assert list(table.headings) in page.cells
+        assert all(list(row) in page.cells for row in table.rows)
+
+
+def test_remarks_stand_on_the_page_and_name_flags_where_they_are_asked_to() -> None:
+    report = unlabelled()
+    assert report.remarks
+    assert all(f"note: {remark}" in Page(as_html(report, "x")).text for remark in report.remarks)
+    assert "--root-joint" in Page(as_html(report, "x", for_command_line)).text
 
 
 def test_a_report_that_lacks_pictures_is_a_page_all_the_same() -> None:

@@ -350,7 +350,7 @@ def test_a_cut_of_the_spread_that_the_result_lacks_is_refused() -> None:
         (lambda r: r.count("mpjp"), r"^metric: 'mpjp' is not in the report\."),
         (lambda r: r.definition("ecee"), r"^metric: 'ecee' is not in the report\. Did you mean ece\?$"),
         (lambda r: r.test("mpjpe"), r"^test: mpjpe is no calibration error or rank test\. "),
-        (lambda r: r.test("ece_p"), r"^test: ece_p is no calibration error or rank test\. Did you mean ece_paper\?$"),
+        (lambda r: r.test("ece_p"), r"^test: ece_p is no calibration error or rank test\. Did you mean ece\?$"),
         (lambda r: r.test("ece", "action=no"), r"^group: 'action=no' is not in the report\."),
         (lambda r: r.curve("pck_curv"), r"^curve: 'pck_curv' is not known\. Did you mean pck_curve\?$"),
         (
@@ -400,7 +400,7 @@ def test_poses_without_sequences_are_remarked_on() -> None:
     (remark,) = (remark for remark in unlabelled().remarks if remark.startswith("no sequence labels: "))
     assert remark == "no sequence labels: 5 frames are taken as independent. In a video they are not."
     (remark,) = (r for r in unlabelled(poses=201).remarks if r.startswith("no sequence labels: "))
-    assert "100 runs of consecutive frames are taken as independent" in remark
+    assert "51 runs of consecutive frames are taken as independent" in remark
     assert not any("sequence" in remark for remark in some().remarks)
 
 

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any, cast
+
 import numpy as np
 import pytest
 
+import posecal
+from posecal.errors import for_command_line
 from posecal.report.report import Report
-from posecal.report.summary import summarize
-from tests.helpers.samplers import gaussian, pairs_of, report_of, sequences
+from posecal.report.summary import NEITHER, ONE_SIDED, remarks, side_of, summarize
+from tests.helpers.reports import unlabelled
+from tests.helpers.samplers import gaussian, sequences
 
 Array = np.ndarray
 M, K, N = 240, 4, 19
@@ -15,7 +21,10 @@ JOINTS = ("Head", "LWrist", "RKnee", "LFoot")
 
 
 def report(x: Array, y: Array, metrics: str = "default", S: int = 40) -> Report:
-    return report_of(pairs_of(x, y, joints=JOINTS, labels={"sequence": sequences(len(y), S)}), metrics)
+    labels = {"sequence": sequences(len(y), S)}
+    return posecal.evaluate(
+        x, y, joints=JOINTS, root_joint="none", labels=labels, metrics=metrics, axes="NMKD", unit="mm", threads=1
+    )
 
 
 def said(*, spread: float | list[float] = 1.0, metrics: str = "default", S: int = 40, seed: int = 0) -> list[str]:
@@ -49,25 +58,27 @@ def test_joints_that_cancel_are_named_and_the_median_is_said_to_hide_them() -> N
     assert sentences[2].startswith("The median over joints hides it: the joints' own errors average 0.")
 
 
-def test_what_only_the_battery_sees_is_said_with_its_meaning() -> None:
+def test_what_only_rank_tests_reject_is_said_with_its_meaning() -> None:
     random = np.random.default_rng(1)
     common = random.normal(0, 40, (M, 1, 3))
     y = np.sqrt(0.9) * common + np.sqrt(0.1) * random.normal(0, 40, (M, K, 3))  # joints move together
     x = random.normal(0, 40, (N, M, K, 3))  # the model's do not
-    first, *_, last = summarize(report(x, y, "default, battery"))
+    first, *_, last = summarize(report(x, y, "default, rank_tests"))
     assert first.startswith("Not miscalibrated beyond chance")
-    assert last.startswith("What the ECE does not see, the battery does (")
+    assert last.startswith("Rank tests reject what the ECE can't see (")
     assert "pair distance" in last
     assert "joints move together less or more than they should" in last
 
 
-def test_where_the_spread_is_wrong_the_battery_is_for_later() -> None:
-    assert said(spread=0.5, metrics="default, battery")[-1].endswith("Mend the spread first, and look again.")
+def test_where_the_spread_is_wrong_rank_tests_are_for_later() -> None:
+    last = said(spread=0.5, metrics="default, rank_tests")[-1]
+    assert last.startswith("Rank tests reject as well: coordinate PIT, ")
+    assert last.endswith("Recalibrate the spread first, then rerun the rank tests.")
 
 
-def test_a_battery_that_finds_nothing_points_to_a_score() -> None:
-    assert said(metrics="default, battery", seed=3)[-1] == (
-        "The battery finds nothing more. A model that ignores the image would pass it too: look at a score."
+def test_rank_tests_of_which_none_rejects_point_to_a_score() -> None:
+    assert said(metrics="default, rank_tests", seed=3)[-1] == (
+        "No rank test rejects. A model that ignores the image would pass them too: look at a proper score."
     )
 
 
@@ -89,3 +100,114 @@ def test_no_calibration_error_has_an_interval() -> None:
         if f"{row.metric}_p" in tested or row.metric.startswith("ece"):
             assert np.isnan([row.low, row.high]).all()
     assert "±" not in found.render("text")
+
+
+# --- over- or underconfident ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("sign", "side"), [(-1, "overconfident"), (1, "underconfident")])
+def test_a_side_is_named_where_more_than_half_of_the_error_lies_on_it(sign: int, side: str) -> None:
+    error, edge = 0.04, 0.02
+    assert ONE_SIDED == 0.5
+    assert side_of(sign * edge * 1.000001, error) == side
+    assert side_of(sign * edge, error) == NEITHER
+    assert side_of(sign * edge * 0.999999, error) == NEITHER
+    assert side_of(sign * error, error) == side
+
+
+class Known:
+    """A report of known numbers: error and signed area of all joints, and of each joint with its own p-value."""
+
+    def __init__(self, error: float, area: float, p: float, joints: dict[str, tuple[float, float, float]]) -> None:
+        self.numbers = {"ece": error, "signed_area": area}
+        self.metrics = dict.fromkeys(self.numbers)
+        self.p = p
+        self.joints = joints
+        self.totals = SimpleNamespace(units=lambda number: f"{number} sequences")
+
+    def __getitem__(self, name: str) -> float:
+        return self.numbers[name]
+
+    def value(self, name: str, *, joint: str) -> float:
+        return self.joints[joint][0]
+
+    def test(self, name: str) -> SimpleNamespace:
+        return SimpleNamespace(p=self.p, mean=0.01, high=0.02, sequences=40)
+
+    def joint_tests(self) -> dict[str, tuple[float, float]]:
+        return {joint: (area, p) for joint, (_, area, p) in self.joints.items()}
+
+    def rank_tests(self) -> dict[str, Any]:
+        return {}
+
+
+def sentences(error: float, area: float, p: float, **joints: tuple[float, float, float]) -> list[str]:
+    return summarize(cast(Report, Known(error, area, p, joints)))
+
+
+@pytest.mark.parametrize(
+    ("area", "word"),
+    [
+        (-0.021, "Overconfident"),
+        (0.021, "Underconfident"),
+        (-0.019, NEITHER.capitalize()),
+        (0.019, NEITHER.capitalize()),
+    ],
+)
+def test_the_first_sentence_names_the_side_by_that_rule(area: float, word: str) -> None:
+    (first,) = sentences(0.04, area, 0.04)
+    assert first == f"{word}, beyond chance: ECE 0.040 where a calibrated sampler would show 0.010 (p = 0.040)."
+
+
+@pytest.mark.parametrize(("p", "rejected"), [(0.049, True), (0.05, False)])
+def test_beyond_chance_is_below_five_percent(p: float, rejected: bool) -> None:
+    (first,) = sentences(0.04, 0.03, p)
+    assert first.startswith("Not miscalibrated beyond chance") is not rejected
+    (_, *joints) = sentences(0.04, 0.03, 0.5, Head=(0.04, 0.03, p))
+    assert bool(joints) is rejected
+
+
+def test_joints_are_sorted_to_their_sides_by_the_same_rule_the_largest_area_first() -> None:
+    _, joints = sentences(
+        0.04,
+        0.0,
+        0.5,
+        Hip=(0.04, -0.021, 0.01),
+        Head=(0.04, -0.03, 0.01),
+        Neck=(0.04, 0.021, 0.01),
+        Foot=(0.04, 0.019, 0.01),
+        Knee=(0.04, -0.019, 0.01),
+        Hand=(0.04, 0.04, 0.2),
+    )
+    assert joints == (
+        "Joint by joint: overconfident at Head and Hip, underconfident at Neck, "
+        f"{NEITHER}, at Foot and Knee (adjusted for 6 joints)."
+    )
+
+
+@pytest.mark.parametrize(("number", "words"), [(1, "j0"), (2, "j0 and j1"), (6, "j0, j1, j2, j3, j4 and j5")])
+def test_up_to_six_joints_are_named(number: int, words: str) -> None:
+    _, joints = sentences(0.04, 0.0, 0.5, **{f"j{k}": (0.04, 0.03, 0.01) for k in range(number)})
+    assert joints == f"Joint by joint: underconfident at {words} (adjusted for {number} joints)."
+
+
+def test_of_more_joints_six_are_named_and_the_rest_counted() -> None:
+    _, joints = sentences(0.04, 0.0, 0.5, **{f"j{k}": (0.04, 0.03, 0.01) for k in range(9)})
+    assert joints == "Joint by joint: underconfident at j0, j1, j2, j3, j4, j5 and 3 more (adjusted for 9 joints)."
+
+
+@pytest.mark.parametrize(("area", "side"), [(-0.001, "overconfident"), (0.001, "underconfident")])
+def test_where_nothing_can_be_tested_the_sign_alone_is_said(area: float, side: str) -> None:
+    (first,) = sentences(0.04, area, float("nan"))
+    assert first == f"Looks {side} (signed area {area:+.3f}); whether by chance can't be tested here."
+
+
+# --- remarks --------------------------------------------------------------------------------------------------
+
+
+def test_remarks_name_parameters_or_flags() -> None:
+    report = unlabelled()
+    assert report.remarks == remarks(report)
+    (python,) = (remark for remark in remarks(report) if "root_joint" in remark)
+    (flags,) = (remark for remark in remarks(report, for_command_line) if "--root-joint" in remark)
+    assert python.replace("root_joint", "--root-joint") == flags

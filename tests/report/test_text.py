@@ -1,22 +1,24 @@
-"""A sheet is readable at any width: nothing is lost, no number is broken, and no text is taken for markup."""
+"""The sheets of reports, comparisons, recalibrations and presets: what stands on them, in every form."""
 
 import re
+from typing import Any
 
+import numpy as np
 import pytest
 from rich.cells import cell_len
 
-from posecal.report.sheets import presets_sheet, report_sheet
-from posecal.report.tables import Sheet, Table
-from tests.helpers.reports import report_of
+import posecal
+from posecal.demo import sample
+from posecal.engine.presets import PRESETS
+from posecal.errors import for_command_line
+from posecal.report.report import Report
+from posecal.report.text import comparison_sheet, presets_sheet, radius_sheet, report_sheet, spread_sheet
+from posecal.stats.comparison import compare_totals
+from tests.helpers.reports import report_of, unlabelled, world
 
-NUMBERS = Table(
-    "Numbers",
-    (("a long name", False), ("first number", True), ("second", True), ("what it is", False)),
-    [
-        ("alpha beta gamma delta", "1234567.125", "-3.0", "some words that may be folded over several lines"),
-        ("omega", "0.5", "12.5 mm", "more"),
-    ],
-)
+
+def some() -> Report:
+    return report_of(by=("action", "occlusion"))
 
 
 def squeezed(text: str) -> str:
@@ -24,88 +26,156 @@ def squeezed(text: str) -> str:
     return re.sub(r"[\s─━]+", "", text)
 
 
-def test_a_wide_enough_sheet_has_a_line_per_row() -> None:
-    lines = Sheet("title", ["a sentence."], [NUMBERS], [("term", "meaning")], "the end").text(200).splitlines()
-    assert lines[0] == "title"
-    assert lines[1] == "a sentence."
-    assert lines[3].split() == ["a", "long", "name", "first", "number", "second", "what", "it", "is"]
-    assert lines[5].startswith("alpha beta gamma delta    1234567.125")
-    assert lines[6].split() == ["omega", "0.5", "12.5", "mm", "more"]
-    assert lines[-3:] == ["term: meaning", "", "the end"]
+# --- reports --------------------------------------------------------------------------------------------------
 
 
-def test_numbers_are_aligned_at_their_right() -> None:
-    lines = Sheet("", tables=[NUMBERS]).text(200).splitlines()
-    first, second = lines[-2:]
-    assert first.index("1234567.125") + len("1234567.125") == second.index("0.5") + len("0.5")
+def test_the_default_report_fits_a_screen() -> None:
+    lines = str(report_of()).splitlines()
+    assert len(lines) <= 40
+    assert max(map(len, lines[:-1])) <= 120  # the signature must stay one line
 
 
-@pytest.mark.parametrize("width", [30, 40, 60, 80, 100, 120])
-def test_no_line_is_wider_than_the_terminal(width: int) -> None:
-    lines = Sheet("title " * 30, ["words " * 30], [NUMBERS], [("term", "meaning " * 30)]).text(width).splitlines()
-    assert max(map(cell_len, lines)) <= width
+def test_it_begins_with_what_was_measured_and_ends_with_the_signature() -> None:
+    lines = str(report_of()).splitlines()
+    assert lines[0] == (
+        f"posecal {posecal.__version__} · N = 12 hypotheses · M = 36 poses in 12 sequences · K = 17 joints, "
+        "relative to Hip"
+    )
+    assert lines[-1] == f"signature: {report_of().signature}"
 
 
-@pytest.mark.parametrize("width", [30, 40, 60, 80])
-def test_no_number_is_broken_over_lines(width: int) -> None:
-    lines = Sheet("", tables=[NUMBERS]).text(width).splitlines()
-    for cell in ("1234567.125", "-3.0", "0.5", "12.5 mm"):
-        assert any(re.search(rf"(^|\s){re.escape(cell)}(\s|$)", line) for line in lines), cell
+def test_every_ece_stands_with_its_definition_and_what_a_perfect_sampler_shows() -> None:
+    text = str(report_of())
+    (line,) = (line for line in text.splitlines() if line.startswith("ECE  "))
+    assert "exchangeable; median of 16 joints (no root); " in line
+    floor = report_of().value("ece_floor")
+    assert f"{floor:.4f} if" in text
+    (line,) = (line for line in text.splitlines() if line.startswith("ECE (paper)"))
+    assert f"{report_of().value('ece_paper'):.5f}" in line
 
 
-@pytest.mark.parametrize("width", [30, 60, 200])
-def test_nothing_is_lost_at_any_width(width: int) -> None:
-    words = {word for row in NUMBERS.rows for cell in row for word in cell.split()}
-    assert words <= set(Sheet("", tables=[NUMBERS]).text(width).split())
+def cells(report: Report, label: str, **how: Any) -> list[str]:
+    """The cells of the row of this label."""
+    (row,) = (row for table in report_sheet(report, **how).tables for row in table.rows if row[0] == label)
+    return list(row)
 
 
-def test_a_table_that_is_too_wide_is_cut_into_some_with_the_same_first_column() -> None:
-    columns = (("name", False), *((f"column{number}", True) for number in range(8)))
-    table = Table("Wide", columns, [("first row", *(f"{number}.125" for number in range(8)))])
-    text = Sheet("", tables=[table]).text(40)
-    headings = [line.split() for line in text.splitlines() if "column" in line]
-    assert len(headings) > 1
-    assert all(heading[0] == "name" for heading in headings)
-    assert [word for heading in headings for word in heading[1:]] == [f"column{number}" for number in range(8)]
+def test_each_number_stands_with_its_interval_direction_and_meaning() -> None:
+    report = report_of()
+    low, high = report.interval("min_mpjpe")
+    brief = report.metrics["min_mpjpe"].brief
+    value = f"{report['min_mpjpe']:.3f} mm"
+    assert cells(report, "minMPJPE") == ["minMPJPE", value, f"{low:.1f} to {high:.1f}", "↓", brief]
+    low, high = report.interval("signed_area")
+    assert cells(report, "signed area")[1:4] == [f"{report['signed_area']:.5f}", f"{low:.3f} to {high:.3f}", "0"]
 
 
-def test_text_is_never_taken_for_markup() -> None:
-    odd = "[bold]x[/bold] [link=http://a] :smile: a\\[b"
-    sheet = Sheet(odd, [odd], [Table("t", ((odd, False),), [(odd,)])], [(odd, odd)], odd)
-    text = sheet.text(200)
-    assert text.count(odd) == 7  # title, sentence, heading, cell, term, meaning, footer
+def test_a_calibration_error_stands_with_those_of_a_calibrated_sampler_and_its_p_value() -> None:
+    report = report_of()
+    test = report.test("ece")
+    expected = [f"{report['ece']:.5f}", f"{test.mean:.3f}", f"{test.high:.3f}", f"{test.p:.3f}", "↓"]
+    assert cells(report, "ECE")[1:6] == expected
+    assert cells(report_of(0.5), "ECE")[4] == "< 0.001"
 
 
-@pytest.mark.parametrize("colour", [False, True])
-def test_colours_are_for_terminals_only(colour: bool) -> None:
-    assert ("\x1b[" in Sheet("title", tables=[NUMBERS]).text(100, colour=colour)) is colour
-
-
-def test_a_footer_stays_one_line() -> None:
-    footer = "signature: " + " ".join(f"option{number}=value" for number in range(40))
-    assert Sheet("", footer=footer).text(60).splitlines()[-1] == footer
-
-
-def test_lines_have_no_blanks_at_their_ends() -> None:
-    assert not re.search(r" +$", Sheet("title", tables=[NUMBERS]).text(80), re.MULTILINE)
-
-
-def test_markdown_escapes_what_would_end_a_cell_or_begin_a_tag() -> None:
-    sheet = Sheet("a|b", tables=[Table("c|d", (("e|f", False), ("g", True)), [("1|2\n3", "<b>\\")])])
-    assert sheet.markdown().splitlines() == [
-        "a\\|b",
-        "",
-        "### c\\|d",
-        "",
-        "| e\\|f | g |",
-        "|---|---:|",
-        "| 1\\|2 3 | &lt;b>\\\\ |",
+def test_a_rank_test_stands_with_its_adjusted_p_value() -> None:
+    report = report_of(2.5, metrics="rank_tests")
+    (table,) = report_sheet(report).tables
+    assert list(table.headings)[:5] == [
+        "Rank test",
+        "value",
+        "null mean",
+        "null 95 %",
+        "adjusted p",
     ]
+    for name, (test, p) in report.rank_tests().items():
+        row = cells(report, report.metrics[name].label)
+        shown = "< 0.001" if p < 0.001 else f"{p:.3f}"
+        assert row[2:5] == [f"{test.mean:.3f}", f"{test.high:.3f}", shown]
 
 
-def test_markdown_ends_with_definitions_and_the_footer_as_code() -> None:
-    lines = Sheet("t", definitions=[("term", "meaning")], footer="a=b").markdown().splitlines()
-    assert lines[-4:] == ["", "- **term**: meaning", "", "`a=b`"]
+def test_where_nothing_can_be_tested_no_p_value_is_shown() -> None:
+    assert cells(unlabelled(), "ECE")[2:5] == ["–", "–", "no test"]
+
+
+def test_remarks_stand_under_the_title_in_every_form() -> None:
+    report = unlabelled()
+    assert len(report.remarks) >= 3
+    text, markdown, latex = (report.render(form, width=1000) for form in ("text", "markdown", "latex"))
+    for remark in report.remarks:
+        assert f"note: {remark}" in text.splitlines()
+        assert f"note: {remark}" in markdown.splitlines()
+        assert f"% note: {remark}" in latex.splitlines()
+    assert "--root-joint" in report.render("text", words=for_command_line)
+    assert "--root-joint" not in text
+
+
+def test_the_table_of_a_label_has_a_row_per_group_with_its_numbers() -> None:
+    (table,) = (table for table in report_sheet(some()).tables if table.title == "By action")
+    names = [name for name, metric in some().metrics.items() if metric.in_group_table]
+    assert list(table.headings) == ["action", "poses", *(some().metrics[n].label for n in names)]
+    for row in table.rows:
+        group = f"action={row[0]}"
+        assert row[1] == str(some().count("mpjpe", group)) == "12"
+        for name, cell in zip(names, row[2:], strict=True):
+            assert cell == f"{some().value(name, group):.{1 if some().metrics[name].unit else 3}f}"
+
+
+def test_the_table_of_occlusion_has_the_numbers_of_occluded_and_visible_joints() -> None:
+    (table,) = (table for table in report_sheet(some()).tables if table.title == "By occlusion")
+    assert [row[0] for row in table.rows] == ["occluded", "visible"]
+    assert table.rows[0][2] == f"{some().value('min_mpjpe', 'occlusion=occluded'):.1f}"
+    assert table.rows[1][2] == f"{some().value('min_mpjpe', 'occlusion=visible'):.1f}"
+    assert table.rows[0][1] == str(some().count("mpjpe", "occlusion=occluded"))
+
+
+def test_the_table_of_joints_has_a_row_per_joint_and_no_number_where_none_counts() -> None:
+    table = report_sheet(report_of(), joints=True).tables[-1]
+    assert [row[0] for row in table.rows] == list(posecal.JOINT_SETS["h36m-17"])
+    names = [name for name, metric in report_of().metrics.items() if metric.in_joint_table]
+    column = 1 + names.index("ece")
+    assert table.rows[0][column] == "–"
+    assert table.rows[3][column] == f"{report_of().value('ece', joint='RFoot'):.3f}"
+
+
+def test_latex_has_every_table_and_is_ascii_but_for_words() -> None:
+    latex = report_of(metrics="all", by=("action",)).render("latex")
+    assert latex.count(r"\begin{tabular}") == latex.count(r"\bottomrule") == 7
+    assert r"$\downarrow$" in latex
+    outside = [line for line in latex.splitlines() if not line.startswith("%")]
+    assert not set("↓↑−ωτ‖∫√") & set("".join(outside))
+
+
+def test_markdown_has_a_table_for_each_family_label_and_joint() -> None:
+    text = some().render("markdown", joints=True, definitions=True)
+    headings = [line.removeprefix("### ") for line in text.splitlines() if line.startswith("### ")]
+    assert headings == [
+        "Accuracy",
+        "Calibration error",
+        "Calibration",
+        "Sharpness",
+        "By action",
+        "By occlusion",
+        "By joint",
+        "Definitions",
+    ]
+    for table in text.split("### ")[1:-1]:
+        bars = {line.count("|") for line in table.splitlines() if line.startswith("|")}
+        assert len(bars) == 1
+
+
+def test_a_label_with_a_bar_stays_in_its_cell() -> None:
+    here = world()
+    report = posecal.evaluate(
+        sample(here, 3),
+        here.truth,
+        labels={"sequence": here.sequence, "action": np.char.add(here.action, "|x<b>\ny")},
+        by=["action"],
+        axes="NMKD",
+        unit="mm",
+    )
+    (line,) = (line for line in report.render("markdown").splitlines() if "sitting" in line)
+    assert re.match(r"\| sitting\\\|x&lt;b> y +\| ", line)
 
 
 @pytest.mark.parametrize("width", [60, 80, 100])
@@ -125,9 +195,95 @@ def test_the_default_report_fits_a_screen_of_a_hundred_columns(width: int) -> No
 
 
 def test_the_presets_are_all_listed_with_what_they_set() -> None:
-    from posecal.engine.presets import PRESETS
-
     text = squeezed(presets_sheet().text(600))
     for preset in PRESETS.values():
         assert preset.name in text
         assert all(f"{key}={value}".replace(" ", "") in text for key, value in preset.options.items())
+
+
+# --- comparisons ----------------------------------------------------------------------------------------------
+
+
+def test_two_models_stand_with_their_difference() -> None:
+    reports = [report_of(spread) for spread in (1.0, 0.5)]
+    comparison = compare_totals([report.totals for report in reports], ["right", "narrow"])
+    sheet = comparison_sheet(comparison)
+    assert sheet.title == "right against narrow · the same M = 36 poses, paired by 12 sequences"
+    (table,) = sheet.tables
+    headings = ["metric", "right", "narrow", "difference", "95 % interval", "p", "better"]
+    assert list(table.headings) == headings
+    (row,) = (row for row in table.rows if row[0] == "minMPJPE")
+    difference = next(d for d in comparison.differences if d.metric == "min_mpjpe")
+    assert row[1:4] == (*(f"{report['min_mpjpe']:.3f} mm" for report in reports), f"{difference.value:+.2f}")
+    assert row[4] == f"{difference.low:+.2f} to {difference.high:+.2f}"
+    assert row[5] == ("< 0.001" if difference.p < 0.001 else f"{difference.p:.3f}")
+    assert row[6] == (difference.better or "")
+    (row,) = (row for row in table.rows if row[0] == "ECE")
+    assert row[3].lstrip("+-").count("0") < len(row[3])
+    assert len(row[3].partition(".")[2]) == 4
+    assert "ECE: right is best beyond chance." in sheet.sentences
+    assert "Not miscalibrated beyond chance: right." in sheet.sentences
+    assert sheet.footer == f"signature: {reports[0].signature}"
+
+
+def test_more_models_stand_with_their_ranks() -> None:
+    names = ["right", "narrow", "wide"]
+    comparison = compare_totals([report_of(spread).totals for spread in (1.0, 0.5, 2.5)], names)
+    sheet = comparison_sheet(comparison)
+    (table,) = sheet.tables
+    assert list(table.headings) == ["metric", *(f"{name} (rank)" for name in names)]
+    (row,) = (row for row in table.rows if row[0] == "ECE")
+    assert row[1:] == tuple(f"{comparison.value('ece', n):.5f} ({comparison.rank('ece', n)})" for n in names)
+    (row,) = (row for row in table.rows if row[0] == "coverage at 90 %")
+    assert not any("(" in cell for cell in row)
+    assert "ECE: right is best beyond chance." in sheet.sentences
+
+
+def test_models_of_which_none_is_better_have_no_best() -> None:
+    totals = report_of(1.0).totals
+    sheet = comparison_sheet(compare_totals([totals, totals], ["a", "b"]))
+    assert "ECE: none is best beyond chance." in sheet.sentences
+    assert "Not miscalibrated beyond chance: a, b." in sheet.sentences
+    assert all(row[-1] == "" for row in sheet.tables[0].rows)
+
+
+# --- recalibration --------------------------------------------------------------------------------------------
+
+
+def test_one_spread_factor_is_a_sentence_and_several_are_a_table() -> None:
+    one = spread_sheet({"Hip": 1.0, "Head": 1.25, "RKnee": 1.25}, 2000)
+    assert one.sentences[0] == "Spread factor 1.2500 for all joints, fitted on 2,000 poses."
+    assert one.tables == []
+    several = spread_sheet({"Hip": 1.0, "Head": 1.25, "RKnee": 0.5}, 1)
+    assert several.sentences[0] == "A spread factor for each of 2 joints, fitted on 1 pose."
+    assert several.tables[0].rows == [("Head", "1.2500"), ("RKnee", "0.5000")]
+    assert several.sentences[1].startswith("Not judged: ")
+
+
+def test_a_judged_factor_stands_with_the_numbers_before_and_after_and_its_cost() -> None:
+    before, after = report_of(0.5), report_of(1.0)
+    sheet = spread_sheet({"Head": 2.0}, 36, (before, after, 5))
+    (table,) = sheet.tables
+    assert list(table.headings) == ["held out, 5 parts", "before", "after"]
+    assert table.rows[0] == ("ECE", f"{before['ece']:.5f}", f"{after['ece']:.5f}")
+    assert table.rows[5] == ("minMPJPE", f"{before['min_mpjpe']:.3f} mm", f"{after['min_mpjpe']:.3f} mm")
+    cost = after["min_mpjpe"] - before["min_mpjpe"]
+    costs = [sentence for sentence in sheet.sentences if sentence.startswith("It costs")]
+    assert costs == (
+        [f"It costs {cost:.1f} mm of minMPJPE, which rewards a spread that is too narrow."] if cost > 0 else []
+    )
+    assert not any(
+        sentence.startswith("It costs") for sentence in spread_sheet({"Head": 2.0}, 36, (after, after, 5)).sentences
+    )
+
+
+def test_radii_stand_with_the_coverage_of_held_out_truths() -> None:
+    radii = {"Hip": float("nan"), "Head": 12.345}
+    sheet = radius_sheet(radii, 2000, 0.1, "mm")
+    assert sheet.sentences[0] == "Radii about the median that hold 90% of the truths of 2,000 poses."
+    assert sheet.sentences[1].startswith("Not judged: ")
+    assert sheet.tables[0].rows == [("Head", "12.35")]
+    judged = radius_sheet(radii, 2000, 0.1, "mm", {"Hip": float("nan"), "Head": 0.91})
+    assert judged.tables[0].rows == [("Head", "12.35", "0.910")]
+    assert list(judged.tables[0].headings) == ["joint", "radius, mm", "held-out coverage"]
+    assert len(judged.sentences) == 1

@@ -335,7 +335,7 @@ def test_a_number_that_is_best_at_zero_is_compared_by_its_distance_from_zero() -
 
 def test_models_are_not_ranked_by_an_event_that_each_chooses_itself() -> None:
     """Far off and knowing it has a perfect Brier score."""
-    far = compare_totals([totals_of(X, Y, "brier"), totals_of(5000.0 + 20 * X, Y, "brier")], ["right", "far"])
+    far = compare_totals([totals_of(X, Y, "brier"), totals_of(5000.0 + 8 * X, Y, "brier")], ["right", "far"])
     assert far.value("brier", "far") < far.value("brier", "right")
     assert far.differences[0].better is None
 

@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from posecal.calibration import LEVELS
+from posecal.engine.metric import Deviation
 from posecal.stats import resampling
 from posecal.stats.resampling import (
     DRAWS,
     MAX_VALUES,
     MIN_DRAWS,
     MIN_SEQUENCES,
-    Deviation,
     effective_poses,
     holm,
     n_draws,

@@ -10,9 +10,8 @@ from scipy.spatial.distance import pdist
 
 from posecal.calibration.rank_tests import RANK_TESTS
 from posecal.data.pose_data import PoseData
-from posecal.evaluation import evaluate
-from posecal.engine.protocol import Protocol
 from posecal.errors import PoseDataError
+from posecal.evaluation import evaluate
 from posecal.report.report import Report
 from toy.faults import FAULTS, Case
 from toy.pose_world import PoseWorld
@@ -126,7 +125,7 @@ def fault_table(found: dict[str, Found]) -> str:
         cells = []
         for column in COLUMNS:
             cell = f"{of.report.value(column):.3f}".lstrip("0")
-            cells.append(f"**{cell}**" if of.report.null(column).p < LEVEL else cell)
+            cells.append(f"**{cell}**" if of.report.test(column).p < LEVEL else cell)
         ratio = of.report.value("energy_score") / of.least_energy
         lines.append(f"| `{name}` | " + " | ".join(cells) + f" | {ratio:.2f} |")
     return "\n".join(lines)

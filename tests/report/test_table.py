@@ -1,13 +1,15 @@
-"""A report as JSON, CSV, text and Markdown, and a saved result that is read again: the same numbers."""
+"""The rows of a report as a data frame, CSV and JSON, and of a saved result that is read again: the same numbers."""
 
 import csv
 import io
 import json
 import math
 from dataclasses import fields
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, cast
 
+import jsonschema
 import numpy as np
 import pandas as pd
 import pytest
@@ -16,7 +18,9 @@ import posecal
 from posecal.calibration import LEVELS
 from posecal.demo import sample
 from posecal.engine.storage import load_totals, save_totals
-from posecal.report.report import Report, Row
+from posecal.errors import for_command_line
+from posecal.report.report import Report
+from posecal.report.table import AUXILIARY, Row, auxiliary_rows
 from tests.helpers.reports import FRAMES, SEQUENCES, N, report_of, unlabelled, world
 
 ROW = ["metric", "label", "group", "joint", "value", "unit", "direction", "definition", "poses", "low", "high"]
@@ -41,9 +45,66 @@ def some() -> Report:
 
 def test_json_has_the_documented_keys_and_no_others() -> None:
     found = as_json(some())
-    assert list(found) == ["posecal", "signature", "hypotheses", "poses", "joints", "rows", "curves"]
+    assert list(found) == [
+        "schema",
+        "posecal",
+        "signature",
+        "hypotheses",
+        "poses",
+        "joints",
+        "remarks",
+        "summary",
+        "rows",
+        "curves",
+    ]
     assert {tuple(row) for row in found["rows"]} == {tuple(ROW)}
-    assert {tuple(curve) for curve in found["curves"]} == {tuple(CURVE)}
+    assert {tuple(sorted(curve)) for curve in found["curves"]} == {tuple(sorted(CURVE))}
+
+
+SCHEMA = json.loads(files("posecal.report").joinpath("schema.json").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize(
+    "report",
+    [
+        lambda: report_of(metrics="all", by=("action", "occlusion")),
+        lambda: unlabelled(n=1),
+        lambda: unlabelled(poses=1),
+        lambda: report_of(metrics="min_mpjpe"),
+    ],
+)
+def test_json_keeps_to_its_published_schema(report: Any) -> None:
+    jsonschema.Draft202012Validator.check_schema(SCHEMA)
+    jsonschema.Draft202012Validator(SCHEMA).validate(as_json(report()))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda found: found.pop("remarks"), "'remarks' is a required property"),
+        (lambda found: found.update(schema=2), "1 was expected"),
+        (lambda found: found.update(more=1), "Additional properties are not allowed"),
+        (lambda found: found["rows"][0].update(direction="up"), "'up' is not one of"),
+        (lambda found: found["rows"][0].update(group="walking"), "does not match"),
+        (lambda found: found["rows"][0].update(poses=1.5), "1.5 is not of type 'integer'"),
+        (lambda found: found["rows"][0].update(value="1"), "'1' is not of type 'number', 'null'"),
+        (lambda found: found["curves"][0].update(definition="other"), "'other' is not one of"),
+    ],
+)
+def test_the_schema_refuses_what_is_no_report(change: Any, words: str) -> None:
+    found = as_json(some())
+    change(found)
+    with pytest.raises(jsonschema.ValidationError, match=words):
+        jsonschema.Draft202012Validator(SCHEMA).validate(found)
+
+
+def test_remarks_and_summary_are_in_the_json_as_the_report_gives_them() -> None:
+    report = report_of()
+    found = as_json(report)
+    assert found["schema"] == 1
+    assert found["remarks"] == list(report.remarks) != []
+    assert found["summary"] == list(report.summary) != []
+    assert report.to_dict() == found
 
 
 def test_json_says_what_was_measured() -> None:
@@ -109,33 +170,82 @@ def test_there_is_a_curve_for_each_definition_group_and_joint() -> None:
 def test_letters_of_other_alphabets_stay_as_they_are() -> None:
     here = world()
     report = posecal.evaluate(
-        sample(here, 3), here.truth, labels={"sequence": here.sequence, "action": here.action}, by=["action"]
+        sample(here, 3), here.truth, labels={"sequence": here.sequence, "action": here.action}, axes="NMKD", unit="mm"
     )
     assert "τ" in report.render("json")
 
 
-# --- CSV and frames -------------------------------------------------------------------------------------------
+# --- data frame and CSV -------------------------------------------------------------------------------------------
 
 
-def test_csv_reads_back_as_the_frame() -> None:
-    frame = some().frame()
+def test_csv_reads_back_as_the_table_and_the_remarks() -> None:
+    frame = some().table
     assert list(frame.columns) == ROW
     assert len(frame) == len(some().rows)
+    assert frame.attrs == {"remarks": list(some().remarks), "signature": some().signature}
     words = {"group": object, "joint": object, "unit": object}
-    back = pd.read_csv(io.StringIO(some().render("csv")), keep_default_na=False, na_values=["nan"], dtype=words)
-    for column in ("group", "joint"):
-        back[column] = back[column].mask(back[column] == "", None)
+    back = pd.read_csv(io.StringIO(some().render("csv")), dtype=words)
+    back["unit"] = back["unit"].fillna("")
+    for column in ("group", "joint", "unit"):
+        back[column] = back[column].astype(object).mask(back[column].isna(), None)
         frame[column] = frame[column].astype(object).mask(frame[column].isna(), None)
-    pd.testing.assert_frame_equal(back, frame, check_dtype=False)
+    remarks = back[back["metric"] == "remark"]
+    assert list(remarks["definition"]) == list(some().remarks) != []
+    assert remarks["value"].isna().all()
+    pd.testing.assert_frame_equal(back[back["metric"] != "remark"], frame, check_dtype=False)
+    assert frame["poses"].dtype.kind == "i"
+    assert ",36,," in some().render("csv")
+
+
+def test_a_table_that_the_user_changes_is_not_the_report_s() -> None:
+    table = some().table
+    table["value"] = 0.0
+    assert (some().table["value"] != 0).any()
 
 
 def test_csv_has_one_line_per_row_under_its_heading() -> None:
     lines = list(csv.reader(io.StringIO(some().render("csv"))))
     assert lines[0] == ROW == [field.name for field in fields(Row)]
-    assert len(lines) == 1 + len(some().rows)
+    assert len(lines) == 1 + len(some().rows) + len(some().remarks)
 
 
-# --- kept and read again --------------------------------------------------------------------------------------
+def test_remarks_in_files_name_flags_where_they_are_asked_to() -> None:
+    report = unlabelled()
+    assert any("root_joint" in remark for remark in report.remarks)
+    assert "--root-joint" in report.render("csv", words=for_command_line)
+    assert "--root-joint" in json.loads(report.render("json", words=for_command_line))["remarks"][0]
+    assert "--root-joint" not in report.render("json") + report.render("csv")
+
+
+# --- numbers beside metrics -----------------------------------------------------------------------------------
+
+
+def test_every_number_beside_a_metric_is_described() -> None:
+    report = report_of(metrics="all")
+    assert {row.key for row in report.auxiliary.values()} == set(AUXILIARY)
+    for name, row in report.auxiliary.items():
+        assert name == row.name
+        assert row.metric in report.metrics
+        assert "{}" not in row.label + row.definition
+        assert row.definition in report.definition(name)
+        assert all((row.label, row.range, row.reading, row.source))
+
+
+def test_which_numbers_stand_beside_which_metrics() -> None:
+    names = set(auxiliary_rows(report_of(metrics="all").metrics))
+    errors = {"ece", "ece_paper", "ece_reference"}
+    assert {name for name in names if name.endswith("_floor")} == {f"{name}_floor" for name in errors}
+    tests = {name.removesuffix("_p_adjusted") for name in names if name.endswith("_p_adjusted")}
+    assert tests == set(report_of(metrics="all").rank_tests())
+    assert {name.removesuffix("_p") for name in names if name.endswith("_p")} == tests | {
+        *errors,
+        *(f"{name}_{ending}" for name in errors for ending in ("mean", "worst")),
+    }
+    assert {"effective_poses", "squared_error"} <= names
+    assert auxiliary_rows({"mpjpe": report_of().metrics["mpjpe"]}) == {}
+
+
+# --- saved and read again --------------------------------------------------------------------------------------
 
 
 def read_again(report: Report, folder: Path) -> Report:
@@ -165,52 +275,3 @@ def test_a_result_read_twice_and_saved_again_is_the_same_file(tmp_path: Path) ->
 def test_a_result_is_small(tmp_path: Path) -> None:
     report_of(metrics="all").save(tmp_path / "result.npz")
     assert (tmp_path / "result.npz").stat().st_size < 300_000
-
-
-# --- what a person sees ---------------------------------------------------------------------------------------
-
-
-def test_the_default_report_fits_a_screen() -> None:
-    lines = str(report_of()).splitlines()
-    assert len(lines) <= 40
-    assert max(map(len, lines[:-1])) <= 120  # the signature must stay one line
-
-
-def test_it_begins_with_what_was_measured_and_ends_with_the_signature() -> None:
-    lines = str(report_of()).splitlines()
-    assert lines[0] == (
-        f"posecal {posecal.__version__} · N = 12 hypotheses · M = 36 poses in 12 sequences · K = 17 joints, "
-        "relative to Hip"
-    )
-    assert lines[-1] == f"signature: {report_of().signature}"
-
-
-def test_every_ece_stands_with_its_definition_and_what_a_perfect_sampler_shows() -> None:
-    text = str(report_of())
-    (line,) = (line for line in text.splitlines() if line.startswith("ECE  "))
-    assert "exchangeable; median of 16 joints (no root); " in line
-    floor = report_of().value("ece_floor")
-    assert f"{floor:.4f} if" in text
-    (line,) = (line for line in text.splitlines() if line.startswith("ECE (paper)"))
-    assert f"{report_of().value('ece_paper'):.5f}" in line
-
-
-def test_markdown_has_a_table_for_each_family_label_and_joint() -> None:
-    text = some().render("markdown", joints=True, definitions=True)
-    headings = [line.removeprefix("### ") for line in text.splitlines() if line.startswith("### ")]
-    assert headings == ["Accuracy", "Calibration", "Spread", "By action", "By occlusion", "By joint", "Definitions"]
-    for table in text.split("### ")[1:-1]:
-        bars = {line.count("|") for line in table.splitlines() if line.startswith("|")}
-        assert len(bars) == 1
-
-
-def test_a_label_with_a_bar_stays_in_its_cell() -> None:
-    here = world()
-    report = posecal.evaluate(
-        sample(here, 3),
-        here.truth,
-        labels={"sequence": here.sequence, "action": np.char.add(here.action, "|x<b>\ny")},
-        by=["action"],
-    )
-    (line,) = (line for line in report.render("markdown").splitlines() if "sitting" in line)
-    assert line.startswith("| sitting\\|x&lt;b> y | ")

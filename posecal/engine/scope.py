@@ -1,0 +1,159 @@
+"""What definitions of metrics depend on: the data, and the joints that each kind of metric is about."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+
+import numpy as np
+
+from posecal.data.arrays import BoolArray
+from posecal.data.pose_data import PoseData
+from posecal.data.skeleton import JOINT_SETS
+from posecal.engine.protocol import Protocol, named_joints
+from posecal.errors import PoseDataError
+
+
+@dataclass(frozen=True)
+class DataSpec:
+    """Everything about the data that a definition depends on.
+
+    Attributes
+    ----------
+    n_hypotheses : int
+        N.
+    joints : tuple of str
+        K names.
+    root : int or None
+        The joint that is subtracted from every pose.
+    labels : tuple of str
+        Names of the labels that every pose has.
+    fps : float or None
+        Frames per second.
+    has_scores : bool
+        Whether the model gives a score for each hypothesis.
+    has_occlusion : bool
+        Whether occluded joints are marked.
+    has_mask : bool
+        Whether joints of some poses are left out by the user's mask.
+    preranks : tuple of str
+        Names of the user's own pre-ranks.
+    reference : str
+        What skill scores are relative to; empty without skill scores.
+    n_reference : int
+        Its number of hypotheses.
+    """
+
+    n_hypotheses: int
+    joints: tuple[str, ...]
+    root: int | None = None
+    labels: tuple[str, ...] = ()
+    fps: float | None = None
+    has_scores: bool = False
+    has_occlusion: bool = False
+    has_mask: bool = False
+    preranks: tuple[str, ...] = ()
+    reference: str = ""
+    n_reference: int = 0
+
+    @classmethod
+    def of(cls, data: PoseData, *, has_mask: bool = False, preranks: tuple[str, ...] = ()) -> DataSpec:
+        """Describe pose data."""
+        return cls(
+            n_hypotheses=data.shape[0],
+            joints=data.joints,
+            root=data.root,
+            labels=tuple(data.labels),
+            fps=data.fps,
+            has_scores=data.scores is not None,
+            has_occlusion=data.occluded is not None,
+            has_mask=has_mask,
+            preranks=preranks,
+            reference="" if data.reference is None else data.reference.names[0],
+            n_reference=0 if data.reference is None else data.reference.shape[0],
+        )
+
+    def difference(self, other: DataSpec) -> str:
+        """Say in what these data differ from others."""
+        pairs = ((f.name, getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
+        return "; ".join(f"{name} {mine!r} against {theirs!r}" for name, mine, theirs in pairs if mine != theirs)
+
+
+@dataclass(frozen=True)
+class Scope:
+    """Which joints each kind of metric is about, from what is asked and what is there.
+
+    Attributes
+    ----------
+    protocol : Protocol
+        The options.
+    spec : DataSpec
+        What is measured.
+    fit : bool array (K,)
+        The joints that make up a pose: alignments are fitted to them, scored or not.
+    body : bool array (K,)
+        Those that are scored: the same, without the root where that is dropped.
+
+    Raises
+    ------
+    PoseDataError
+        Where no joint is left.
+    """
+
+    protocol: Protocol
+    spec: DataSpec
+    fit: BoolArray = field(init=False)
+    body: BoolArray = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "fit", self._mask("joints", self.protocol.joints))
+        object.__setattr__(self, "body", self.fit if self.protocol.root == "count" else self.moving)
+        for option, mask in (
+            ("joints", self.body),
+            ("joints without the root", self.moving),
+            ("pck_joints", self.pck),
+            ("cps_joints", self.cps),
+        ):
+            if not mask.any():
+                raise PoseDataError(f"{option}: none is left; the poses have {', '.join(self.spec.joints)}.")
+
+    def _mask(self, option: str, text: str) -> BoolArray:
+        names = frozenset(named_joints(option, text, self.spec.joints))
+        return np.array([name in names for name in self.spec.joints])
+
+    @cached_property
+    def moving(self) -> BoolArray:
+        """The joints of a pose without the root."""
+        mask = self.fit.copy()
+        if self.spec.root is not None:
+            mask[self.spec.root] = False
+        return mask
+
+    @cached_property
+    def pck(self) -> BoolArray:
+        """The joints of PCK and AUC."""
+        text = self.protocol.pck_joints
+        if text == Protocol().pck_joints and not set(JOINT_SETS[text]) & set(self.spec.joints):
+            text = "all"  # joints that are not a person's, or have no names
+        return self._mask("pck_joints", text) & self.body
+
+    @cached_property
+    def cps(self) -> BoolArray:
+        """The joints of CPS."""
+        return self._mask("cps_joints", self.protocol.cps_joints) & self.body
+
+    def counted(self, mask: BoolArray) -> str:
+        """Words for the scored ones of a mask of joints, with an article."""
+        return f"the {self.number(mask)}"
+
+    def number(self, mask: BoolArray) -> str:
+        """Words for the scored ones of a mask of joints: of which, how many, and whether the root is one."""
+        return self.size(mask) if self.protocol.where == "all" else f"{self.protocol.where} ones of {self.size(mask)}"
+
+    def size(self, mask: BoolArray) -> str:
+        """Words for a mask of joints, scored or not: how many, and whether the root is one."""
+        words = f"{mask.sum()} joint{'s' if mask.sum() > 1 else ''}"
+        root = self.spec.root
+        if root is None:
+            return words
+        return f"{words} (root counted)" if mask[root] else f"{words} (no root)"

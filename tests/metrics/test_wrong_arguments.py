@@ -1,0 +1,117 @@
+"""Wrong arguments of any function of arrays are refused by posecal's own errors, which name the argument."""
+
+from __future__ import annotations
+
+import inspect
+
+import numpy as np
+import pytest
+
+import posecal
+from posecal import calibration, metrics
+from posecal.errors import PoseDataError
+from tests.helpers.random_worlds import skewed
+
+N, M, K = 4, 5, 3
+X, Y = skewed(0, N, M, K)
+
+FUNCTIONS = {
+    **{name: getattr(metrics, name) for name in metrics.__all__},
+    "ece": posecal.ece,
+    "calibration_curve": posecal.calibration_curve,
+}
+OF_ARRAYS = {name for name, function in FUNCTIONS.items() if "hypotheses" in inspect.signature(function).parameters}
+OF_ERRORS = set(FUNCTIONS) - OF_ARRAYS
+REQUIRED = {"min_mpjpe_curve": {"sizes": [1, 2]}}
+
+NO_ARRAYS = {
+    "text": "hypotheses",
+    "none": None,
+    "a number": 3.0,
+    "complex": X * 1j,
+    "words": np.array([["a", "b"]]),
+    "objects": np.array([None, 1.0]),
+    "ragged": [[1.0, 2.0], [3.0]],
+    "too few axes": np.zeros((2, 3)),
+    "too many axes": np.zeros((2, 3, 4, 5, 6)),
+    "nothing": np.zeros((0, M, K, 3)),
+    "yes and no": X > 0,
+    "a set": {1.0, 2.0},
+}
+NO_NAME = (None, 3, "other", ["mean"], np.array(["mean", "min"]), np.zeros(3))
+NO_NUMBER = (None, "a", True, 1j, [1.0], np.zeros(2), float("nan"))
+WRONG = {
+    "align": NO_NAME,
+    "of": NO_NAME,
+    "select": NO_NAME,
+    "definition": NO_NAME,
+    "over": NO_NAME,
+    "threshold": NO_NUMBER,
+    "share": (*NO_NUMBER, 0, 1.5),
+    "fps": (*NO_NUMBER[1:], 0),
+    "sizes": (None, "a", 3, [1.5], [0], [N + 1], [[1]], [True], [1, [2]]),
+    "sequence": ("abc", 3, ["a"], [["a"] * M], ["a", ["b", "c"], "d", "e", "f"]),
+    "where": ("yes", 3, np.ones((M, K)), np.ones((M, K + 1), bool), [[True], [True, False]]),
+    "root": ("Hip", 1.5, True, K, -K - 1, [0], np.zeros(2), 1j),
+}
+
+
+@pytest.mark.parametrize("wrong", NO_ARRAYS)
+@pytest.mark.parametrize("name", sorted(OF_ARRAYS))
+def test_what_is_no_array_of_poses_is_refused(name: str, wrong: str) -> None:
+    options = REQUIRED.get(name, {})
+    with pytest.raises(PoseDataError, match=r"^hypotheses"):
+        FUNCTIONS[name](NO_ARRAYS[wrong], Y, **options)
+    with pytest.raises(PoseDataError, match=r"truth"):
+        FUNCTIONS[name](X, NO_ARRAYS[wrong], **options)
+
+
+@pytest.mark.parametrize(
+    ("name", "option"),
+    [
+        (name, option)
+        for name in sorted(OF_ARRAYS)
+        for option in inspect.signature(FUNCTIONS[name]).parameters
+        if option in WRONG
+    ],
+)
+def test_a_wrong_option_is_refused(name: str, option: str) -> None:
+    for value in WRONG[option]:
+        with pytest.raises(PoseDataError, match=rf"^{option}"):
+            FUNCTIONS[name](X, Y, **{**REQUIRED.get(name, {}), option: value})
+
+
+@pytest.mark.parametrize("mode", [N, -N - 1, "0", None, 1.0, True])
+def test_a_wrong_index_of_the_mode_is_refused(mode: object) -> None:
+    with pytest.raises(PoseDataError, match=rf"^mode: .*; expected the index of one of {N} hypotheses\."):
+        metrics.mpjpe(X, Y, of="mode", mode=mode)  # type: ignore[arg-type]
+
+
+def test_every_option_of_every_function_is_tried() -> None:
+    options = {option for name in OF_ARRAYS for option in inspect.signature(FUNCTIONS[name]).parameters}
+    assert options - set(WRONG) == {"hypotheses", "truth", "mode", "population", "exact", "strict"}
+
+
+@pytest.mark.parametrize("wrong", sorted(set(NO_ARRAYS) - {"nothing"}))
+@pytest.mark.parametrize("name", sorted(OF_ERRORS))
+def test_what_is_no_spread_or_error_of_poses_is_refused(name: str, wrong: str) -> None:
+    with pytest.raises(PoseDataError, match=r"^spread"):
+        FUNCTIONS[name](NO_ARRAYS[wrong], [1.0, 2.0])
+    with pytest.raises(PoseDataError, match=r"error"):
+        FUNCTIONS[name]([1.0, 2.0], NO_ARRAYS[wrong])
+
+
+@pytest.mark.parametrize("option", ["n_hypotheses", "n_poses", "n_joints", "draws"])
+@pytest.mark.parametrize("value", [None, "a", True, 0, -1, 2.5, 1j, [3], float("nan"), float("inf")])
+def test_a_perfect_sampler_has_whole_numbers(option: str, value: object) -> None:
+    with pytest.raises(PoseDataError, match=rf"^{option}: .*; expected a whole number of at least [12]\."):
+        calibration.perfect_sampler(**{"n_hypotheses": 5, "n_poses": 9, "n_joints": 2, option: value})
+
+
+@pytest.mark.parametrize("value", NO_NAME)
+def test_a_perfect_sampler_has_a_known_definition_and_summary(value: object) -> None:
+    for option in ("definition", "over"):
+        with pytest.raises(PoseDataError, match=rf"^{option}: .* is not known\."):
+            calibration.perfect_sampler(5, 9, 2, **{option: value})  # type: ignore[arg-type]
+    with pytest.raises(PoseDataError, match=r"^definition: .* is not known\."):
+        calibration.expected_curve(5, value)  # type: ignore[arg-type]

@@ -1,0 +1,135 @@
+"""Sheets: readable at any width, as text, Markdown and LaTeX; nothing is lost, and no text is taken for markup."""
+
+import re
+
+import pandas as pd
+import pytest
+from rich.cells import cell_len
+
+from posecal.report.sheet import Sheet, Table
+
+NUMBERS = Table(
+    "Numbers",
+    ("a long name", "first number", "second", "what it is"),
+    [
+        ("alpha beta gamma delta", "1234567.125", "-3.0", "some words that may be folded over several lines"),
+        ("omega", "0.5", "12.5 mm", "more"),
+    ],
+    ["what it is"],
+)
+
+
+def test_a_wide_enough_sheet_has_a_line_per_row() -> None:
+    sheet = Sheet("title", ["a sentence."], ["a remark."], [NUMBERS], [("term", "meaning")], "the end")
+    lines = sheet.text(200).splitlines()
+    assert lines[:3] == ["title", "a sentence.", "note: a remark."]
+    assert lines[4].split() == ["a", "long", "name", "first", "number", "second", "what", "it", "is"]
+    assert lines[6].startswith("alpha beta gamma delta   1234567.125")
+    assert lines[7].split() == ["omega", "0.5", "12.5", "mm", "more"]
+    assert lines[-3:] == ["term: meaning", "", "the end"]
+
+
+def test_numbers_are_aligned_at_their_right() -> None:
+    lines = Sheet("", tables=[NUMBERS]).text(200).splitlines()
+    first, second = lines[-2:]
+    assert first.index("1234567.125") + len("1234567.125") == second.index("0.5") + len("0.5")
+
+
+@pytest.mark.parametrize("width", [30, 40, 60, 80, 100, 120])
+def test_no_line_is_wider_than_the_terminal(width: int) -> None:
+    words = ["words " * 30]
+    lines = Sheet("title " * 30, words, words, [NUMBERS], [("term", "meaning " * 30)]).text(width).splitlines()
+    assert max(map(cell_len, lines)) <= width
+
+
+@pytest.mark.parametrize("width", [30, 40, 60, 80])
+def test_no_number_is_broken_over_lines(width: int) -> None:
+    lines = Sheet("", tables=[NUMBERS]).text(width).splitlines()
+    for cell in ("1234567.125", "-3.0", "0.5", "12.5 mm"):
+        assert any(re.search(rf"(^|\s){re.escape(cell)}(\s|$)", line) for line in lines), cell
+
+
+@pytest.mark.parametrize("width", [30, 60, 200])
+def test_nothing_is_lost_at_any_width(width: int) -> None:
+    words = {word for row in NUMBERS.rows for cell in row for word in cell.split()}
+    assert words <= set(Sheet("", tables=[NUMBERS]).text(width).split())
+
+
+def test_a_table_that_is_too_wide_is_cut_into_some_with_the_same_first_column() -> None:
+    columns = ("name", *(f"column{number}" for number in range(8)))
+    table = Table("Wide", columns, [("first row", *(f"{number}.125" for number in range(8)))])
+    text = Sheet("", tables=[table]).text(40)
+    headings = [line.split() for line in text.splitlines() if "column" in line]
+    assert len(headings) > 1
+    assert all(heading[0] == "name" for heading in headings)
+    assert [word for heading in headings for word in heading[1:]] == [f"column{number}" for number in range(8)]
+
+
+def test_text_is_never_taken_for_markup() -> None:
+    odd = "[bold]x[/bold] [link=http://a] :smile: a\\[b"
+    sheet = Sheet(odd, [odd], [odd], [Table("t", (odd,), [(odd,)])], [(odd, odd)], odd)
+    text = sheet.text(200)
+    assert text.count(odd) == 8  # title, sentence, remark, heading, cell, term, meaning, footer
+
+
+@pytest.mark.parametrize("colour", [False, True])
+def test_colours_are_for_terminals_only(colour: bool) -> None:
+    assert ("\x1b[" in Sheet("title", tables=[NUMBERS]).text(100, colour=colour)) is colour
+
+
+def test_a_footer_stays_one_line() -> None:
+    footer = "signature: " + " ".join(f"option{number}=value" for number in range(40))
+    assert Sheet("", footer=footer).text(60).splitlines()[-1] == footer
+
+
+def test_lines_have_no_blanks_at_their_ends() -> None:
+    assert not re.search(r" +$", Sheet("title", tables=[NUMBERS]).text(80), re.MULTILINE)
+
+
+def test_markdown_escapes_what_would_end_a_cell_or_begin_a_tag() -> None:
+    sheet = Sheet("a|b", tables=[Table("c|d", ("e|f", "g"), [("1|2\n3", "<b>\\")])])
+    lines = sheet.markdown().splitlines()
+    assert lines[:4] == ["a\\|b", "", "### c\\|d", ""]
+    rows = [[cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]] for line in (lines[4], lines[6])]
+    assert rows == [["e\\|f", "g"], ["1\\|2 3", "&lt;b>\\\\"]]
+    assert re.fullmatch(r"\|:-+\|-+:\|", lines[5])
+
+
+def test_markdown_ends_with_definitions_and_the_footer_as_code() -> None:
+    lines = Sheet("t", definitions=[("term", "meaning")], footer="a=b").markdown().splitlines()
+    assert lines[-4:] == ["", "- **term**: meaning", "", "`a=b`"]
+
+
+def test_headings_are_on_one_line_where_there_is_room() -> None:
+    table = Table("t", ("name", "a long heading"), [("a", "1")])
+    assert "a long heading" in Sheet("", tables=[table]).text(40)
+    assert "a long heading" not in Sheet("", tables=[table]).text(16)
+
+
+def test_an_empty_table_has_its_headings() -> None:
+    assert "first number" in Sheet("", tables=[Table("t", NUMBERS.headings, [])]).text(200)
+
+
+def test_a_table_is_a_data_frame_of_text() -> None:
+    frame = NUMBERS.frame()
+    assert isinstance(frame, pd.DataFrame)
+    assert list(frame.columns) == list(NUMBERS.headings)
+    assert [tuple(row) for row in frame.to_numpy()] == NUMBERS.rows
+
+
+def test_markdown_has_sentences_and_remarks_under_the_title() -> None:
+    blocks = Sheet("t", ["said."], ["noted."], [NUMBERS]).markdown().split("\n\n")
+    assert blocks[:4] == ["t", "said.", "note: noted.", "### Numbers"]
+
+
+def test_latex_is_a_tabular_per_table_with_all_else_as_comments() -> None:
+    table = Table("Title", ("50 % & more", "x_1", ""), [("−1 √2 ω", "0.5", "↓"), ("a#b", "", "0")], [""])
+    lines = Sheet("t\nu", ["said."], ["noted."], [table], [("term", "meaning")], "a=b").latex().splitlines()
+    assert lines[:3] == ["% t u", "% said.", "% note: noted."]
+    assert lines[4:6] == ["% Title", r"\begin{tabular}{lrl}"]
+    assert r"50 \% \& more & x\_1 &  \\" in lines
+    assert r"$-$1 $\surd$2 $\omega$ & 0.5 & $\downarrow$ \\" in lines
+    assert r"a\#b &  & 0 \\" in lines
+    assert [line for line in lines if "rule" in line] == [r"\toprule", r"\midrule", r"\bottomrule"]
+    assert lines[-2:] == ["% term: meaning", "% a=b"]
+    assert all(line.isascii() for line in lines)

@@ -1,0 +1,122 @@
+"""Intervals, nulls and p-values of metrics, from the sums over sequences: against the same made number by number."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from posecal.calibration import LEVELS
+from posecal.engine.metric import Deviation, Statistic
+from posecal.engine.protocol import Protocol
+from posecal.engine.totals import Totals
+from posecal.stats.jackknife import jackknife, joint_leave_one_out, leave_one_out
+from posecal.stats.resampling import effective_poses, sign_flips, squared_error
+from posecal.stats.uncertainty import (
+    effective_sample_size,
+    interval,
+    joint_intervals,
+    joint_p_values,
+    null,
+    sequence_deviations,
+    unbiased_squared_error,
+)
+from tests.helpers.example_totals import HEIGHT, JOINTS, metric, random_totals
+
+Array = np.ndarray
+Q = LEVELS.size
+
+INSIDE = Statistic("inside", lambda block: np.zeros((len(block.truth), 4, Q)), per_joint=True)
+AXES = Statistic("axes", lambda block: np.zeros((len(block.truth), 3, 2, Q)), per_joint=True)
+
+
+def with_curves(seed: int, C: int = 40, S: int = 20, average: str = "poses") -> Totals:
+    """Sums of 3 joints' curves and their pooled one; joint 1 is missing from some sequences, joint 2 from most."""
+    random = np.random.default_rng(seed)
+    some = random_totals(seed, C, S, protocol=Protocol(average=average))
+    counts = random.integers(1, 6, (C, 4))
+    counts[some.sequence_of < 5, 1] = 0
+    counts[some.sequence_of < S - 4, 2] = 0
+    bow = LEVELS * (1 - LEVELS)
+    curves = LEVELS + random.normal(0.1, 0.8, (C, 4, 1)) * bow
+    some.add("inside", np.arange(C), curves * counts[..., None], counts)
+    axes = LEVELS + random.normal(0.0, 0.5, (C, 3, 2, 1)) * bow
+    some.add("axes", np.arange(C), axes * counts[:, :3, None, None], counts[:, :3])
+    return some
+
+
+CELLS = [None, np.arange(6, 35)]
+ECE = metric(INSIDE, family="calibration", deviation=Deviation(None, -1, "median"))
+
+
+@pytest.mark.parametrize("cells", CELLS, ids=["all", "some"])
+def test_an_interval_is_the_jackknife_of_the_values_without_each_sequence(cells: Array | None) -> None:
+    some, one = random_totals(1), metric(HEIGHT)
+    assert interval(some, one, cells) == jackknife(some.value(one, cells), leave_one_out(some, one, cells))
+
+
+@pytest.mark.parametrize("cells", CELLS, ids=["all", "some"])
+@pytest.mark.parametrize("average", ["poses", "action"])
+def test_a_joint_has_the_interval_over_the_sequences_in_which_it_counts(cells: Array | None, average: str) -> None:
+    some = random_totals(2, C=40, S=9, protocol=Protocol(average=average))
+    some.sums["joints"][some.sequence_of < 4, 1] = some.counts["joints"][some.sequence_of < 4, 1] = 0
+    one = metric(by_joint=(JOINTS, np.asarray))
+    low, high = joint_intervals(some, one, cells)
+    values, (without, present) = some.by_joint(one, cells), joint_leave_one_out(some, one, cells)
+    for k in (0, 1):
+        expected = jackknife(values[k], without[present[:, k], k])
+        np.testing.assert_allclose([low[k], high[k]], [expected.low, expected.high], rtol=1e-9)
+    assert present[:, 1].sum() < present[:, 0].sum()
+
+
+def test_deviations_are_those_of_each_sequence_from_what_is_expected_there() -> None:
+    some, offset = with_curves(3), 0.01 * np.sin(np.arange(Q))
+    for cells in CELLS:
+        chosen = np.arange(40) if cells is None else cells
+        names = some.cells["sequence"][chosen]
+        deviations, counts = sequence_deviations(some, AXES, cells, offset)
+        for row, name in enumerate(sorted(set(names))):
+            for j in range(3):
+                own = chosen[names == name]
+                n = some.counts["axes"][own, j].sum()
+                for axis in range(2):
+                    expected = some.sums["axes"][own, j, axis].sum(axis=0) - n * (LEVELS + offset)
+                    np.testing.assert_allclose(deviations[row, 2 * j + axis], expected, atol=1e-12)
+                    assert counts[row, 2 * j + axis] == n
+
+
+@pytest.mark.parametrize("average", ["poses", "action"])
+def test_a_null_is_that_of_the_sums_of_its_cells(average: str) -> None:
+    some = with_curves(4, average=average)
+    for cells in CELLS:
+        D, counts = sequence_deviations(some, INSIDE, cells)
+        assert null(some, ECE, cells) == sign_flips(D, counts, Deviation(None, -1, "median"))
+        assert effective_sample_size(some, INSIDE, cells) == effective_poses(D[:, :-1], counts[:, :-1])
+        assert unbiased_squared_error(some, INSIDE, cells) == squared_error(D[:, :-1], counts[:, :-1])
+    with pytest.raises(ValueError, match="is no calibration error"):
+        null(some, metric())
+
+
+def test_every_joint_is_tested_as_if_it_were_the_only_one() -> None:
+    some = with_curves(5)
+    for cells in CELLS:
+        p = joint_p_values(some, ECE, cells)
+        for k in range(3):
+            alone = null(some, metric(INSIDE, deviation=Deviation(k, k + 1)), cells).p
+            assert p[k] == alone or (math.isnan(p[k]) and math.isnan(alone))
+        assert np.isnan(p).tolist() == [False, False, True]  # joint 2 counts in 4 sequences
+        assert p[0] != p[1]
+
+
+def test_of_one_sequence_nothing_is_uncertain() -> None:
+    some = random_totals(6, S=1)
+    one = interval(some, metric(HEIGHT))
+    assert math.isnan(one.low)
+    assert one.sequences == 1
+    low, high = joint_intervals(some, metric(by_joint=(JOINTS, np.asarray)))
+    assert np.isnan([low, high]).all()
+    few = with_curves(7, C=10, S=5)
+    assert math.isnan(null(few, ECE).p)
+    assert not math.isnan(null(few, ECE).observed)
+    assert np.isnan(joint_p_values(few, ECE)).all()
