@@ -11,8 +11,15 @@ from pathlib import Path
 
 import pytest
 
+import posecal
+from tests.test_structure import PRIVATE_WORDS
+
 ROOT = Path(__file__).parents[1]
-PAGES = ("start", "file-format", "calibration", "how-sure", "metrics", "report", "recalibrate", "models")
+DOCS = ROOT / "docs"
+PAGES = (
+    *("start", "file-format", "calibration", "how-sure", "metrics", "report", "recalibrate"),
+    *("training-loop", "own-metric", "models"),
+)
 
 
 def console_lines(text: str) -> list[str]:
@@ -65,13 +72,15 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES)
 def test_a_pages_examples_run_in_order(page: str, world: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    text = (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8").replace("$ posecal demo world\n", "")
+    text = (DOCS / f"{page}.md").read_text(encoding="utf-8").replace("$ posecal demo world\n", "")
     shutil.copy(world / "world/calibrated.npz", world / "hyps.npz")
     assert check_page(text, world, monkeypatch) > 0
 
 
+@pytest.mark.slow
 def test_the_readmes_examples_run(world: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shutil.copy(world / "world/calibrated.npz", world / "hyps.npz")
     shutil.copy(world / "world/overconfident.npz", world / "other.npz")
@@ -79,10 +88,55 @@ def test_the_readmes_examples_run(world: Path, monkeypatch: pytest.MonkeyPatch) 
     assert check_page((ROOT / "README.md").read_text(encoding="utf-8"), world, monkeypatch) > 8
 
 
-@pytest.mark.parametrize("page", sorted((ROOT / "docs").glob("*.md")), ids=lambda page: page.stem)
+ALL_PAGES = pytest.mark.parametrize(
+    "page", [*sorted(DOCS.glob("*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"], ids=lambda page: page.stem
+)
+
+
+@ALL_PAGES
 def test_every_picture_and_page_that_is_linked_is_there(page: Path) -> None:
     for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
         assert (page.parent / target).exists(), target
+
+
+@ALL_PAGES
+def test_words_are_those_of_the_field(page: Path) -> None:
+    assert PRIVATE_WORDS.findall(page.read_text(encoding="utf-8")) == []
+
+
+@ALL_PAGES
+def test_no_heading_is_a_question(page: Path) -> None:
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    headings = re.findall(r"^#+ (.*)", text, re.MULTILINE)
+    assert [heading for heading in headings if "?" in heading] == []
+
+
+def test_every_page_is_in_the_index() -> None:
+    listed = re.findall(r"^[a-z-]+$", (DOCS / "index.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert sorted([*listed, "index"]) == sorted(page.stem for page in DOCS.glob("*.md"))
+
+
+def test_every_public_name_is_on_the_page_of_public_names() -> None:
+    text = (DOCS / "api.md").read_text(encoding="utf-8")
+    shown = {name.rpartition(".")[2] for name in re.findall(r":: ([\w.]+)$", text, re.MULTILINE)}
+    shown |= set(re.findall(r"``(\w+)`` is their type", text))
+    packages = (posecal, posecal.metrics, posecal.calibration, posecal.recalibration, posecal.plot)
+    assert {name for package in packages for name in package.__all__} - shown == set()
+
+
+def test_the_tree_of_the_architecture_page_is_that_of_the_package() -> None:
+    page = (DOCS / "architecture.md").read_text(encoding="utf-8")
+    folders: list[str] = []
+    listed = set()
+    for line in page.split("```text\n")[1].split("```")[0].splitlines():
+        folders = folders[: (len(line) - len(line.lstrip())) // 2]
+        words = line.split()
+        if words[0].endswith("/"):
+            folders.append(words[0])
+        listed |= {"".join([*folders, word]) for word in words if word.endswith(".py")}
+    files = {path.relative_to(ROOT).as_posix() for path in (ROOT / "posecal").rglob("*.py")}
+    empty = {f"posecal/{folder}/__init__.py" for folder in (p.name for p in (ROOT / "posecal").iterdir() if p.is_dir())}
+    assert listed == files - empty
 
 
 def test_readme_has_the_two_commands_that_ci_runs() -> None:

@@ -9,6 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from posecal.calibration import LEVELS
 from posecal.data.skeleton import JOINT_SETS
 from posecal.engine.block import Block
 from posecal.engine.metric import Metric, Statistic
@@ -16,6 +17,7 @@ from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec
 from posecal.errors import PoseDataError
 from posecal.registry import curves_of, known_metrics, metrics_of, occlusion_metrics_of
+from posecal.stats.resampling import sign_flips
 
 Array = np.ndarray
 H36M = JOINT_SETS["h36m-17"]
@@ -246,6 +248,22 @@ def test_a_stack_of_means_gives_each_joint_s_number_as_each_of_them_does(protoco
     assert {"mpjpe", "ece", "ece_paper", "coverage_90", "coordinate_pit", "energy_score", "radius_90", "own"} <= {
         *tried
     }
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_what_sign_flips_test_is_the_number_that_is_reported(protocol: str) -> None:
+    random, tested = np.random.default_rng(2), []
+    for metric, mean_of in metrics_and_means(protocol):
+        if metric.deviation is not None:
+            table = random.random(mean_of[metric.statistic.name].shape)
+            expected = LEVELS if metric.offset is None else LEVELS + metric.offset
+            deviations = (table - expected).reshape(1, -1, LEVELS.size)
+            counts = np.ones(deviations.shape[:2], dtype=int)
+            observed = sign_flips(deviations, counts, metric.deviation, offset=metric.offset).observed
+            np.testing.assert_allclose(observed, metric.finish(table), rtol=1e-5, err_msg=metric.name)
+            tested.append(metric.name)
+    assert {"ece", "ece_mean", "ece_worst", "ece_paper", "ece_reference_worst", "tarp", "coordinate_pit"} <= {*tested}
+    assert tested.count("ece") == 3  # over all joints, over the occluded and over the visible ones
 
 
 # --- what stands in which table --------------------------------------------------------------------------------------

@@ -73,7 +73,7 @@ def expected_curve(n_hypotheses: int, definition: Definition = "exchangeable") -
 
     See Also
     --------
-    perfect_sampler : Its ECE at finite M.
+    posecal.perfect_sampler : Its ECE at finite M.
 
     Examples
     --------

@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from posecal.cli import compare, evaluate, plots, recalibrate
-from posecal.cli.running import guarded, wrong_call
+from posecal.cli.running import command, exit_codes, wrong_call
 
 app = typer.Typer(
     name="posecal",
@@ -25,47 +25,37 @@ app = typer.Typer(
 )
 
 
-@guarded
-def _say_version(asked: bool) -> None:
-    if asked:
-        from posecal import __version__
-
-        typer.echo(f"posecal {__version__}")
-        raise typer.Exit
-
-
-@guarded
-def _explain(metric: str | None) -> None:
-    if metric is not None:
-        from posecal.report.explain import explain
-
-        with wrong_call():
-            page = explain(metric)
-        typer.echo(page)
-        raise typer.Exit
-
-
-@app.callback()
+@app.callback(invoke_without_command=True)
 def options(
-    version: Annotated[
-        bool, typer.Option("--version", callback=_say_version, is_eager=True, help="The version.")
-    ] = False,
-    explain: Annotated[
-        str | None,
-        typer.Option(callback=_explain, is_eager=True, metavar="METRIC", help="What a metric is, and how to read it."),
-    ] = None,
+    *,
+    version: Annotated[bool, typer.Option("--version", help="The version.")] = False,
+    explain: Annotated[str | None, typer.Option(metavar="METRIC", help="What a metric is, and how to read it.")] = None,
 ) -> None:
     """Give the options of posecal itself; they act by themselves."""
+    if not version and explain is None:
+        return
+    with exit_codes():
+        if version:
+            from posecal import __version__
+
+            typer.echo(f"posecal {__version__}")
+        if explain is not None:
+            from posecal.report.explain import explain as explanation
+
+            with wrong_call():
+                page = explanation(explain)
+            typer.echo(page)
+        raise typer.Exit
 
 
-app.command()(evaluate.evaluate)
-app.command()(evaluate.report)
-app.command()(compare.compare)
+command(app)(evaluate.evaluate)
+command(app)(evaluate.report)
+command(app)(compare.compare)
 app.add_typer(recalibrate.app, name="recalibrate")
 app.add_typer(plots.app, name="plot")
-app.command()(evaluate.merge)
-app.command()(evaluate.presets)
-app.command()(evaluate.demo)
+command(app)(evaluate.merge)
+command(app)(evaluate.presets)
+command(app)(evaluate.demo)
 
 
 def main() -> None:

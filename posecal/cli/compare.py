@@ -2,83 +2,52 @@
 
 from __future__ import annotations
 
-import contextlib
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from posecal.cli.options import (
-    WRITING,
-    Form,
-    Formats,
-    MetricNames,
-    OwnMetrics,
-    PresetName,
-    Scored,
-    Settings,
-    Threads,
-    describes_data,
-    option,
-)
-from posecal.cli.running import check_outputs, guarded, own_metrics, progress, protocol_of, read_data, show
+from posecal.cli import options as opt
+from posecal.cli.running import check_outputs, progress, show
 
 
-@describes_data()
-@guarded
 def compare(
     files: Annotated[
-        list[Path],
-        typer.Argument(
-            help="Hypotheses of two or more models and, last, the truth; or two or more saved results.",
-            show_default=False,
-        ),
+        list[Path], opt.argument("Hypotheses of two or more models and, last, the truth; or two or more saved results.")
     ],
-    described: dict[str, Any],
-    where: Scored = None,
-    metrics: MetricNames = None,
-    metric: OwnMetrics = None,
-    preset: PresetName = None,
-    settings: Settings = None,
-    form: Formats = Form.text,
-    plot: Annotated[Path | None, option("Draw minMPJPE against the ECE: .svg, .png or .pdf.", panel=WRITING)] = None,
-    threads: Threads = None,
+    *,
+    scoring: opt.ScoringOptions,
+    threads: opt.Threads = None,
+    data: opt.DataOptions,
+    form: opt.Form = "text",
+    plot: Annotated[Path | None, opt.writing("Draw minMPJPE against the ECE: .svg, .png or .pdf.")] = None,
 ) -> None:
     """Compare models on the same poses: differences with intervals, p-values and ranks."""
     import posecal
     from posecal.engine.storage import is_result
+    from posecal.report.text import comparison_sheet
 
-    check_outputs(*files, plot=plot)
-    truth = None if all(map(is_result, files)) else files[-1]
-    models = files if truth is None else files[:-1]
+    check_outputs(*files, *(scoring.metric or []), plot=plot)
+    saved = all(map(is_result, files))
+    models = files if saved else files[:-1]
     if len(models) < 2:
         raise typer.BadParameter(
             "expected hypotheses of two or more models and, last, the truth; or two or more saved results."
         )
-    added = own_metrics(metric or [])
-    asked = any(option is not None for option in (preset, settings, where, metrics)) or added
-    protocol = protocol_of(preset, settings or [], where, None, metrics, added) if asked else None
-    names = _names(models)
-    sources: dict[str, Any] = dict(zip(names, models, strict=True))
-    if truth is not None:
-        sources = {name: read_data(path, truth, described) for name, path in sources.items()}
-    with contextlib.ExitStack() as bars:
+    protocol = None if scoring == opt.ScoringOptions() else scoring.protocol()
+    sources: dict[str, Any] = dict(zip(_names(models), models, strict=True))
+    if not saved:
+        sources = {name: data.read(path, files[-1], **scoring.matching) for name, path in sources.items()}
+    with progress() as bar:
         comparison = posecal.compare(
-            sources,
-            protocol=protocol,
-            threads=threads,
-            progress=lambda name: bars.enter_context(progress(len(sources[name].truth), name)),
+            sources, protocol=protocol, threads=threads, progress=lambda name: bar(name, len(sources[name].truth))
         )
     if plot is not None:
-        from posecal.plot import draw_comparison, save
-
-        save(draw_comparison(comparison), plot)
-    if form in {Form.text, Form.markdown}:
-        from posecal.report.text import comparison_sheet
-
-        show(comparison_sheet(comparison), form)
+        posecal.plot.save(posecal.plot.draw_comparison(comparison), plot)
+    if form in {"csv", "json"}:
+        typer.echo(comparison.render(form))
     else:
-        typer.echo(comparison.render(form.value))
+        show(comparison_sheet(comparison), form)
 
 
 def _names(files: list[Path]) -> list[str]:

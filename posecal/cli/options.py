@@ -1,43 +1,22 @@
-"""Options that several commands take, each declared once."""
+"""Options that several commands take: alone, or as data classes of options with what is made of them."""
 
 from __future__ import annotations
 
-import functools
-import inspect
-from collections.abc import Callable
-from enum import StrEnum
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from posecal.cli import running
+from posecal.errors import PoseFileError, for_command_line
 
-class Form(StrEnum):
-    """How a report is written."""
-
-    text = "text"
-    markdown = "markdown"
-    csv = "csv"
-    json = "json"
-    latex = "latex"
-
-
-class Where(StrEnum):
-    """Which joints are scored."""
-
-    all = "all"
-    occluded = "occluded"
-    visible = "visible"
-
-
-class Missing(StrEnum):
-    """What happens to frames that only one file has."""
-
-    error = "error"
-    skip = "skip"
-
-
-READING, WRITING = "How the files are read", "What is written"
+if TYPE_CHECKING:
+    from posecal.data.pose_data import PoseData
+    from posecal.engine.protocol import Protocol
+    from posecal.report.report import Report
 
 
 def option(help: str, *names: str, panel: str = "Options", **more: Any) -> Any:  # noqa: A002
@@ -45,76 +24,153 @@ def option(help: str, *names: str, panel: str = "Options", **more: Any) -> Any: 
     return typer.Option(*names, help=help, rich_help_panel=panel, **more)
 
 
-Hypotheses = Annotated[Path, typer.Argument(help="Hypotheses, (N, M, K, 3): .npz or .npy.", show_default=False)]
-Truth = Annotated[Path, typer.Argument(help="True poses, (M, K, 3): .npz or .npy.", show_default=False)]
-Result = Annotated[Path, typer.Argument(help="A result of evaluate --save.", show_default=False)]
+def argument(help: str, **more: Any) -> Any:  # noqa: A002
+    """Declare an argument with its help."""
+    return typer.Argument(help=help, show_default=False, **more)
+
+
+reading = partial(option, panel="How the files are read")
+writing = partial(option, panel="What is written")
+
+Hypotheses = Annotated[Path, argument("Hypotheses, (N, M, K, 3): .npz or .npy.")]
+Truth = Annotated[Path, argument("True poses, (M, K, 3): .npz or .npy.")]
+Result = Annotated[Path, argument("A result of evaluate --save.")]
 Output = Annotated[Path, option("The file to write.", "--output", "-o", show_default=False)]
-
-By = Annotated[
-    list[str] | None,
-    option(
-        "Group by a label, such as action; predicted_spread: terciles of it; occlusion: occluded and visible joints. "
-        "Repeatable."
-    ),
-]
-MetricNames = Annotated[
-    str | None, option("default, rank_tests, scores, all, or names, with commas.", "--metrics", show_default="default")
-]
-OwnMetrics = Annotated[
-    list[str] | None,
-    option("Add a metric of your own, a function or a Metric. Repeatable.", "--metric", metavar="FILE.py:NAME"),
-]
-Scored = Annotated[Where | None, option("Which joints to score.", "--where", show_default="all")]
-PresetName = Annotated[str | None, option("A published protocol; see posecal presets.", "--preset")]
-Settings = Annotated[
-    list[str] | None, option("Any option that posecal presets lists. Repeatable.", "--set", metavar="OPTION=VALUE")
-]
 Threads = Annotated[int | None, option("Threads.", min=1, show_default="one per core")]
-Formats = Annotated[Form, option("How the report is written.", "--format", panel=WRITING)]
-PerJoint = Annotated[bool, option("Add a table per joint.", "--per-joint", panel=WRITING)]
-Definitions = Annotated[bool, option("Add the full definition of every number.", "--definitions", panel=WRITING)]
-Plot = Annotated[Path | None, option("Draw the reliability diagram: .svg, .png or .pdf.", panel=WRITING)]
-Html = Annotated[Path | None, option("Write one self-contained page.", panel=WRITING)]
-
-DATA: dict[str, tuple[Any, Any]] = {
-    "axes": (str | None, option("Layout of the hypotheses, such as MNKD or MN(DK).", panel=READING)),
-    "truth_axes": (str | None, option("Layout of the truth, such as MDK.", panel=READING)),
-    "unit": (str | None, option("mm, cm, m, or the mm in one unit (1/0.0036).", panel=READING)),
-    "truth_unit": (str | None, option("The same, for the truth alone.", panel=READING)),
-    "joints": (str | None, option("Names for joints without: h36m-17, h36m-16, ….", "--joint-names", panel=READING)),
-    "root_joint": (str | None, option("The joint to subtract: a name, an index, or none.", panel=READING)),
-    "missing": (Missing | None, option("Frames that only one file has.", panel=READING, show_default="error")),
-    "n_hypotheses": (
-        int | None,
-        option("Take only the first so many hypotheses.", "--hypotheses", min=1, panel=READING),
-    ),
-}
-"""The flags that describe the files, by the parameters of :class:`posecal.PoseData` that they set."""
+By = Annotated[list[str] | None, option("Group by a label, predicted_spread (terciles) or occlusion. Repeatable.")]
+OwnMetrics = Annotated[
+    list[str] | None, option("Add a metric of your own. Repeatable.", "--metric", metavar="FILE.py:NAME")
+]
+Form = Annotated[Literal["text", "markdown", "csv", "json", "latex"], writing("How it is written.", "--format")]
 
 
-def describes_data(*names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Give a command the flags of :data:`DATA`, all or those named; it gets them as one mapping, ``described``."""
+@dataclass(frozen=True)
+class HypothesesOptions:
+    """How hypotheses are read; the names are those of the parameters of :class:`posecal.PoseData`."""
 
-    def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        flags = {name: flag for name, flag in DATA.items() if not names or name in names}
+    axes: Annotated[str | None, reading("Layout of the hypotheses, such as MNKD or MN(DK).")] = None
+    unit: Annotated[str | None, reading("mm, cm, m, or the mm in one unit (1/0.0036).")] = None
+    joints: Annotated[str | None, reading("Names for joints without: h36m-17, h36m-16, ….", "--joint-names")] = None
+    root_joint: Annotated[str | None, reading("The joint to subtract: a name, an index, or none.")] = None
 
-        @functools.wraps(command)
-        def run(**arguments: Any) -> None:
-            given = {name: arguments.pop(name) for name in flags}
-            described = {n: getattr(v, "value", v) for n, v in given.items() if v is not None}
-            command(**arguments, described=described)
+    def given(self) -> dict[str, Any]:
+        """Give those that were given; what they can't be is a wrong call."""
+        from posecal.data.declarations import Declarations
 
-        signature = inspect.signature(command, eval_str=True)
-        own = [parameter for parameter in signature.parameters.values() if parameter.name != "described"]
-        added = [
-            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=Annotated[kind, flag])
-            for name, (kind, flag) in flags.items()
-        ]
-        parameters = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in own]
-        place = next((k for k, p in enumerate(parameters) if p.name == "form"), len(parameters))
-        parameters[place:place] = added
-        run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
-        run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-        return run
+        given = {name: value for name, value in vars(self).items() if value is not None}
+        with running.wrong_call():
+            Declarations(**given)
+        return given
 
-    return decorate
+
+@dataclass(frozen=True)
+class DataOptions(HypothesesOptions):
+    """How hypotheses and truth are read."""
+
+    truth_axes: Annotated[str | None, reading("Layout of the truth, such as MDK.")] = None
+    truth_unit: Annotated[str | None, reading("The unit of the truth alone.")] = None
+    missing: Annotated[Literal["error", "skip"], reading("Frames that only one file has.")] = "error"
+    n_hypotheses: Annotated[int | None, reading("Take only the first so many hypotheses.", "--hypotheses", min=1)] = (
+        None
+    )
+
+    def read(self, hypotheses: Path, truth: Path, **more: Any) -> PoseData:
+        """Open two files and match them."""
+        from posecal.data.pose_data import PoseData
+        from posecal.engine.storage import is_result
+
+        given = self.given()
+        for path in (hypotheses, truth):
+            if is_result(path):
+                raise PoseFileError(
+                    f"{path.name} is a saved result and holds no poses. posecal report shows it; posecal compare takes "
+                    "results alone, without a truth."
+                )
+        return PoseData(hypotheses, truth, **given, **more)
+
+
+@dataclass(frozen=True)
+class ScoringOptions:
+    """What is measured, and by which protocol."""
+
+    where: Annotated[Literal["all", "occluded", "visible"] | None, option("Joints to score.", show_default="all")] = (
+        None
+    )
+    scored: Annotated[
+        str | None,
+        option("all, a joint set, names with commas, or common: those in both files.", "--joints", show_default="all"),
+    ] = None
+    metrics: Annotated[str | None, option("default, rank_tests, scores, all, or names.", show_default="default")] = None
+    metric: OwnMetrics = None
+    rank_tests: Annotated[bool, option("Add the rank tests, for what the ECE can't see.", "--rank-tests")] = False
+    scores: Annotated[bool, option("Add the proper scores.", "--scores")] = False
+    preset: Annotated[str | None, option("A published protocol; see posecal presets.")] = None
+    settings: Annotated[
+        list[str] | None, option("Any option that posecal presets lists. Repeatable.", "--set", metavar="OPTION=VALUE")
+    ] = None
+
+    @property
+    def matching(self) -> dict[str, Any]:
+        """What they ask of the reading of the files."""
+        return {"shared_joints": "common"} if self.scored == "common" else {}
+
+    def protocol(self, *added: str, preranks: Collection[str] = ()) -> Protocol:
+        """Give the protocol of the preset with all changes; ``added`` are words for more metrics."""
+        from posecal.engine.presets import as_protocol
+        from posecal.registry import check_names
+
+        changes = {}
+        for setting in self.settings or []:
+            name, equals, value = setting.partition("=")
+            if not equals:
+                raise typer.BadParameter(f"--set {setting!r}: expected OPTION=VALUE, such as best=sequence.")
+            changes[name.strip()] = value.strip()
+        flags = {"where": self.where, "joints": None if self.matching else self.scored, "metrics": self.metrics}
+        changes |= {name: value for name, value in flags.items() if value is not None}
+        added += ("rank_tests",) * self.rank_tests + ("scores",) * self.scores + register_all(self.metric)
+        with running.wrong_call():
+            protocol = as_protocol(self.preset).changed(changes)
+            protocol = as_protocol(protocol, [*protocol.wanted, *added])
+            check_names(protocol, preranks)
+        return protocol
+
+
+def register_all(entries: list[str] | None) -> tuple[str, ...]:
+    """Register metrics of the user's files, and give their names."""
+    from posecal.engine.metric import Metric
+    from posecal.engine.user_code import load_function
+    from posecal.registry import register
+
+    loaded = [load_function(entry, "metric", Metric) for entry in entries or []]
+    metrics = [m if isinstance(m, Metric) else Metric.from_function(m, name=name) for name, m in loaded]
+    return tuple(register(metric).name for metric in metrics)
+
+
+@dataclass(frozen=True)
+class ReportOptions:
+    """What is written of a report, and how."""
+
+    form: Form = "text"
+    per_joint: Annotated[bool, writing("Add a table per joint.", "--per-joint")] = False
+    definitions: Annotated[bool, writing("Add the full definition of every number.", "--definitions")] = False
+    plot: Annotated[Path | None, writing("Draw the reliability diagram: .svg, .png or .pdf.")] = None
+    html: Annotated[Path | None, writing("Write one self-contained page.")] = None
+
+    def write(self, report: Report, name: str, save: Path | None = None) -> None:
+        """Make all that was asked for, and only then write it: files, and the report to stdout."""
+        from posecal import plot
+
+        files: list[Callable[[], object]] = [] if save is None else [partial(report.save, save)]
+        if self.plot is not None:
+            files.append(partial(plot.save, plot.draw(report, title=name), self.plot))
+        if self.html is not None:
+            from posecal.data.write import write_file
+            from posecal.report.html import as_html
+
+            page = as_html(report, name, for_command_line).encode()
+            files.append(partial(write_file, self.html, lambda file: file.write(page)))
+        parts = {"joints": self.per_joint, "definitions": self.definitions}
+        text = report.render(self.form, **parts, **running.terminal(), words=for_command_line)
+        for write in files:
+            write()
+        typer.echo(text)

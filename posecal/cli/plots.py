@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from posecal.cli.options import Hypotheses, Output, Result, Truth, describes_data, option
-from posecal.cli.running import check_outputs, guarded, read_data
+from posecal.cli import options as opt
+from posecal.cli.running import check_outputs, command
 
 app = typer.Typer(no_args_is_help=True, help="Draw a saved result, or some poses.", rich_markup_mode="rich")
 
@@ -24,36 +24,33 @@ KINDS = {
 
 
 def _add(kind: str, about: str) -> None:
-    @app.command(name=kind, help=about)
-    @guarded
-    def draw_result(result: Result, output: Output) -> None:
+    @command(app, kind, about)
+    def draw_result(result: opt.Result, output: opt.Output) -> None:
         check_outputs(result, plot=output)
-        from posecal.engine.storage import load_totals
-        from posecal.plot import draw, save
-        from posecal.report.report import Report
+        import posecal
 
-        save(draw(Report(load_totals(result)), kind.replace("-", "_")), output)
+        report = posecal.Report(posecal.load_totals(result))
+        posecal.plot.save(posecal.plot.draw(report, kind.replace("-", "_")), output)
 
 
 for _kind, _about in KINDS.items():
     _add(_kind, _about)
 
 
-@app.command()
-@describes_data()
-@guarded
+@command(app)
 def poses(
-    hypotheses: Hypotheses,
-    truth: Truth,
-    output: Output,
-    described: dict[str, Any],
-    frames: Annotated[str | None, option("Frame ids or numbers, with commas.", show_default="5, evenly spaced")] = None,
-    joint: Annotated[str, option("The joint whose hypotheses are shown as points.")] = "RWrist",
-    most: Annotated[int, option("How many hypotheses to draw.", min=1)] = 50,
+    hypotheses: opt.Hypotheses,
+    truth: opt.Truth,
+    output: opt.Output,
+    *,
+    frames: Annotated[str | None, opt.option("Frame ids or numbers, with commas.", show_default="5 of them")] = None,
+    joint: Annotated[str, opt.option("The joint whose hypotheses are shown as points.")] = "RWrist",
+    most: Annotated[int, opt.option("How many hypotheses to draw.", min=1)] = 50,
+    data: opt.DataOptions,
 ) -> None:
     """Skeletons in 3D: hypotheses grey, truth blue, one joint's hypotheses pink."""
     check_outputs(hypotheses, truth, plot=output)
     from posecal.plot import draw_poses, frames_of, save
 
-    data = read_data(hypotheses, truth, described)
-    save(draw_poses(data, frames_of(data, frames), cloud=joint, most=most), output)
+    matched = data.read(hypotheses, truth)
+    save(draw_poses(matched, frames_of(matched, frames), cloud=joint, most=most), output)

@@ -11,6 +11,7 @@ from posecal.data.skeleton import Skeleton
 from posecal.errors import PoseDataError, option
 
 if TYPE_CHECKING:
+    from posecal.data.declarations import Declarations
     from posecal.data.pose_data import PoseData
 
 BONES = (50.0, 700.0)
@@ -20,17 +21,17 @@ TINY = 10.0
 """Poses of this size, in what should be mm, look like metres: a person's joints lie some 400 mm from their centre."""
 
 
-def check_units(data: PoseData, declared: bool, true_declared: bool, *, each: bool) -> list[str]:
+def check_units(data: PoseData, unit: str | None, true_unit: str | None, declared: Declarations) -> list[str]:
     """Check that hypotheses and truth have the size of a person, and of each other.
 
     Parameters
     ----------
     data : PoseData
         Hypotheses and truth.
-    declared, true_declared : bool
-        Whether the hypotheses' and the truth's units are declared, by a file or by the user.
-    each : bool
-        Whether each is declared on its own, not one for both.
+    unit, true_unit : str or None
+        Units that hypotheses and truth declare themselves.
+    declared : Declarations
+        What the user declares about them.
 
     Returns
     -------
@@ -44,24 +45,26 @@ def check_units(data: PoseData, declared: bool, true_declared: bool, *, each: bo
     """
     *_, k, d = data.shape
     name, true_name = data.names
+    is_known = unit is not None or declared.unit is not None
+    is_true_known = any(given is not None for given in (true_unit, declared.truth_unit, declared.unit))
     size = pose_size(data.hypotheses.read(0, 8)[:12].reshape(-1, k, d))
     true_size = pose_size(data.truth)
-    sides = ("truth_unit", true_name, true_size, true_declared), ("unit", name, size, declared)
-    tiny = [(unit, metres_message(which, length), known) for unit, which, length, known in sides if 0 < length < TINY]
-    undeclared = {unit: message for unit, message, known in tiny if not known}
+    sides = ("truth_unit", true_name, true_size, is_true_known), ("unit", name, size, is_known)
+    tiny = [(key, metres_message(which, length), known) for key, which, length, known in sides if 0 < length < TINY]
+    undeclared = {key: message for key, message, known in tiny if not known}
     if undeclared:
-        unit = "unit" if "unit" in undeclared else "truth_unit"
-        advice = option(unit, "m")
-        if "truth_unit" not in undeclared and not true_declared:
+        key = "unit" if "unit" in undeclared else "truth_unit"
+        advice = option(key, "m")
+        if "truth_unit" not in undeclared and not is_true_known:
             advice += f" and {option('truth_unit', 'mm')}"
         raise PoseDataError(
-            f"{' '.join(undeclared.values())} Pass {advice}, or store unit in the files; {option(unit, 'mm')} if it is "
+            f"{' '.join(undeclared.values())} Pass {advice}, or store unit in the files; {option(key, 'mm')} if it is "
             "right."
         )
     remarks = [f"{message} Is its unit right?" for _, message, _ in tiny]
     if size > 0 and true_size > 0 and not 0.05 < size / true_size < 20:
         ratio = f"{name} and {true_name} differ in size by a factor of {max(size / true_size, true_size / size):,.0f}"
-        if not each:
+        if declared.truth_unit is None and not (is_known and true_unit is not None):
             raise PoseDataError(
                 f"{ratio}; expected one unit. Store unit in both, or pass {option('unit')} for the one and "
                 f"{option('truth_unit')} for the other."

@@ -263,8 +263,4 @@ def match_poses(hypotheses: StoredPoses, truth: StoredPoses, declarations: Decla
     """
     declared = declarations or Declarations()
     data = _with_attributes(PoseData, **Matcher(hypotheses, truth, declared).attributes())
-    unit = declared.unit is not None
-    true_unit = unit or truth.unit is not None or declared.truth_unit is not None
-    unit = unit or hypotheses.unit is not None
-    each = declared.truth_unit is not None or (unit and truth.unit is not None)
-    return data.replace(remarks=(*data.remarks, *check_units(data, unit, true_unit, each=each)))
+    return data.replace(remarks=(*data.remarks, *check_units(data, hypotheses.unit, truth.unit, declared)))

@@ -113,7 +113,7 @@ class Accumulator:
         self._per_pose: dict[str, list[FloatArray]] = {}
         self._cell_of: list[Indices] = []
         self._remarks: dict[str, None] = {}
-        self._pending: list[Chunk] = []  # poses that don't fill a block yet
+        self._pending: list[Chunk] = []  # poses that wait for the next ones, in memory of their own
         self._length = self._measured = self._given = 0
         self._before: Chunk | None = None  # the pose before the pending ones
         self._last_sequence: str | None = None
@@ -161,7 +161,7 @@ class Accumulator:
         final._poses = self._poses.copy()
         final._per_pose = {name: list(parts) for name, parts in self._per_pose.items()}
         final._cell_of, final._pending = list(self._cell_of), list(self._pending)
-        for _ in final._measure(final._blocks(to_the_end=True)):
+        for _ in final._measure(final._last_block()):
             pass
         cells = self._index.cells
         n = len(cells["sequence"])
@@ -244,30 +244,49 @@ class Accumulator:
     def _blocks_of_more(self, chunks: Iterable[Chunk], pending: Pending) -> Iterator[Callable[[], _Measured]]:
         """Give the tasks of whole blocks, as poses come."""
         if pending == "all":
-            yield from self._blocks()
-            self._pending += chunks
+            waiting, self._pending = self._pending, []
+            for chunk in waiting:
+                yield from self._blocks(chunk)
+            self._pending += [chunk.copy() for chunk in chunks]
             return
         for chunk in chunks:
-            self._pending.append(chunk)
-            yield from self._blocks()
-        yield from self._blocks(to_the_end=pending == "none")
+            yield from self._blocks(chunk)
+        if pending == "none":
+            yield from self._last_block()
 
-    def _blocks(self, *, to_the_end: bool = False) -> Iterator[Callable[[], _Measured]]:
-        """Give the tasks of the pending poses that fill a block, or of all of them."""
-        ready = self.n_pending
-        stop = ready if to_the_end else ready // max(self._length, 1) * self._length
-        if not stop:
-            return
-        poses, root = join_chunks(self._pending), self.spec.root
-        limits = None if self._prepared is None else self._prepared.limits
+    def _blocks(self, chunk: Chunk) -> Iterator[Callable[[], _Measured]]:
+        """Give the tasks of the blocks that pending poses and more of them fill; the rest is pending."""
+        number = self.n_pending
+        if number:  # the first block begins with them
+            missing = min(self._length - number, len(chunk))
+            first = join_chunks([*self._pending, chunk.select(slice(0, missing))])
+            chunk = chunk.select(slice(missing, len(chunk)))
+            self._pending = [first]
+            if len(first) == self._length:
+                self._pending = []
+                yield self._block(first, 0, self._length)
+        stop = len(chunk) // self._length * self._length
         for start in range(0, stop, self._length):
-            end = min(start + self._length, stop)
-            lay_out = poses.block(start, end, root, limits, self._before)
-            yield partial(_measure_block, self._given + start, lay_out, poses.cells[start:end], self.statistics)
-        last = poses.select(slice(stop - 1, stop))
-        self._before = replace(last, hypotheses=last.hypotheses.copy(), reference=None)
-        self._pending = [poses.select(slice(stop, ready))] if stop < ready else []
-        self._given += stop
+            yield self._block(chunk, start, start + self._length)
+        if stop < len(chunk):
+            self._pending.append(chunk.select(slice(stop, len(chunk))).copy())
+
+    def _last_block(self) -> Iterator[Callable[[], _Measured]]:
+        """Give the tasks of all pending poses."""
+        waiting, self._pending = self._pending, []
+        for chunk in waiting:
+            yield from self._blocks(chunk)
+        for chunk in self._pending:
+            yield self._block(chunk, 0, len(chunk))
+        self._pending = []
+
+    def _block(self, chunk: Chunk, start: int, stop: int) -> Callable[[], _Measured]:
+        limits = None if self._prepared is None else self._prepared.limits
+        lay_out = chunk.block(start, stop, self.spec.root, limits, self._before)
+        task = partial(_measure_block, self._given, lay_out, chunk.cells[start:stop], self.statistics)
+        self._before = replace(chunk.select(slice(stop - 1, stop)), reference=None).copy()
+        self._given += stop - start
+        return task
 
     # --- cells
 

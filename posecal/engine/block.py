@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 Result = TypeVar("Result")
 
 BLOCK_BYTES = 1536 * 1024
-"""About what the offsets of one block take: few enough to stay in cache, enough to be worth the calls."""
+"""About what the offsets of one block take: few enough to stay in cache, enough that the calls cost little."""
 
 MOST_POSES = 2048
 """The most poses of a block, however few hypotheses they have: tables of a pose have a size of their own."""

@@ -50,6 +50,12 @@ class Chunk:
         }
         return Chunk(**parts)
 
+    def copy(self) -> Chunk:
+        """Copy the poses into memory of their own: who gave them may write over theirs."""
+        members = {name: getattr(self, name) for name in _NAMES}
+        copies = {name: None if values is None else np.array(values, order="C") for name, values in members.items()}
+        return Chunk(**copies)
+
     def block(
         self,
         start: int,
@@ -88,10 +94,15 @@ def join_chunks(chunks: Sequence[Chunk]) -> Chunk:
     if len(chunks) == 1:
         return chunks[0]
     members = {name: [getattr(chunk, name) for chunk in chunks] for name in _NAMES}
-    joined: dict[str, Any] = {
-        name: None if parts[0] is None else np.ascontiguousarray(np.concatenate(parts, axis=int(name in _HYPOTHESES)))
-        for name, parts in members.items()
-    }
+    joined: dict[str, Any] = {}
+    for name, parts in members.items():
+        axis = int(name in _HYPOTHESES)
+        if parts[0] is None:
+            joined[name] = None
+            continue
+        shape = list(parts[0].shape)
+        shape[axis] = sum(part.shape[axis] for part in parts)
+        joined[name] = np.concatenate(parts, axis=axis, out=np.empty(shape, dtype=parts[0].dtype))
     return Chunk(**joined)
 
 

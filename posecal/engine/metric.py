@@ -90,11 +90,11 @@ class Metric:
     statistic : Statistic
         What is summed over poses.
     finish : callable
-        From means of the statistic, ``(..., *shape)``, to numbers, ``(...)``: leading axes are resamples or groups. Where the
-        values of all poses are kept, from those, (M, ...), to one number.
+        From means of the statistic, ``(..., *shape)``, to numbers, ``(...)``: leading axes are resamples or groups. Where
+        the values of all poses are kept, from those, (M, ...), to one number.
     by_joint : tuple of Statistic and callable, or None
-        What is summed, and from its means ``(..., *shape)`` to one number per joint, (..., K); NaN for joints that don't
-        count.
+        What is summed, and from its means ``(..., *shape)`` to one number per joint, (..., K); NaN for joints that
+        don't count.
     leave_out : callable or None
         Where the values of all poses are kept: from those, (M, ...), and the sequence of each pose, (M,) of 0 … S - 1,
         to the number without each sequence, (S,).
@@ -202,7 +202,7 @@ class Metric:
         'Mean absolute error along the third axis.'
         """
         name = str(name or getattr(function, "__name__", ""))
-        if not name.isidentifier():
+        if not all((callable(function), name.isidentifier())):
             raise PoseDataError(f"metric: {function!r}; expected a function with a name, or the name beside it.")
         text = definition or (inspect.getdoc(function) or "").partition("\n")[0] or f"mean over poses of {name}"
         statistic = Statistic(f"own_{name}", partial(_of_arrays, function, name, by_joint=by_joint), per_joint=by_joint)
@@ -229,15 +229,17 @@ class Metric:
     def description(self) -> dict[str, str | bool]:
         """The metric as text, without its functions, as saved results and pickles keep it."""
         texts = {name: getattr(self, name) for name in _DESCRIBED}
-        return {**texts, "by_joint": self.by_joint is not None, "is_mean": self.statistic.name == f"own_{self.name}"}
+        statistic = {"statistic": self.statistic.name, "per_pose": self.statistic.per_pose}
+        return {**texts, **statistic, "by_joint": self.by_joint is not None}
 
     @classmethod
     def from_description(cls, description: Mapping[str, Any], /) -> Metric:
         """Restore a metric for sums that are there already: means over poses, or what is registered under its name."""
         texts = {name: description[name] for name in _DESCRIBED}
-        is_mean, by_joint = bool(description["is_mean"]), bool(description["by_joint"])
+        name, by_joint = str(description["statistic"]), bool(description["by_joint"])
+        is_mean = name == f"own_{texts['name']}"
         refuse = partial(_not_available, texts["name"])
-        statistic = Statistic(f"own_{texts['name']}" if is_mean else texts["name"], refuse, per_joint=by_joint)
+        statistic = Statistic(name, refuse, per_joint=by_joint, per_pose=bool(description["per_pose"]))
         return cls(
             **texts,
             statistic=statistic,

@@ -25,7 +25,7 @@ FORMAT = 2
 
 
 def save_totals(totals: Totals, path: str | os.PathLike[str]) -> None:
-    """Write the sums into a compressed ``.npz`` file, completely or not at all.
+    """Write the sums into a compressed ``.npz`` file, whole or not at all.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def load_totals(path: str | os.PathLike[str]) -> Totals:
     except IsADirectoryError:
         raise PoseFileError(f"{path}: is a folder; expected a result of posecal evaluate --save.") from None
     except (KeyError, TypeError, AttributeError, ValueError, EOFError, zipfile.BadZipFile, zlib.error):
-        raise PoseFileError(f"{name}: no result of posecal evaluate --save, or not a complete one.") from None
+        raise PoseFileError(f"{name}: no result of posecal evaluate --save, or not a whole one.") from None
     except OSError as error:
         raise PoseFileError(f"{path}: can't be read ({error.strerror}).") from None
 

@@ -268,7 +268,7 @@ class Totals:
         return order, sum_by(codes, n, sums)[order], sum_by(codes, n, counts)[order]
 
     def known_poses(self, statistic: Statistic, cells: Cells = None) -> Indices:
-        """Give the indices of the poses of some cells that have no NaN among the values kept of each pose."""
+        """Give the indices of the poses of some cells whose values per pose hold no NaN."""
         if cells is None:
             poses = np.arange(len(self.cell_of))
         else:

@@ -7,7 +7,6 @@ cost minMPJPE, which rewards a spread that is too narrow.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,21 +18,13 @@ from posecal.calibration.ranks import LEVELS
 from posecal.data.arrays import BoolArray, FloatArray
 from posecal.data.pose_data import PoseData
 from posecal.data.stored_poses import Hypotheses, Rows
-from posecal.engine.block import Block, block_length
-from posecal.engine.chunks import map_blocks
+from posecal.engine.block import Block, iter_blocks
 from posecal.engine.merge import merge_totals
 from posecal.engine.protocol import Protocol
 from posecal.errors import PoseDataError
 from posecal.evaluation.call import evaluate
 from posecal.evaluation.sources import Source, as_pose_data
-from posecal.recalibration.folds import (
-    checked_for_map,
-    folds_of,
-    movable_joints,
-    number_of_sequences,
-    refuse_one_hypothesis,
-    values_for_joints,
-)
+from posecal.recalibration import folds as parts
 from posecal.report.report import Report
 
 FACTORS: FloatArray = np.exp(np.linspace(np.log(0.1), np.log(10), 61))
@@ -62,6 +53,11 @@ class SpreadMap:
     sequences: int
     root: int | None = None
 
+    @property
+    def by_joint(self) -> dict[str, float]:
+        """The factors by the names of their joints."""
+        return dict(zip(self.joints, self.factors.tolist(), strict=True))
+
     def apply(self, hypotheses: npt.ArrayLike, /) -> FloatArray:
         """Rescale the dispersion of hypotheses.
 
@@ -80,11 +76,11 @@ class SpreadMap:
         PoseDataError
             For another number of joints, and arrays of another shape or type.
         """
-        return rescaled(checked_for_map(hypotheses, self.joints), self.factors, self.root)
+        return rescaled(parts.checked_for_map(hypotheses, self.joints), self.factors, self.root)
 
     def rescale(self, data: PoseData) -> PoseData:
         """Give pose data whose hypotheses are rescaled when they are read."""
-        factors = values_for_joints(self.joints, self.factors, data.joints, data.names[0])
+        factors = parts.values_for_joints(self.joints, self.factors, data.joints, data.names[0])
         return data.replace(hypotheses=RescaledHypotheses(data.hypotheses, factors, data.root))
 
 
@@ -122,8 +118,7 @@ class RescaledHypotheses:
 
     def read(self, start: int, stop: int) -> FloatArray:
         """Read some poses, (N, stop - start, K, D) in mm."""
-        found = self.hypotheses.read(start, stop)
-        return rescaled(found, self.factors, self.root)
+        return rescaled(self.hypotheses.read(start, stop), self.factors, self.root)
 
 
 def rescaled(hypotheses: FloatArray, factors: FloatArray, root: int | None = None) -> FloatArray:
@@ -144,70 +139,57 @@ def rescaled(hypotheses: FloatArray, factors: FloatArray, root: int | None = Non
         c + s (x - c), in the precision of the hypotheses.
     """
     origin = 0 if root is None else hypotheses[:, :, root, None]
-    relative = hypotheses - origin
-    size = block_length(relative.shape, relative.dtype)
-    nowhere = np.zeros(relative.shape[1:], dtype=relative.dtype)
-    parts = [
-        Block(relative[:, at : at + size], nowhere[at : at + size]).median for at in range(0, relative.shape[1], size)
-    ]
-    centre = np.concatenate(parts)
-    scale = factors.astype(relative.dtype)[:, None]
-    moved: FloatArray = centre + scale * (relative - centre) + origin
+    zeros = np.zeros(hypotheses.shape[1:], dtype=hypotheses.dtype)
+    centre = np.concatenate([lay_out().median for lay_out in iter_blocks(hypotheses, zeros, root=root)])
+    moved: FloatArray = centre + factors.astype(centre.dtype)[:, None] * (hypotheses - origin - centre) + origin
     return moved
 
 
-def _curves(data: PoseData, folds: Rows, threads: int | None) -> tuple[FloatArray, npt.NDArray[np.int64]]:
-    """Sums of the ``inside`` weights for every factor, (F, G, K, Q), and their counts (F, K), by part."""
-    mask = movable_joints(data)
-    shape = (int(folds.max()) + 1, len(FACTORS), len(data.joints), LEVELS.size)
+def _curves(data: PoseData, fold_of: Rows, threads: int | None) -> tuple[FloatArray, npt.NDArray[np.int64]]:
+    """Sums of the ``inside`` weights for every factor, (F, G, K, Q), and their counts (F, K), by fold."""
+    mask = parts.movable_joints(data)
+    shape = (int(fold_of.max()) + 1, len(FACTORS), len(data.joints), LEVELS.size)
     sums, counts = np.zeros(shape), np.zeros((shape[0], shape[2]), dtype=np.int64)
 
     def measure(block: Block) -> tuple[FloatArray, BoolArray]:
-        if block.non_finite.any():
-            raise PoseDataError(f"{data.names[0]} has non-finite coordinates; evaluate says where.")
         tables = [inside_table(block.scale_dispersion(factor), "exchangeable", mask)[:, :-1] for factor in FACTORS]
-        return np.stack(tables, axis=1), block.where & mask
+        return np.nan_to_num(np.stack(tables, axis=1)), block.where & mask
 
     start = 0
-    for weights, counted in map_blocks(data, measure, threads):
-        parts = folds[start : start + len(weights)]
+    for weights, counted in parts.measure_blocks(data, measure, threads):
+        folds = fold_of[start : start + len(weights)]
         start += len(weights)
-        for fold in np.unique(parts):
-            chosen = parts == fold
-            sums[fold] += np.nansum(weights[chosen], axis=0)
-            counts[fold] += counted[chosen].sum(axis=0)
+        for fold in np.unique(folds):
+            sums[fold] += weights[folds == fold].sum(axis=0)
+            counts[fold] += counted[folds == fold].sum(axis=0)
     return sums, counts
 
 
 def _best_factors(
     sums: FloatArray, counts: npt.NDArray[np.int64], joints: tuple[str, ...], *, per_joint: bool
 ) -> FloatArray:
-    """Factors (K,) at which the curves (G, K, Q) are closest to the diagonal; 1 for joints that don't count."""
+    """Factors (K,) at which the curves (G, K, Q) are closest to the diagonal; 1 for joints that don't count.
+
+    Between the tried factors it is a parabola's smallest value, in the logarithm, through the best three.
+    """
     used = counts > 0
     distance = ((sums[:, used] / counts[used][:, None] - LEVELS) ** 2).mean(axis=-1)  # (G, K used)
     if not per_joint:
         distance = np.repeat(distance.mean(axis=1, keepdims=True), used.sum(), axis=1)
-    uncalibrated = np.flatnonzero(used)[np.isin(distance.argmin(axis=0), (0, len(FACTORS) - 1))]
+    best = distance.argmin(axis=0)
+    uncalibrated = np.flatnonzero(used)[np.isin(best, (0, len(FACTORS) - 1))]
     if uncalibrated.size:
-        which = (
-            ", ".join(joints[k].removeprefix("joint ") for k in uncalibrated) if per_joint else "all joints together"
-        )
+        names = ", ".join(joints[k].removeprefix("joint ") for k in uncalibrated)
         raise PoseDataError(
-            f"spread: no factor from {FACTORS[0]:g} to {FACTORS[-1]:g} calibrates {which}. Do the hypotheses all agree?"
+            f"spread: no factor from {FACTORS[0]:g} to {FACTORS[-1]:g} calibrates "
+            f"{names if per_joint else 'all joints together'}. Do the hypotheses all agree?"
         )
-    factors = np.ones(len(counts))
-    factors[used] = [_minimum(column) for column in distance.T]
-    return factors
-
-
-def _minimum(distance: FloatArray) -> float:
-    """Where a function of the factors is smallest, by a parabola in the logarithm through the best three."""
-    best = int(distance.argmin())
-    left, middle, right = distance[best - 1 : best + 2]
+    left, middle, right = np.take_along_axis(distance, best + np.array([[-1], [0], [1]]), axis=0)
     bend = left - 2 * middle + right
-    shift = 0.5 * (left - right) / bend if bend > 0 else 0.0
-    step = math.log(FACTORS[1] / FACTORS[0])
-    return float(FACTORS[best] * math.exp(shift * step))
+    shift = np.where(bend > 0, 0.5 * (left - right) / np.where(bend > 0, bend, 1), 0)
+    factors = np.ones(len(counts))
+    factors[used] = FACTORS[best] * (FACTORS[1] / FACTORS[0]) ** shift
+    return factors
 
 
 def fit_spread(
@@ -257,10 +239,10 @@ def fit_spread(
     (True, (50, 500, 4, 3))
     """
     data = as_pose_data(hypotheses, truth, described)
-    refuse_one_hypothesis(data)
+    parts.refuse_one_hypothesis(data)
     sums, counts = _curves(data, np.zeros(len(data.truth), dtype=np.intp), threads)
     factors = _best_factors(sums[0], counts[0], data.joints, per_joint=per_joint)
-    return SpreadMap(data.joints, factors, len(data.truth), number_of_sequences(data), data.root)
+    return SpreadMap(data.joints, factors, len(data.truth), parts.number_of_sequences(data), data.root)
 
 
 def cross_fitted(
@@ -298,14 +280,14 @@ def cross_fitted(
         For one hypothesis, and fewer sequences than parts.
     """
     data = as_pose_data(hypotheses, truth, described)
-    refuse_one_hypothesis(data)
-    part = folds_of(data, folds)
-    sums, counts = _curves(data, part, threads)
-    parts, factors = [], []
+    parts.refuse_one_hypothesis(data)
+    fold_of = parts.folds_of(data, folds)
+    sums, counts = _curves(data, fold_of, threads)
+    totals, factors = [], []
     for fold in range(folds):
         others = sums.sum(axis=0) - sums[fold], counts.sum(axis=0) - counts[fold]
-        best = _best_factors(*others, data.joints, per_joint=per_joint)
-        held_out = SpreadMap(data.joints, best, 0, 0).rescale(data.select(np.flatnonzero(part == fold)))
-        parts.append(evaluate(held_out, protocol=protocol, threads=threads).totals)
-        factors.append(best)
-    return evaluate(data, protocol=protocol, threads=threads), Report(merge_totals(parts)), factors
+        factors.append(_best_factors(*others, data.joints, per_joint=per_joint))
+        held_out = data.select(np.flatnonzero(fold_of == fold))
+        rescaled_part = SpreadMap(data.joints, factors[-1], 0, 0).rescale(held_out)
+        totals.append(evaluate(rescaled_part, protocol=protocol, threads=threads).totals)
+    return evaluate(data, protocol=protocol, threads=threads), Report(merge_totals(totals)), factors

@@ -1,14 +1,22 @@
-"""Folds of whole sequences, on which recalibrations are fitted and judged."""
+"""Parts of the data on which recalibrations are fitted and judged, and the checks of what is recalibrated."""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.arrays import BoolArray, FloatArray, as_array
+from posecal.data.arrays import BoolArray, FloatArray, real_array, working_dtype
 from posecal.data.pose_data import PoseData
 from posecal.data.stored_poses import Rows
+from posecal.engine.block import Block
+from posecal.engine.chunks import map_blocks
+from posecal.engine.prepare import refuse_non_finite
 from posecal.errors import PoseDataError
+
+T = TypeVar("T")
 
 
 def folds_of(data: PoseData, folds: int = 5) -> Rows:
@@ -22,28 +30,64 @@ def folds_of(data: PoseData, folds: int = 5) -> Rows:
         For fewer than two parts, or fewer sequences (or poses) than parts.
     """
     poses, sequence = len(data.truth), data.labels.get("sequence")
-    names, place, sizes = np.unique(
+    names, codes, sizes = np.unique(
         np.arange(poses) if sequence is None else sequence, return_inverse=True, return_counts=True
     )
-    if not 2 <= folds <= len(names):
+    if folds not in range(2, len(names) + 1):
         units = "poses" if sequence is None else "sequences"
-        raise PoseDataError(f"folds: {folds}; expected 2 to {len(names)}, the number of {units} of {data.names[1]}.")
+        raise PoseDataError(f"folds: {folds!r}; expected 2 to {len(names)}, the number of {units} of {data.names[1]}.")
     if sequence is None:
         return np.arange(poses) * folds // poses
-    load = np.zeros(folds, dtype=np.intp)
-    of_name = np.zeros(len(names), dtype=np.intp)
+    load, of_name = np.zeros(folds, dtype=np.intp), np.zeros(len(names), dtype=np.intp)
     for name in np.argsort(-sizes, kind="stable"):
         of_name[name] = load.argmin()
         load[of_name[name]] += sizes[name]
-    return of_name[place]
+    return of_name[codes]
+
+
+def number_of_sequences(data: PoseData) -> int:
+    """Give the number of labelled sequences."""
+    return len(np.unique(data.labels["sequence"])) if "sequence" in data.labels else 0
 
 
 def movable_joints(data: PoseData) -> BoolArray:
     """Give the joints that are recalibrated, (K,): all but the root."""
     mask = np.ones(len(data.joints), dtype=bool)
-    if data.root is not None:
-        mask[data.root] = False
+    mask[[] if data.root is None else data.root] = False
     return mask
+
+
+def refuse_one_hypothesis(data: PoseData) -> None:
+    """Refuse one hypothesis, which has no spread.
+
+    Raises
+    ------
+    PoseDataError
+        For N = 1.
+    """
+    if data.shape[0] < 2:
+        raise PoseDataError(f"{data.names[0]}: 1 hypothesis; recalibration needs at least 2.")
+
+
+def measure_blocks(data: PoseData, measure: Callable[[Block], T], threads: int | None) -> Iterator[T]:
+    """Measure every block, in the order of the poses.
+
+    Raises
+    ------
+    PoseDataError
+        For coordinates that are not finite where a joint counts.
+    """
+    start = 0
+    for poses, bad, measured in map_blocks(data, lambda block: _measure(block, measure), threads):
+        refuse_non_finite(data, data.names[0], bad + np.array([start, 0]))
+        start += poses
+        assert measured is not None
+        yield measured
+
+
+def _measure(block: Block, measure: Callable[[Block], T]) -> tuple[int, Rows, T | None]:
+    bad = np.argwhere(block.non_finite)
+    return len(block.where), bad, None if len(bad) else measure(block)
 
 
 def values_for_joints(names: tuple[str, ...], values: FloatArray, joints: tuple[str, ...], whose: str) -> FloatArray:
@@ -60,23 +104,6 @@ def values_for_joints(names: tuple[str, ...], values: FloatArray, joints: tuple[
     return values[[names.index(joint) for joint in joints]]
 
 
-def number_of_sequences(data: PoseData) -> int:
-    """Give the number of labelled sequences."""
-    return len(np.unique(data.labels["sequence"])) if "sequence" in data.labels else 0
-
-
-def refuse_one_hypothesis(data: PoseData) -> None:
-    """Refuse one hypothesis, which has no spread.
-
-    Raises
-    ------
-    PoseDataError
-        For N = 1.
-    """
-    if data.shape[0] < 2:
-        raise PoseDataError(f"{data.names[0]}: 1 hypothesis; recalibration needs at least 2.")
-
-
 def checked_for_map(hypotheses: npt.ArrayLike, joints: tuple[str, ...]) -> FloatArray:
     """Check hypotheses (N, M, K, D) that a map with K joints is applied to.
 
@@ -85,9 +112,9 @@ def checked_for_map(hypotheses: npt.ArrayLike, joints: tuple[str, ...]) -> Float
     PoseDataError
         For another number of joints, and arrays of another shape or type.
     """
-    x = as_array(hypotheses, "hypotheses")
-    if x.ndim != 4 or x.shape[2] != len(joints) or x.dtype.kind not in "fiu":
+    x = real_array(hypotheses, "hypotheses")
+    if x.ndim != 4 or 0 in x.shape or x.shape[2] != len(joints):
         raise PoseDataError(
-            f"hypotheses: {x.dtype} {x.shape}; expected (N, M, K, D) with the K = {len(joints)} joints of the map."
+            f"hypotheses: {x.shape}; expected (N, M, K, D) with the K = {len(joints)} joints of the map."
         )
-    return x if x.dtype.kind == "f" else x.astype(np.float64)
+    return x.astype(working_dtype(x.dtype), copy=False)

@@ -5,19 +5,21 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-import numpy.typing as npt
 
 import posecal
 from posecal.data.arrays import FloatArray
-from posecal.data.stored_poses import Hypotheses
+from posecal.data.declarations import Declarations
+from posecal.data.match import resolve_hypotheses
+from posecal.data.read import read_poses
 from posecal.data.write import Archive, write_file
 from posecal.engine.chunks import WINDOW_BYTES
-from posecal.errors import PoseFileError
+from posecal.errors import PoseDataError, PoseFileError
+from posecal.evaluation.sources import Source
 from posecal.recalibration.dispersion import SpreadMap, rescaled
 from posecal.recalibration.folds import values_for_joints
 from posecal.recalibration.radius import RadiusMap, balls
@@ -31,25 +33,36 @@ Map = SpreadMap | RadiusMap
 def write_map(map_: Map, path: str | os.PathLike[str]) -> None:
     """Write a map as JSON, whole or not at all.
 
+    Parameters
+    ----------
+    map_ : SpreadMap or RadiusMap
+        The map.
+    path : path
+        The file; one that is there is replaced.
+
     Raises
     ------
+    PoseDataError
+        For what is no map.
     PoseFileError
         Where the file can't be written.
     """
+    values = {joint: None if math.isnan(value) else value for joint, value in _checked(map_).by_joint.items()}
     about: dict[str, object] = {"posecal": posecal.__version__, "format": FORMAT}
     if isinstance(map_, SpreadMap):
-        about |= {"kind": "spread", "factors": _by_joint(map_.joints, map_.factors)}
+        about |= {"kind": "spread", "factors": values}
     else:
-        unit = "standard deviations" if map_.scaled else "mm"
-        about |= {"kind": "radius", "alpha": map_.alpha, "unit": unit, "radii": _by_joint(map_.joints, map_.radii)}
+        about |= {"kind": "radius", "alpha": map_.alpha, "unit": map_.unit, "radii": values}
     about["root"] = None if map_.root is None else map_.joints[map_.root]
     about["fitted_on"] = {"poses": map_.poses, "sequences": map_.sequences}
     text = json.dumps(about, indent=1, ensure_ascii=False) + "\n"
     write_file(path, lambda file: file.write(text.encode()))
 
 
-def _by_joint(joints: tuple[str, ...], values: FloatArray) -> dict[str, float | None]:
-    return {joint: None if math.isnan(v) else float(v) for joint, v in zip(joints, values, strict=True)}
+def _checked(map_: Map) -> Map:
+    if not isinstance(map_, Map):
+        raise PoseDataError(f"map: {type(map_).__name__}; expected a SpreadMap or a RadiusMap, as fitting gives.")
+    return map_
 
 
 def read_map(path: str | os.PathLike[str]) -> Map:
@@ -72,7 +85,7 @@ def read_map(path: str | os.PathLike[str]) -> Map:
     """
     name = Path(path).name
     try:
-        about: Any = json.loads(Path(path).read_text(encoding="utf-8"))
+        about: dict[str, Any] = json.loads(Path(path).read_text(encoding="utf-8"))
         if about["format"] != FORMAT:
             raise PoseFileError(f"{name}: format {about['format']}; expected {FORMAT}. Fit it again.")
         numbers = about[{"spread": "factors", "radius": "radii"}[about["kind"]]]
@@ -99,68 +112,73 @@ def read_map(path: str | os.PathLike[str]) -> Map:
 
 def apply_map(
     map_: Map,
-    hypotheses: Hypotheses,
-    joints: tuple[str, ...],
-    root: int | None,
-    n_poses: int,
+    hypotheses: Source,
     path: str | os.PathLike[str],
-    members: Mapping[str, npt.NDArray[np.generic]],
-    progress: Callable[[int], object] | None = None,
-) -> None:
+    /,
+    *,
+    axes: str | None = None,
+    unit: str | float | None = None,
+    joints: str | tuple[str, ...] | None = None,
+    root_joint: str | int | None = None,
+    progress: Callable[[int, int], object] | None = None,
+) -> int:
     """Apply a map to hypotheses, into a file that posecal reads; some poses at a time, whole or not at all.
 
     Parameters
     ----------
     map_ : SpreadMap or RadiusMap
         The map.
-    hypotheses : Hypotheses
+    hypotheses : array or path
         What it is applied to.
-    joints : tuple of str
-        Their joints.
-    root : int or None
-        The joint that spreads are relative to.
-    n_poses : int
-        M.
     path : path
-        An ``.npz`` file: ``hypotheses`` (M, N, K, D), or ``centre`` (M, K, D) and ``radius`` (M, K), mm.
-    members : mapping of arrays
-        What else goes into the file: :attr:`posecal.data.stored_poses.StoredPoses.frame_members`, say.
+        An ``.npz`` file: ``hypotheses`` (M, N, K, D), or ``centre`` (M, K, D) and ``radius`` (M, K), mm; and whatever
+        else the file of the hypotheses says about their frames.
+    axes, unit, joints, root_joint
+        Of hypotheses that don't declare them; as for :class:`posecal.PoseData`.
     progress : callable, optional
-        Called with the number of poses that are done.
+        Called with the number of poses that are done, and with the number of all.
+
+    Returns
+    -------
+    int
+        M, the number of poses.
 
     Raises
     ------
     PoseDataError
-        Where the map lacks a joint.
+        Where the map lacks a joint, and for declarations that don't fit.
     PoseFileError
-        Where the file can't be written.
+        Where a file can't be read or written.
     """
-    first = hypotheses.read(0, 1)
+    values = np.array([*_checked(map_).by_joint.values()])
+    declared = Declarations(axes=axes, unit=unit, joints=joints, root_joint=root_joint)
+    poses = read_poses(hypotheses, "hypotheses")
+    source, names, root = resolve_hypotheses(poses, declared)
+    values = values_for_joints(map_.joints, values, names, poses.name)
+    first, m = source.read(0, 1), len(source.rows)
     n, _, k, d = first.shape
-    values = map_.factors if isinstance(map_, SpreadMap) else map_.radii
-    values = values_for_joints(map_.joints, values, joints, "hypotheses")
-    window = max(1, WINDOW_BYTES // (n * k * d * first.dtype.itemsize))
+    window = max(1, WINDOW_BYTES // first.nbytes)
 
     def windows() -> Iterator[FloatArray]:
-        for start in range(0, n_poses, window):
-            stop = min(start + window, n_poses)
-            yield hypotheses.read(start, stop)
+        for start in range(0, m, window):
+            stop = min(start + window, m)
+            yield source.read(start, stop)
             if progress is not None:
-                progress(stop)
+                progress(stop, m)
 
     def write(file: BinaryIO) -> None:
+        members = {"joints": np.array(names), "unit": np.array("mm"), **poses.frame_members}
         with Archive(file) as archive:
-            common = {"joints": np.array(joints), "unit": np.array("mm"), **members}
             if isinstance(map_, SpreadMap):
-                parts = (rescaled(found, values, root).swapaxes(0, 1) for found in windows())
-                archive.add_pieces("hypotheses", (n_poses, n, k, d), first.dtype, parts)
-                common["axes"] = np.array("MNKD")
+                pieces = (rescaled(part, values, root).swapaxes(0, 1) for part in windows())
+                archive.add_pieces("hypotheses", (m, n, k, d), first.dtype, pieces)
+                members["axes"] = np.array("MNKD")
             else:
-                found = [balls(found, values, root, scaled=map_.scaled) for found in windows()]
-                common["centre"] = np.concatenate([centre for centre, _ in found])
-                common["radius"] = np.concatenate([radius for _, radius in found])
-                common["alpha"] = np.array(map_.alpha)
-            for name, array in common.items():
+                parts = [balls(part, values, root, scaled=map_.scaled) for part in windows()]
+                members["centre"], members["radius"] = map(np.concatenate, zip(*parts, strict=True))
+                members["alpha"] = np.array(map_.alpha)
+            for name, array in members.items():
                 archive.add(name, array)
 
     write_file(path, write)
+    return m

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,18 +10,12 @@ import numpy.typing as npt
 
 from posecal.data.arrays import FloatArray, checked_number
 from posecal.data.pose_data import PoseData
-from posecal.engine.block import Block, block_length
-from posecal.engine.chunks import map_blocks
+from posecal.engine.block import Block, iter_blocks
+from posecal.engine.totals import mean_of
 from posecal.errors import PoseDataError
 from posecal.evaluation.sources import Source, as_pose_data
 from posecal.metrics.sharpness import joint_deviations
-from posecal.recalibration.folds import (
-    checked_for_map,
-    folds_of,
-    movable_joints,
-    number_of_sequences,
-    refuse_one_hypothesis,
-)
+from posecal.recalibration import folds as parts
 
 
 @dataclass(frozen=True)
@@ -53,6 +46,16 @@ class RadiusMap:
     sequences: int
     root: int | None = None
 
+    @property
+    def by_joint(self) -> dict[str, float]:
+        """The radii by the names of their joints."""
+        return dict(zip(self.joints, self.radii.tolist(), strict=True))
+
+    @property
+    def unit(self) -> str:
+        """The unit of the radii."""
+        return "standard deviations" if self.scaled else "mm"
+
     def apply(self, hypotheses: npt.ArrayLike, /) -> tuple[FloatArray, FloatArray]:
         """Give the balls of some poses.
 
@@ -73,26 +76,22 @@ class RadiusMap:
         PoseDataError
             For another number of joints, and arrays of another shape or type.
         """
-        return balls(checked_for_map(hypotheses, self.joints), self.radii, self.root, scaled=self.scaled)
+        return balls(parts.checked_for_map(hypotheses, self.joints), self.radii, self.root, scaled=self.scaled)
 
 
 def balls(
     hypotheses: FloatArray, radii: FloatArray, root: int | None, *, scaled: bool
 ) -> tuple[FloatArray, FloatArray]:
     """Centres (M, K, D) and radii (M, K) of some poses, mm, relative to the root."""
-    nowhere = np.zeros(hypotheses.shape[1:])
-    size = block_length(hypotheses.shape, hypotheses.dtype)
-    centres, widths = [], []
-    for start in range(0, hypotheses.shape[1], size):
-        block = Block(hypotheses[:, start : start + size], nowhere[start : start + size], root=root)
-        centres.append(block.median)
-        widths.append(radii * (joint_deviations(block) if scaled else np.ones(block.where.shape)))
-    return np.concatenate(centres), np.concatenate(widths)
+    blocks = (lay_out() for lay_out in iter_blocks(hypotheses, np.zeros(hypotheses.shape[1:]), root=root))
+    centres_and_widths = [(b.median, joint_deviations(b) if scaled else np.ones(b.where.shape)) for b in blocks]
+    centre, width = map(np.concatenate, zip(*centres_and_widths, strict=True))
+    return centre, radii * width
 
 
 def _distances(data: PoseData, *, scaled: bool, threads: int | None) -> FloatArray:
     """Distance of the truth from the median, (M, K), mm or predicted standard deviations; NaN for uncounted ones."""
-    mask = movable_joints(data)
+    mask = parts.movable_joints(data)
 
     def measure(block: Block) -> FloatArray:
         distances = np.linalg.norm(block.median.astype(np.float64), axis=-1)
@@ -101,23 +100,20 @@ def _distances(data: PoseData, *, scaled: bool, threads: int | None) -> FloatArr
                 distances = distances / joint_deviations(block)
         return np.where(block.where & mask, distances, np.nan)
 
-    return np.concatenate(list(map_blocks(data, measure, threads)))
+    return np.concatenate(list(parts.measure_blocks(data, measure, threads)))
 
 
 def _radii(distances: FloatArray, alpha: float) -> FloatArray:
     """The ⌈(n + 1)(1 - α)⌉-th smallest distance of each joint; NaN for joints that don't count."""
-    radii = np.full(distances.shape[1], np.nan)
-    for joint, column in enumerate(distances.T):
-        known = np.sort(column[~np.isnan(column)])
-        if not len(known):
-            continue
-        place = math.ceil((len(known) + 1) * (1 - alpha) - 1e-9)
-        if place > len(known):
-            raise PoseDataError(
-                f"alpha: {alpha:g} needs more than {len(known)} poses; the smallest possible with them is "
-                f"{1 / (len(known) + 1):.4g}."
-            )
-        radii[joint] = known[place - 1]
+    number = (~np.isnan(distances)).sum(axis=0)
+    rank = np.maximum(np.ceil((number + 1) * (1 - alpha) - 1e-9).astype(np.intp), 1)
+    few = number[(number > 0) & (rank > number)]
+    if few.size:
+        raise PoseDataError(
+            f"alpha: {alpha:g} needs more than {few.min()} poses; the smallest possible with them is "
+            f"{1 / (few.min() + 1):.4g}."
+        )
+    radii: FloatArray = np.take_along_axis(np.sort(distances, axis=0), rank[None] - 1, axis=0)[0]
     return radii
 
 
@@ -162,8 +158,8 @@ def fit_radius(
 
     Notes
     -----
-    The coverage is at least 1 - α for a new pose that is exchangeable with these; frames of one video are less worth
-    than their number says. Differs from the published code: none; ours.
+    The coverage is at least 1 - α for a new pose that is exchangeable with these. Frames of one video resemble each
+    other, so fewer independent poses are behind it than their number says. Differs from the published code: none; ours.
 
     References
     ----------
@@ -171,13 +167,13 @@ def fit_radius(
     """
     data = _checked(as_pose_data(hypotheses, truth, described), alpha, scaled=scaled)
     radii = _radii(_distances(data, scaled=scaled, threads=threads), alpha)
-    return RadiusMap(data.joints, radii, alpha, scaled, len(data.truth), number_of_sequences(data), data.root)
+    return RadiusMap(data.joints, radii, alpha, scaled, len(data.truth), parts.number_of_sequences(data), data.root)
 
 
 def _checked(data: PoseData, alpha: float, *, scaled: bool) -> PoseData:
     checked_number(alpha, "alpha", lambda value: 0 < value < 1, "between 0 and 1")
     if scaled:
-        refuse_one_hypothesis(data)
+        parts.refuse_one_hypothesis(data)
     return data
 
 
@@ -212,12 +208,8 @@ def held_out_coverage(
         As :func:`fit_radius`, and for fewer sequences than parts.
     """
     data = _checked(as_pose_data(hypotheses, truth, described), alpha, scaled=scaled)
-    part = folds_of(data, folds)
+    fold_of = parts.folds_of(data, folds)
     distances = _distances(data, scaled=scaled, threads=threads)
-    within = np.full(distances.shape, np.nan)
-    for fold in range(folds):
-        radii = _radii(distances[part != fold], alpha)
-        chosen = part == fold
-        within[chosen] = np.where(np.isnan(distances[chosen]), np.nan, distances[chosen] <= radii)
-    number = (~np.isnan(within)).sum(axis=0)
-    return np.where(number > 0, np.nansum(within, axis=0) / np.maximum(number, 1), np.nan)
+    radii = np.stack([_radii(distances[fold_of != fold], alpha) for fold in range(folds)])
+    counted = ~np.isnan(distances)
+    return mean_of((counted & (distances <= radii[fold_of])).sum(axis=0), counted.sum(axis=0))

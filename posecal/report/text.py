@@ -160,7 +160,7 @@ def _compared(comparison: Comparison, metric: Metric) -> tuple[str, ...]:
             ranks = (comparison.rank(metric.name, model) for model in comparison.names)
             values = [f"{value} ({rank})" for value, rank in zip(values, ranks, strict=True)]
         return metric.label, *values
-    difference = next(d for d in comparison.differences if d.metric == metric.name)
+    (difference,) = comparison.differences_of(metric.name)
     digits = 2 if metric.unit else 4
     low, high, p = difference.low, difference.high, difference.p
     interval = "" if math.isnan(low) else f"{low:+.{digits}f} to {high:+.{digits}f}"

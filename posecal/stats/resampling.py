@@ -100,28 +100,28 @@ def _reduce_flips(
     signs: npt.NDArray[np.int8],
     offset: FloatArray | None,
 ) -> list[Result]:
-    """Reduce the mean deviations (patterns, J, Q) at sign patterns, some patterns at a time."""
-    sums = deviations.reshape(len(deviations), -1).astype(np.float32)
-    total = counts.sum(axis=0)[:, None].astype(np.float32)
+    """Reduce the mean deviations (patterns, Q, J) at sign patterns, some patterns at a time."""
+    S, J, Q = deviations.shape
+    parts = (deviations / counts.sum(axis=0)[:, None]).astype(np.float32).swapaxes(1, 2).reshape(S, Q * J)
+    added = None if offset is None else offset.astype(np.float32)[:, None]
 
     def reduce_some(signs: npt.NDArray[np.int8]) -> Result:
-        mean = (signs.astype(np.float32) @ sums).reshape(-1, *deviations.shape[1:])
-        mean /= total
-        if offset is not None:
-            mean += offset.astype(np.float32)
+        mean = (signs.astype(np.float32) @ parts).reshape(-1, Q, J)
+        if added is not None:
+            mean += added
         return reduce(mean)
 
-    step = max(1, CHUNK // sums.shape[1])
+    step = max(1, CHUNK // parts.shape[1])
     tasks = (partial(reduce_some, signs[at : at + step]) for at in range(0, len(signs), step))
     return list(run_in_order(tasks, None if len(signs) > step else 1))
 
 
 def _median(curves: FloatArray) -> FloatArray:
-    """Median over J curves (patterns, J, Q), which are reordered."""
-    middle = curves.shape[1] // 2
-    curves.partition(middle, axis=1)
-    upper: FloatArray = curves[:, middle]
-    return upper if curves.shape[1] % 2 else (curves[:, :middle].max(axis=1) + upper) / 2
+    """Median over the J curves (patterns, Q, J), which are reordered."""
+    J = curves.shape[-1]
+    curves.partition(J // 2, axis=-1)
+    upper: FloatArray = curves[..., J // 2]
+    return upper if J % 2 else (curves[..., : J // 2].max(axis=-1) + upper) / 2
 
 
 def sign_flips(
@@ -188,10 +188,11 @@ def sign_flips(
     weights = np.sqrt(LEVELS[inner] * (1 - LEVELS[inner])).astype(np.float32)
 
     def reduce(mean: FloatArray) -> FloatArray:
-        curves = _median(mean)[:, None] if deviation.over == "median" else mean
-        each = np.abs(curves).mean(axis=-1)
+        curves = _median(mean)[..., None] if deviation.over == "median" else mean
+        distances = np.abs(curves, out=curves)
+        each = distances.mean(axis=1)
         error = each.max(axis=-1) if deviation.over == "worst" else each.mean(axis=-1)
-        return np.stack([error, np.abs(curves[..., inner] / weights).max(axis=(1, 2))])
+        return np.stack([error, (distances.max(axis=-1)[:, inner] / weights).max(axis=-1)])
 
     signs = _signs(sequences, n_draws(draws, D[0].size), seed)
     tested = sequences >= MIN_SEQUENCES
@@ -239,7 +240,7 @@ def sign_flips_of_each(
 
 
 def _error_of_each(mean: FloatArray) -> FloatArray:
-    return np.asarray(np.abs(mean, out=mean).mean(axis=-1))
+    return np.asarray(np.abs(mean, out=mean).mean(axis=1))
 
 
 def _share_as_large(errors: FloatArray) -> FloatArray:

@@ -43,8 +43,8 @@ class ClimatologySample:
 
     def read(self, start: int, stop: int) -> FloatArray:
         """Read some poses, (N, stop - start, K, D) in mm."""
-        found: FloatArray = self.truth[self.donors[start:stop]].swapaxes(0, 1)
-        return found
+        hypotheses: FloatArray = self.truth[self.donors[start:stop]].swapaxes(0, 1)
+        return hypotheses
 
     def select(self, poses: Rows) -> ClimatologySample:
         """Keep some poses, by their numbers."""

@@ -20,8 +20,10 @@ from scipy.spatial.distance import cdist, pdist
 from posecal.calibration import LEVELS
 from posecal.data.arrays import FloatArray
 from posecal.engine.block import Block, iter_blocks
-from posecal.metrics.proper import fair_brier, joint_crps, joint_energies, variograms
-from posecal.stats.resampling import Deviation, sign_flips
+from posecal.engine.metric import Deviation
+from posecal.metrics.brier import fair_brier
+from posecal.metrics.proper import joint_crps, joint_energies, variograms
+from posecal.stats.resampling import sign_flips
 
 SCORES: dict[str, Callable[[Block], FloatArray]] = {
     "energy score, whole pose and each joint": joint_energies,

@@ -10,8 +10,20 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from posecal.calibration import LEVELS, OVER_JOINTS, CalibrationCurve, OverJoints, calibration_curve, ece
+from posecal.calibration import (
+    LEVELS,
+    OVER_JOINTS,
+    CalibrationCurve,
+    OverJoints,
+    calibration_curve,
+    ece,
+    expected_curve,
+)
 from posecal.calibration.curve import coverage_at, curve_of, ece_over_joints, joint_ece, signed_area, summary_curve
+from posecal.calibration.error import calibration_metrics
+from posecal.engine.metric import Metric
+from posecal.engine.protocol import Protocol
+from posecal.engine.scope import DataSpec, Scope
 from posecal.errors import PoseDataError
 from tests.helpers import oracles
 from tests.helpers.random_worlds import skewed
@@ -205,3 +217,59 @@ def test_a_stack_of_tables_is_summarized_one_by_one(over: OverJoints, K: int) ->
         expected = oracles.over_joints(by_joint, pooled, over)
         np.testing.assert_allclose(summary_curve(tables, over)[index], expected)
         np.testing.assert_allclose(ece_over_joints(tables, over)[index], oracles.ece(by_joint, pooled, over))
+
+
+# --- entries of reports ----------------------------------------------------------------------------------------------
+
+
+def entries(**options: str) -> dict[str, Metric]:
+    """The calibration metrics of 7 hypotheses of three joints, of which one is the root."""
+    scope = Scope(Protocol(**options), DataSpec(7, ("a", "b", "c"), root=0))
+    return {metric.name: metric for metric in calibration_metrics(scope)}
+
+
+WORDS = {
+    "median": ("the median over the 2 joints", "median of 2 joints"),
+    "mean": ("the mean over the 2 joints", "mean of 2 joints"),
+    "worst": ("the worst of the 2 joints", "worst of 2 joints"),
+    "pooled": ("per pose the mean over the 2 joints", "pooled over 2 joints"),
+}
+
+
+@pytest.mark.parametrize("over", OVER_JOINTS)
+def test_definitions_say_the_summary_over_joints(over: OverJoints) -> None:
+    long, short = WORDS[over]
+    for name, metric in entries(ece_over=over).items():
+        if name in {"ece", "ece_paper", "ece_reference"}:
+            assert metric.definition.startswith(f"mean over q of |ω(q) − q|, ω: {long} (no root);")
+            assert f"; {short} (no root)" in metric.brief
+        if name == "signed_area" or name.startswith("coverage"):
+            assert f"{long} (no root)" in metric.definition
+    assert "mean of 2 joints" in entries(ece_over=over)["ece_mean"].brief
+    assert "worst of 2 joints" in entries(ece_over=over)["ece_paper_worst"].brief
+
+
+def test_the_offset_of_a_definition_is_what_a_perfect_sampler_s_curve_is_off_by() -> None:
+    for name, metric in entries().items():
+        definition = next((d for d in ("paper", "reference") if d in name), None)
+        if definition is None:
+            assert metric.offset is None
+        else:
+            np.testing.assert_array_equal(metric.offset, expected_curve(7, definition) - LEVELS)
+
+
+@pytest.mark.parametrize("percent", [50, 80, 90, 95])
+def test_a_coverage_reads_the_curve_at_its_level(percent: int) -> None:
+    metric, table = entries()[f"coverage_{percent}"], np.tile(LEVELS, (4, 1))
+    assert metric.finish(table) == pytest.approx(percent / 100)
+    assert metric.brief == f"best: {percent / 100:g}"
+    assert metric.definition.endswith(f"; best: {percent / 100:g}")
+    assert f"holds {percent} % of the hypotheses" in metric.definition
+    assert metric.label == f"coverage at {percent} %"
+
+
+def test_signed_areas_are_the_smallest_and_the_largest_of_joints() -> None:
+    table = np.stack([np.full(21, np.nan), 0 * LEVELS, LEVELS**2, LEVELS])
+    found = {name: float(metric.finish(table)) for name, metric in entries().items() if name.startswith("signed")}
+    assert found["signed_area_min"] == pytest.approx(-0.5)
+    assert found["signed_area_max"] == pytest.approx(1 / 3 - 1 / 2 + 1 / 2400)

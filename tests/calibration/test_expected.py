@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from functools import cache
 
 import numpy as np
@@ -19,7 +20,7 @@ from posecal.calibration import (
     expected_curve,
     perfect_sampler,
 )
-from posecal.calibration.expected import _floor
+from posecal.calibration.expected import _bias, _floor, _table
 from posecal.errors import PoseDataError
 
 Array = npt.NDArray[np.floating]
@@ -101,6 +102,22 @@ def test_measured_curves_of_a_perfect_sampler_are_the_expected_ones(N: int, defi
     expected = expected_curve(N, definition)
     allowed = 5 * np.sqrt(expected * (1 - expected) / M) + 1e-3 / N
     np.testing.assert_array_less(np.abs(found.joints - expected), np.broadcast_to(allowed, (K, 21)))
+
+
+@pytest.mark.parametrize("definition", ["paper", "reference"])
+def test_between_two_tabulated_n_the_bias_times_n_is_linear_in_one_over_n(definition: Definition) -> None:
+    tabulated = sorted(_table()[definition])
+    levels = np.linspace(0.1, 0.9, 9)
+    for below, above in itertools.pairwise(tabulated[tabulated.index(5) :]):
+        for N in range(below + 1, min(above, below + 4)):
+            share = (1 / N - 1 / above) / (1 / below - 1 / above)
+            expected = share * below * _bias(below, definition, levels)
+            expected += (1 - share) * above * _bias(above, definition, levels)
+            np.testing.assert_allclose(N * _bias(N, definition, levels), expected, rtol=1e-12)
+
+
+def test_of_one_pose_and_joint_there_is_a_floor() -> None:
+    assert perfect_sampler(2, 1, 1, draws=1).mean > 0
 
 
 def test_the_exchangeable_curve_is_the_diagonal() -> None:

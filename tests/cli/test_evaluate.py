@@ -105,11 +105,20 @@ def test_files_may_have_odd_names(name: str) -> None:
     assert refused("evaluate", "--", name, "gt.npz") == f"posecal: {name}: no such file."
 
 
-@pytest.mark.parametrize("by", ["sequence", "action", "predicted_spread", "predicted_spread:2", "predicted_spread=25,30", "occlusion"])
+@pytest.mark.parametrize(
+    "by", ["sequence", "action", "predicted_spread", "predicted_spread:2", "predicted_spread=25,30", "occlusion"]
+)
 def test_poses_are_grouped_by_any_label_and_by_predicted_spread_and_occlusion(by: str) -> None:
     text = done(*EVALUATE, "--metrics=min_mpjpe", "--format=json", "--by", by)
     groups = {group for _, group, _ in rows(text) if group is not None}
-    counts = {"sequence": 12, "action": 3, "predicted_spread": 3, "predicted_spread:2": 2, "predicted_spread=25,30": 3, "occlusion": 2}
+    counts = {
+        "sequence": 12,
+        "action": 3,
+        "predicted_spread": 3,
+        "predicted_spread:2": 2,
+        "predicted_spread=25,30": 3,
+        "occlusion": 2,
+    }
     assert len(groups) == counts[by]
     assert {group.partition("=")[0] for group in groups} == {by.replace("=", ":")}
 

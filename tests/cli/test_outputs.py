@@ -10,7 +10,7 @@ import posecal
 from posecal.engine.protocol import Protocol
 from posecal.engine.storage import load_totals
 from posecal.report.report import Report
-from tests.helpers.shell import EVALUATE, N, done, frame_ids, gt_members, hyps_members, rows, run
+from tests.helpers.shell import EVALUATE, N, done, frame_ids, gt_members, hyps_members, refused, rows, run
 
 
 def test_save_plot_and_html_write_these_files_and_no_others() -> None:
@@ -32,7 +32,7 @@ def test_a_saved_result_is_reported_as_it_was(form: str) -> None:
     assert (later.stdout, later.stderr, later.exit_code) == (one.stdout, one.stderr, 0)
 
 
-def test_results_of_shards_merge_into_that_of_the_whole() -> None:
+def test_results_of_shards_merge_into_that_of_one_run() -> None:
     """Cut within a sequence: 36 poses of three frames a sequence into 0 … 9 and 10 … 35."""
     for name, part in (("a", slice(0, 10)), ("b", slice(10, 36))):
         ours, theirs = hyps_members(), gt_members()
@@ -52,13 +52,27 @@ def test_results_of_shards_merge_into_that_of_the_whole() -> None:
         np.testing.assert_allclose(np.nan if got is None else got, expected, rtol=1e-6, atol=1e-9, err_msg=str(key))
 
 
-@pytest.mark.parametrize("kind", ["reliability", "joints", "errors", "pck"])
+@pytest.mark.parametrize("kind", ["reliability", "joints", "errors", "pck", "sparsification", "event", "rank-tests"])
 def test_a_saved_result_is_drawn(kind: str) -> None:
-    assert done("plot", kind, "result.npz", "-o", "picture.svg") == ""
+    done(*EVALUATE, "--metrics=default,rank_tests,scores", "--save=all.npz")
+    assert done("plot", kind, "all.npz", "-o", "picture.svg") == ""
     from posecal.plot import draw, figure_bytes
 
-    report = Report(load_totals("result.npz"))
-    assert Path("picture.svg").read_bytes() == figure_bytes(draw(report, kind), ".svg")
+    report = Report(load_totals("all.npz"))
+    assert Path("picture.svg").read_bytes() == figure_bytes(draw(report, kind.replace("-", "_")), ".svg")
+
+
+def test_a_picture_of_what_the_result_lacks_is_refused() -> None:
+    assert refused("plot", "rank-tests", "result.npz", "-o", "picture.svg").startswith("posecal: rank_tests: ")
+
+
+def test_a_page_names_flags_in_its_remarks() -> None:
+    np.save("h.npy", np.load("hyps.npz")["hypotheses"])
+    np.save("g.npy", np.load("gt.npz")["truth"] + 100)
+    done("evaluate", "h.npy", "g.npy", "--axes=NMKD", "--unit=mm", "--metrics=default", "--html=h.html")
+    page = Path("h.html").read_text(encoding="utf-8")
+    assert "--root-joint names one." in page
+    assert "root_joint names one." not in page
 
 
 def test_poses_are_drawn_by_frame_and_joint() -> None:
@@ -66,8 +80,8 @@ def test_poses_are_drawn_by_frame_and_joint() -> None:
     words = ("plot", "poses", "hyps.npz", "gt.npz", "-o", "poses.svg")
     done(*words, "--frames", f"{ids[4]}, 7", "--joint", "LFoot", "--most", "3")
     text = Path("poses.svg").read_text(encoding="utf-8")
-    for said in (ids[4], ids[7], f"grey: 3 of {N} hypotheses", "pink: LFoot"):
-        assert said in text
+    for words in (ids[4], ids[7], f"grey: 3 of {N} hypotheses", "pink: LFoot"):
+        assert words in text
 
 
 def test_presets_lists_every_preset_and_option() -> None:

@@ -116,7 +116,7 @@ def test_the_size_of_many_poses_is_that_of_some_evenly_chosen() -> None:
 
 def test_the_median_bone_is_judged() -> None:
     poses = np.zeros((3, 4, 3))
-    poses[:, :, 2] = [0, 10, 40, 4000]  # bones of 10, 30 and 3,960 mm
+    poses[:, :, 2] = [0, 10, 40, 340]  # bones of 10, 30 and 300 mm
     true = StoredPoses("gt.npz", MemoryArray(poses), joints=("Hip", "RHip", "RKnee", "RFoot"))
     data = match_poses(StoredPoses("hyps.npz", MemoryArray(np.stack([poses, poses]))), true)
     assert data.remarks == ("the median bone of gt.npz is 30.0 mm long; expected 50 to 700. Is its unit right?",)
@@ -151,6 +151,29 @@ def test_two_units_are_refused_where_one_is_not_declared() -> None:
     words = r"^hyps\.npz and gt\.npz differ in size by a factor of 1\d\d; expected one unit\. Store unit in both, or "
     with pytest.raises(PoseDataError, match=words):
         joined(100, 1, None, "mm")
+
+
+@pytest.mark.parametrize(
+    ("unit", "true_unit", "how", "remarked"),
+    [
+        ("mm", None, Declarations(), False),
+        (None, "mm", Declarations(), False),
+        (None, None, Declarations(unit="mm"), False),
+        ("mm", None, Declarations(unit="mm"), False),
+        (None, "mm", Declarations(unit="mm"), True),
+        (None, None, Declarations(truth_unit="mm"), True),
+        (None, None, Declarations(unit="mm", truth_unit="mm"), True),
+        ("mm", "mm", Declarations(), True),
+    ],
+)
+def test_sizes_that_differ_are_remarked_on_where_each_unit_is_declared_and_else_refused(
+    unit: str | None, true_unit: str | None, how: Declarations, remarked: bool
+) -> None:
+    if remarked:
+        assert "differ in size by a factor of 1" in joined(100, 1, unit, true_unit, how).remarks[0]
+    else:
+        with pytest.raises(PoseDataError, match=r"differ in size by a factor of 1\d\d; expected one unit"):
+            joined(100, 1, unit, true_unit, how)
 
 
 def test_two_declared_units_that_do_not_fit_are_remarked_on() -> None:

@@ -1,10 +1,14 @@
 """In which layout and unit two files are: what they declare, what their shapes tell, and what does not fit."""
 
+import re
+from typing import Any
+
 import numpy as np
 import pytest
 
 from posecal.data.declarations import Declarations
 from posecal.data.pose_data import match_poses
+from posecal.data.skeleton import JOINT_SETS
 from posecal.errors import PoseDataError
 from tests.helpers.small_files import (
     FRAMES,
@@ -75,6 +79,8 @@ def test_a_flag_that_contradicts_the_file_is_refused() -> None:
 def test_a_layout_that_the_array_does_not_have_is_refused_by_file() -> None:
     with pytest.raises(PoseDataError, match=r"^gt\.npz: axes: \(KD\) has length 50; expected a multiple of 3"):
         match_poses(hyps(), gt(np.ones((7, 50)), axes="M(KD)"))
+    with pytest.raises(PoseDataError, match=r"^hyps\.npz: axes: \(KD\) has length 50; expected a multiple of 3"):
+        match_poses(hyps(np.ones((5, 7, 50)), axes="NM(KD)"), gt())
     with pytest.raises(PoseDataError, match=r"^hyps\.npz: axes: 'QRS' lacks N, M, K, D; expected"):
         match_poses(hyps(axes="QRS"), gt())
 
@@ -137,3 +143,32 @@ def test_flags_that_can_not_be_are_refused_before_any_file_is_read() -> None:
         Declarations(axes="NMK", truth_axes="MK", unit="inch", truth_unit="yard", joints="h37m")
     for words in ("'NMK' lacks D", "'MK' lacks D", "'inch'", "'yard'", "'h37m' is not known"):
         assert words in str(refused.value)
+
+
+# --- joints ---------------------------------------------------------------------------------------------------
+
+
+def test_joints_are_names_or_a_joint_set() -> None:
+    assert Declarations().joint_names is None
+    assert Declarations(joints="h36m-17").joint_names == JOINT_SETS["h36m-17"]
+    for names in (["a", "b"], ("a", "b"), np.array(["a", "b"])):
+        assert Declarations(joints=names).joint_names == ("a", "b")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("joints", [17, ["a", 2], [1, 2], [b"a"]])
+def test_joints_that_are_no_names_are_refused(joints: Any) -> None:
+    words = f"joints: {joints!r}; expected K names, or a joint set such as h36m-17."
+    with pytest.raises(PoseDataError, match=f"^{re.escape(words)}$"):
+        Declarations(joints=joints)
+
+
+@pytest.mark.parametrize("root", ["Hip", "none", "3", 3, np.int64(3)])
+def test_a_root_joint_is_a_name_or_an_index(root: Any) -> None:
+    assert Declarations(root_joint=root).root_joint == root
+
+
+@pytest.mark.parametrize("root", [True, 1.5, ["Hip"], np.array([3])])
+def test_a_root_joint_that_is_neither_is_refused(root: Any) -> None:
+    words = f"root_joint: {root!r}; expected a name, an index, or none."
+    with pytest.raises(PoseDataError, match=f"^{re.escape(words)}$"):
+        Declarations(root_joint=root)

@@ -220,6 +220,10 @@ def test_a_joint_that_stays_at_zero_in_some_coordinates_or_poses_is_no_root() ->
         assert moved(match_poses(hyps(), gt(true))) == (None, True)
 
 
+def test_the_one_of_two_joints_that_stays_at_zero_is_the_root() -> None:
+    assert moved(match_poses(hyps(hypotheses()[:, :, :2]), gt(truth()[:, :2]))) == (0, False)
+
+
 def test_a_single_joint_is_no_root() -> None:
     data = match_poses(hyps(hypotheses()[:, :, 1:2]), gt(np.zeros((M, 1, 3))), Declarations(unit="mm"))
     assert moved(data) == (None, True)
@@ -291,6 +295,16 @@ def test_labels_follow_their_frames() -> None:
 def test_a_sequence_label_is_kept_before_the_clips_of_the_array() -> None:
     clips = gt(truth()[:6].reshape(2, 3, K, 3), axes="MTKD", labels={"sequence": ids(*"aabbbb")})
     assert "".join(match_poses(hyps(hypotheses()[:, :6]), clips).labels["sequence"]) == "aabbbb"
+
+
+@pytest.mark.parametrize("which", ["hypotheses", "truth"])
+def test_clips_of_either_side_are_sequences(which: str) -> None:
+    x, y = hyps(hypotheses()[:, :6]), gt(truth()[:6])
+    if which == "hypotheses":
+        x = hyps(hypotheses()[:, :6].reshape(N, 2, 3, K, 3), axes="NMTKD")
+    else:
+        y = gt(truth()[:6].reshape(2, 3, K, 3), axes="MTKD")
+    assert "".join(match_poses(x, y).labels["sequence"]) == "000111"
 
 
 def test_marks_of_another_shape_are_refused() -> None:
@@ -371,6 +385,13 @@ def test_the_first_hypotheses_are_taken_where_fewer_are_asked_for() -> None:
     assert pairs.shape == (2, M, K, 3)
     np.testing.assert_array_equal(coordinates(pairs), hypotheses()[:2])
     np.testing.assert_array_equal(pairs.scores, scores[:2])
+
+
+@pytest.mark.parametrize("number", [1, N, np.int64(2), 3.0])
+def test_any_number_of_hypotheses_that_are_there_may_be_asked_for(number: Any) -> None:
+    pairs = match_poses(hyps(), gt(), Declarations(n_hypotheses=number))
+    assert pairs.shape[0] == len(coordinates(pairs)) == number
+    assert type(pairs.shape[0]) is int
 
 
 @pytest.mark.parametrize("number", [0, 6, -1, 1.5, True, "2", [2]])

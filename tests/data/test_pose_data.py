@@ -179,7 +179,13 @@ def test_a_root_is_a_name_an_index_or_none(root_joint: Any, root: int | None) ->
 
 def test_a_label_is_an_array_or_one_value_for_all_poses() -> None:
     frame = pd.DataFrame({"action": WORDS})
-    labels = {"sequence": "S9", "camera": 3, "hard": np.bool_(True), "action": frame["action"], "take": np.arange(M)}
+    labels: dict[str, Any] = {
+        "sequence": "S9",
+        "camera": 3,
+        "hard": np.bool_(True),
+        "action": frame["action"],
+        "take": np.arange(M),
+    }
     data = PoseData(hypotheses(), truth(), labels=labels)
     assert {name: values.tolist() for name, values in data.labels.items()} == {
         "sequence": ["S9"] * M,
@@ -205,7 +211,7 @@ def test_what_is_passed_takes_the_place_of_what_a_file_holds(tmp_path: Path) -> 
 def test_the_mask_is_of_the_truth_as_it_is_passed(tmp_path: Path) -> None:
     where = np.arange(M * K).reshape(M, K) % 3 != 0
     part = hypotheses_file(tmp_path, hypotheses=hypotheses()[:, [4, 2]][:, :, 5:], joints=JOINTS[5:])
-    ids = {"frame_id": ["e", "c"], "truth_frame_id": [*"abcdefg"]}
+    ids: dict[str, Any] = {"frame_id": ["e", "c"], "truth_frame_id": [*"abcdefg"]}
     data = PoseData(
         part, truth(), where=where, occluded=OCCLUDED, joints=JOINTS, **ids, missing="skip", shared_joints="common"
     )
@@ -237,7 +243,7 @@ def test_the_frame_ids_of_a_file_are_kept_beside_those_of_an_array(tmp_path: Pat
 
 def test_frames_that_one_side_lacks_may_be_skipped() -> None:
     sides = hypotheses()[:, :4], truth()
-    ids = {"frame_id": FRAMES[:4], "truth_frame_id": FRAMES}
+    ids: dict[str, Any] = {"frame_id": FRAMES[:4], "truth_frame_id": FRAMES}
     refused(
         "hypotheses lacks 3 of the 7 frames of truth (first: S9/walk/000, S9/walk/012, S9/walk/007). "
         'Pass missing="skip" to score the rest.',

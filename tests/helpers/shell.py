@@ -22,6 +22,10 @@ JOINTS = posecal.JOINT_SETS["h36m-17"]
 Array = np.ndarray[Any, np.dtype[Any]]
 EVALUATE = ["evaluate", "hyps.npz", "gt.npz"]
 
+MODELS_SHAPE = 9, 48, 4
+MODELS_JOINTS = np.array(["Head", "LWrist", "RKnee", "LFoot"])
+"""N, M, K and the joints of three models' files."""
+
 
 def hypotheses() -> Array:
     return sample(world(), N)
@@ -70,7 +74,7 @@ def done(*words: str | Path) -> str:
 
 
 def refused(*words: str | Path, code: int = 3) -> str:
-    """Run what must be refused: nothing on stdout, nothing written, nothing changed. Give what is said, as one line."""
+    """Run what must be refused: nothing on stdout, nothing written, nothing changed. Give stderr as one line."""
     before = {path: path.read_bytes() for path in Path().rglob("*") if path.is_file()}
     found = run(*words)
     assert found.exit_code == code, found.output

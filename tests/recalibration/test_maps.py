@@ -1,4 +1,4 @@
-"""Maps are kept as readable files, broken ones are refused, and applying them writes whole files or none."""
+"""Maps are written and read as JSON, broken files are refused, and maps are applied to files of hypotheses."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from posecal.data.match import resolve_hypotheses
 from posecal.data.read import read_poses
 from posecal.errors import PoseDataError, PoseFileError
 from posecal.recalibration import RadiusMap, SpreadMap, apply_map, maps, read_map, write_map
-from posecal.recalibration.dispersion import stretched
+from posecal.recalibration.dispersion import rescaled
 from tests.helpers.random_worlds import skewed
 
 Array = np.ndarray
 JOINTS = ("Hip", "Head", "LFoot")
-SPREAD = SpreadMap(JOINTS, np.array([1.0, 0.7, 2.125]), 120, 6)
+SPREAD = SpreadMap(JOINTS, np.array([1.0, 0.7, 2.125]), 120, 6, 0)
 RADIUS = RadiusMap(JOINTS, np.array([math.nan, 80.5, 120.25]), 0.1, False, 120, 6)
 
 
@@ -38,15 +38,19 @@ def test_a_person_can_read_it(tmp_path: Path) -> None:
     write_map(RADIUS, tmp_path / "map.json")
     found = json.loads((tmp_path / "map.json").read_text())
     assert found["kind"] == "radius"
-    assert found["format"] == 1
+    assert found["format"] == 2
     assert found["radii"] == {"Hip": None, "Head": 80.5, "LFoot": 120.25}
     assert (found["alpha"], found["unit"]) == (0.1, "mm")
     assert found["fitted_on"] == {"poses": 120, "sequences": 6}
+    assert found["root"] is None
+    write_map(SPREAD, tmp_path / "map.json")
+    found = json.loads((tmp_path / "map.json").read_text())
+    assert (found["factors"], found["root"]) == ({"Hip": 1.0, "Head": 0.7, "LFoot": 2.125}, "Hip")
 
 
 def broken(kind: str, /, **changed: Any) -> str:
     """A map of which something is otherwise."""
-    about: dict[str, Any] = {"format": 1, "kind": kind, "fitted_on": {"poses": 9, "sequences": 3}}
+    about: dict[str, Any] = {"format": 2, "kind": kind, "root": None, "fitted_on": {"poses": 9, "sequences": 3}}
     if kind == "radius":
         about |= {"alpha": 0.1, "unit": "mm", "radii": {"Head": 80.0}}
     else:
@@ -66,7 +70,7 @@ NO_MAP = r"map\.json: no map of posecal recalibrate fit, or not a whole one"
         ("[]", NO_MAP),
         ("3", NO_MAP),
         (broken("spread")[:40], NO_MAP),
-        (broken("spread", format=2), r"map\.json: format 2; expected 1\. Fit it again"),
+        (broken("spread", format=1), r"map\.json: format 1; expected 2\. Fit it again"),
         (broken("spread", format=...), NO_MAP),
         (broken("spread", kind=...), NO_MAP),
         (broken("radius", kind="square"), NO_MAP),
@@ -78,6 +82,8 @@ NO_MAP = r"map\.json: no map of posecal recalibrate fit, or not a whole one"
         (broken("spread", factors={"Head": None}), r"a factor is not above 0"),
         (broken("spread", factors={"Head": math.inf}), r"a factor is not above 0"),
         (broken("spread", fitted_on=...), NO_MAP),
+        (broken("spread", root=...), NO_MAP),
+        (broken("spread", root="Tail"), NO_MAP),
         (broken("radius", radii=...), NO_MAP),
         (broken("radius", radii={"Head": -1}), r"a radius is below 0 or alpha is 0\.1"),
         (broken("radius", radii={"Head": math.inf}), r"a radius is below 0"),
@@ -86,7 +92,7 @@ NO_MAP = r"map\.json: no map of posecal recalibrate fit, or not a whole one"
         (broken("radius", alpha=...), NO_MAP),
     ],
 )
-def test_what_is_no_whole_map_is_refused(text: str, words: str, tmp_path: Path) -> None:
+def test_a_file_that_is_no_complete_map_is_refused(text: str, words: str, tmp_path: Path) -> None:
     (tmp_path / "map.json").write_text(text)
     with pytest.raises(PoseFileError, match=words):
         read_map(tmp_path / "map.json")
@@ -109,7 +115,7 @@ X = skewed(1, 5, 11, 3)[0].astype("f4")
 
 def applied(map_: SpreadMap | RadiusMap, folder: Path, x: Array = X, name: str = "out.npz") -> Path:
     """Apply to hypotheses in a file."""
-    np.savez(folder / "hyps.npz", hypotheses=x, axes="NMKD", unit="mm", joints=JOINTS, allow_pickle=False)
+    np.savez(folder / "hyps.npz", hypotheses=x, axes="NMKD", unit="mm", joints=JOINTS)
     stored, joints, root = resolve_hypotheses(
         read_poses(folder / "hyps.npz", "hypotheses"), Declarations(root_joint="none")
     )
@@ -123,7 +129,7 @@ def test_a_spread_map_gives_hypotheses_that_posecal_reads(tmp_path: Path) -> Non
     poses = read_poses(path, "hypotheses")
     stored, joints, _ = resolve_hypotheses(poses, Declarations(root_joint="none"))
     assert joints == JOINTS
-    np.testing.assert_array_equal(stored.read(0, 11), stretched(X, SPREAD.factors))
+    np.testing.assert_array_equal(stored.read(0, 11), rescaled(X, SPREAD.factors))
     assert stored.read(0, 11).dtype == np.float32
     np.testing.assert_array_equal(poses.frame_id, [f"f{m}" for m in range(11)])
 
@@ -165,7 +171,7 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pyte
             raise KeyboardInterrupt
 
     (tmp_path / "out.npz").write_bytes(b"before")
-    np.savez(tmp_path / "hyps.npz", hypotheses=X, axes="NMKD", unit="mm", joints=JOINTS, allow_pickle=False)
+    np.savez(tmp_path / "hyps.npz", hypotheses=X, axes="NMKD", unit="mm", joints=JOINTS)
     stored, joints, root = resolve_hypotheses(
         read_poses(tmp_path / "hyps.npz", "hypotheses"), Declarations(root_joint="none")
     )

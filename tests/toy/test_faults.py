@@ -9,7 +9,7 @@ import math
 import numpy as np
 import pytest
 
-from posecal.calibration import LEVELS, calibration_curve, ece
+from posecal.calibration import LEVELS, calibration_curve
 from posecal.errors import PoseDataError
 from toy import curves
 from toy.faults import FAULTS, Case, named_fault, spread
@@ -59,8 +59,8 @@ def test_the_ece_of_each_fault_is_that_of_the_closed_curves(name: str) -> None:
     # is expected is on average √(2/π) ∫√(q(1−q)) dq/√M = 0.0099. The median over joints scatters as much where the
     # joints are one, and less otherwise; the mean over joints of that distance hardly at all.
     noise = math.sqrt(2 / math.pi) * math.pi / 8 / math.sqrt(M)
-    assert abs(ece(curve) - median) < 3 * noise
-    assert abs(ece(curve, "mean") - mean) < 1.5 * noise
+    assert abs(curve.ece() - median) < 3 * noise
+    assert abs(curve.ece("mean") - mean) < 1.5 * noise
 
 
 def test_the_published_table_is_reproduced() -> None:
@@ -73,7 +73,7 @@ def test_the_published_table_is_reproduced() -> None:
     }
     for name, published in table.items():
         curve = calibration_curve(*FAULTS[name].apply(case(seed=1), N))
-        np.testing.assert_allclose((ece(curve), ece(curve, "mean")), published, rtol=0, atol=0.01)
+        np.testing.assert_allclose((curve.ece(), curve.ece("mean")), published, rtol=0, atol=0.01)
 
 
 @pytest.mark.parametrize(
@@ -118,8 +118,8 @@ def test_the_ece_of_each_fault_is_the_same_where_joints_move_together(name: str)
     curve = calibration_curve(*FAULTS[name].apply(together(0.3), N))
     median, mean = CLOSED[name]
     noise = math.sqrt(2 / math.pi) * math.pi / 8 / math.sqrt(M)
-    assert abs(ece(curve) - median) < 3 * noise
-    assert abs(ece(curve, "mean") - mean) < 1.5 * noise
+    assert abs(curve.ece() - median) < 3 * noise
+    assert abs(curve.ece("mean") - mean) < 1.5 * noise
 
 
 def test_ignored_image_where_joints_move_together_draws_about_the_means_of_other_poses_none_twice() -> None:
@@ -236,12 +236,12 @@ def test_faults_that_keep_every_distance_keep_the_ece_of_a_person_low() -> None:
     planted = case(PoseWorld.person())
     noise = math.sqrt(2 / math.pi) * math.pi / 8 / math.sqrt(M)
     for name in ("perfect", "missing-correlation", "excess-correlation", "depth-modes", "ignored-image"):
-        assert ece(calibration_curve(*FAULTS[name].apply(planted, N))) < 3 * noise
+        assert calibration_curve(*FAULTS[name].apply(planted, N)).ece() < 3 * noise
 
 
 def test_a_spread_has_the_closed_curve() -> None:
     hypotheses, truth = spread(0.4).apply(case(), N)
-    measured = calibration_curve(hypotheses, truth).coverage.mean(axis=0)
+    measured = calibration_curve(hypotheses, truth).joints.mean(axis=0)
     exact = curves.coverage_of(N, spread=0.4)
     error = np.sqrt(exact * (1 - exact) / (M * K))
     bend = np.abs(exact - curves.coverage(spread=0.4))

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from posecal.calibration import calibration_curve, ece
+from posecal.calibration import calibration_curve
 from posecal.data.skeleton import Skeleton, canonical_name
 from posecal.metrics import min_mpjpe
 from toy import body_pictures
@@ -78,7 +78,7 @@ def run(
         hypotheses, truth = write_case(folder, case(), fault, N)
         curve = calibration_curve(hypotheses, truth, root=root)
         best = float(min_mpjpe(hypotheses, truth).mean())
-        written.append([str(folder), ece(curve), ece(curve, "mean"), best, fault.says])
+        written.append([str(folder), curve.ece(), curve.ece("mean"), best, fault.says])
         poses = [(name, hypotheses[:, m], truth[m]) for name, chosen in kinds.items() for m in [chosen.argmax()]]
 
     text = [
