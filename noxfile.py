@@ -61,12 +61,12 @@ def tests(session: nox.Session) -> None:
 
 @nox.session(python=PYTHONS[0])
 def lowest(session: nox.Session) -> None:
-    """Tests that need no PyTorch: oldest Python, each dependency at its lower bound."""
+    """Quick tests that need no PyTorch: oldest Python, each dependency at its lower bound."""
     versions = lowest_versions()
     constraints = Path(session.create_tmp(), "constraints-lowest.txt")
     constraints.write_text("\n".join(versions) + "\n", encoding="utf-8")
     session.install("-c", str(constraints), "-e", ".", *versions)
-    what = session.posargs or ["-n", "auto", "tests", "posecal", "toy", *NO_PYTORCH]
+    what = session.posargs or ["-n", "auto", "-m", "not slow", "tests", "posecal", "toy", *NO_PYTORCH]
     session.run("python", "-m", "pytest", "-q", *OLD_WARNINGS, *what)
 
 

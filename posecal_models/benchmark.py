@@ -1,7 +1,7 @@
-"""How do the estimators compare on real motion? The paper's Table 1, on poses of people that none was trained on.
+"""Benchmark of estimators on held-out motion capture: the paper's Table 1.
 
-Every estimator gets the same images: motion capture of the test subjects, seen by four virtual cameras through the same
-noisy detector. Each is sampled with several seeds, and each sample is judged by :func:`posecal.evaluate`.
+Every estimator gets the same images: motion capture of the test subjects, projected into four virtual cameras, with the
+same simulated detector. Each is sampled with several seeds, and each sample is evaluated by :func:`posecal.evaluate`.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from posecal_models.contract import Context, Estimator
 from posecal_models.data.detector import Detector
 from posecal_models.data.lifting_set import LiftingSet
 from posecal_models.data.mocap import MocapPoses
-from posecal_models.data.training_set import seeded
+from posecal_models.data.training_set import seeded_generator
 from posecal_models.estimators import ReferenceEstimator, parameter_count
 from posecal_models.sample import POSES_AT_ONCE, draw
 from posecal_models.simple_baseline import SimpleBaseline
 
-__all__ = ["HARD", "Judged", "columns", "held_out_poses", "hypotheses_of", "judge", "markdown"]
+__all__ = ["COLUMNS", "HARD", "BenchmarkRow", "draw_hypotheses", "evaluate_estimator", "held_out_poses", "markdown"]
 
 HARD = 4
-"""So many hidden keypoints of 16 make a pose hard."""
+"""Hidden keypoints, of 16, from which on a pose counts as hard."""
 
-columns = {
+COLUMNS = {
     "min_mpjpe": ("minMPJPE", "mm", 1),
     "hard_min_mpjpe": ("hard", "mm", 1),
     "ece": ("ECE", "exchangeable", 3),
@@ -55,19 +55,19 @@ _POINT = replace(_DEFAULT, metrics="min_mpjpe")
 
 
 @dataclass(frozen=True)
-class Judged:
+class BenchmarkRow:
     """One row of the table.
 
     Attributes
     ----------
     name : str
-        Of the estimator.
+        The estimator's name.
     values : dict of str to list of float
-        A value for each sampling seed, by the names of :data:`columns`; none where a column does not apply.
+        A value for each sampling seed, by the names of :data:`COLUMNS`; none where a column does not apply.
     report : Report or None
         Of the first seed, with its calibration curves; None for a point estimator.
     seconds : float
-        That drawing the hypotheses of one seed took.
+        Time for drawing the hypotheses of one seed.
     """
 
     name: str
@@ -79,28 +79,28 @@ class Judged:
 def held_out_poses(
     path: str | Path, subjects: Sequence[str], *, every: int = 16, views: int = 4, seed: int = 0
 ) -> LiftingSet:
-    """Give the images that the estimators are judged on.
+    """Return the images that the estimators are evaluated on.
 
     Parameters
     ----------
     path : str or Path
         Motion capture, see :class:`posecal_models.data.mocap.MocapPoses`.
     subjects : sequence of str
-        Those that no estimator was trained on.
+        Test subjects, which no estimator was trained on.
     every, views, seed : int
-        Frames, cameras, and the seed of cameras and detector.
+        Frame step, cameras around each clip, and the seed of cameras and detector.
 
     Returns
     -------
     LiftingSet
         With detected keypoints.
     """
-    seen = MocapPoses(path).seen_by_cameras(subjects=subjects, every=every, views=views, seed=seed)
-    return Detector().seen(seen, seed=seed)
+    images = MocapPoses(path).project(subjects=subjects, every=every, views=views, seed=seed)
+    return Detector().detect_set(images, seed=seed)
 
 
 @torch.inference_mode()
-def hypotheses_of(
+def draw_hypotheses(
     estimator: Estimator, data: LiftingSet, n: int, *, seed: int = 0, progress: Callable[[int], None] | None = None
 ) -> npt.NDArray[np.float32]:
     """Draw hypotheses of every pose.
@@ -108,15 +108,15 @@ def hypotheses_of(
     Parameters
     ----------
     estimator : Estimator
-        Ours or somebody else's.
+        A reference estimator, or any other.
     data : LiftingSet
         M images, in any order of joints.
     n : int
         N.
     seed : int
-        Of what is drawn.
+        Seed of the hypotheses.
     progress : callable, optional
-        Is told how many poses are done.
+        Called with the number of poses done.
 
     Returns
     -------
@@ -126,18 +126,18 @@ def hypotheses_of(
     ordered = data.in_order_of(estimator.joints, estimator.keypoints)
     parts = []
     for start in range(0, len(ordered), POSES_AT_ONCE):
-        some = ordered.take(slice(start, start + POSES_AT_ONCE))
+        block = ordered.take(slice(start, start + POSES_AT_ONCE))
         context = Context(
-            torch.from_numpy(some.keypoints), torch.from_numpy(some.observed), torch.from_numpy(some.sigma)
+            torch.from_numpy(block.keypoints), torch.from_numpy(block.observed), torch.from_numpy(block.sigma)
         )
-        generator = seeded("cpu", seed, start // POSES_AT_ONCE)
+        generator = seeded_generator("cpu", seed, start // POSES_AT_ONCE)
         parts.append(draw(estimator(context), n, generator=generator).float().numpy())
         if progress is not None:
             progress(min(start + POSES_AT_ONCE, len(ordered)))
     return np.concatenate(parts, axis=1)
 
 
-def judge(
+def evaluate_estimator(
     name: str,
     estimator: ReferenceEstimator,
     data: LiftingSet,
@@ -145,27 +145,27 @@ def judge(
     n: int = 200,
     seeds: Sequence[int] = (0, 1, 2),
     progress: Callable[[int], None] | None = None,
-) -> Judged:
-    """Fill one row of the table.
+) -> BenchmarkRow:
+    """Evaluate an estimator: one row of the table.
 
     Parameters
     ----------
     name : str
-        Of the estimator.
+        The estimator's name.
     estimator : CGNF, SimpleBaseline or GaussianNoise
-        What is judged.
+        The estimator to evaluate.
     data : LiftingSet
         M images.
     n : int
         N; a point estimator has 1.
     seeds : sequence of int
-        Of the draws.
+        Sampling seeds.
     progress : callable, optional
-        Is told how many poses of how many seeds are done.
+        Called with the number of poses done, over all seeds.
 
     Returns
     -------
-    Judged
+    BenchmarkRow
         The row.
     """
     point = isinstance(estimator, SimpleBaseline)
@@ -173,22 +173,22 @@ def judge(
     ordered = data.in_order_of(estimator.joints, estimator.keypoints)
     names = (ordered.root, *ordered.joints)
     truth = np.pad(ordered.poses, ((0, 0), (1, 0), (0, 0)))
-    seen = data.in_order_of(keypoint_joints=estimator.joints).observed  # of the images, whatever the estimator reads
-    occluded = np.pad(~seen, ((0, 0), (1, 0)))
+    observed = data.in_order_of(keypoint_joints=estimator.joints).observed  # also where the estimator reads others
+    occluded = np.pad(~observed, ((0, 0), (1, 0)))
     hard = np.where(occluded.sum(1) >= HARD, "yes", "no")
-    values: dict[str, list[float]] = {column: [] for column in columns}
+    values: dict[str, list[float]] = {column: [] for column in COLUMNS}
     first: Report | None = None
     seconds = []
     for index, seed in enumerate(seeds[:1] if point else seeds):
-        done = None if progress is None else _after(progress, index * len(data))
+        seed_progress = None if progress is None else _with_offset(progress, index * len(data))
         start = time.perf_counter()
-        drawn = hypotheses_of(estimator, data, count, seed=seed, progress=done)
+        drawn = draw_hypotheses(estimator, data, count, seed=seed, progress=seed_progress)
         seconds.append(time.perf_counter() - start)
-        held = np.pad(drawn, ((0, 0), (0, 0), (1, 0), (0, 0)))
+        with_root = np.pad(drawn, ((0, 0), (0, 0), (1, 0), (0, 0)))
 
-        def report(protocol: Protocol, held: npt.NDArray[np.float32] = held) -> Report:
+        def evaluate(protocol: Protocol, hypotheses: npt.NDArray[np.float32] = with_root) -> Report:
             return posecal.evaluation.evaluate(
-                held,
+                hypotheses,
                 truth,
                 joints=names,
                 labels={"sequence": ordered.sequence, "hard": hard},
@@ -196,30 +196,30 @@ def judge(
                 protocol=protocol,
             )
 
-        whole = report(_POINT if point else _DEFAULT)
-        values["min_mpjpe"].append(whole.value("min_mpjpe"))
-        values["hard_min_mpjpe"].append(report(_HARD).value("min_mpjpe"))
-        some = report(replace(_OCCLUDED, metrics="min_mpjpe") if point else _OCCLUDED)
-        values["occluded_min_mpjpe"].append(some.value("min_mpjpe"))
+        report = evaluate(_POINT if point else _DEFAULT)
+        values["min_mpjpe"].append(report.value("min_mpjpe"))
+        values["hard_min_mpjpe"].append(evaluate(_HARD).value("min_mpjpe"))
+        occluded_report = evaluate(replace(_OCCLUDED, metrics="min_mpjpe") if point else _OCCLUDED)
+        values["occluded_min_mpjpe"].append(occluded_report.value("min_mpjpe"))
         if not point:
-            first = first or whole
+            first = first or report
             for metric in ("ece", "ece_paper", "ece_reference", "energy_score"):
-                values[metric].append(whole.value(metric))
-            values["occluded_ece"].append(some.value("ece"))
+                values[metric].append(report.value(metric))
+            values["occluded_ece"].append(occluded_report.value("ece"))
     values["n"], values["parameters"] = [count], [parameter_count(estimator)]
-    return Judged(name, values, first, statistics.mean(seconds))
+    return BenchmarkRow(name, values, first, statistics.mean(seconds))
 
 
-def _after(progress: Callable[[int], None], before: int) -> Callable[[int], None]:
-    return lambda poses: progress(before + poses)
+def _with_offset(progress: Callable[[int], None], offset: int) -> Callable[[int], None]:
+    return lambda poses: progress(offset + poses)
 
 
-def markdown(rows: Sequence[Judged]) -> str:
+def markdown(rows: Sequence[BenchmarkRow]) -> str:
     """Write the table: mean ± standard deviation over the sampling seeds.
 
     Parameters
     ----------
-    rows : sequence of Judged
+    rows : sequence of BenchmarkRow
         The estimators.
 
     Returns
@@ -227,17 +227,17 @@ def markdown(rows: Sequence[Judged]) -> str:
     str
         A Markdown table.
     """
-    heads = [f"{head} ({unit})" if unit else head for head, unit, _ in columns.values()]
+    heads = [f"{head} ({unit})" if unit else head for head, unit, _ in COLUMNS.values()]
     lines = ["| | " + " | ".join(heads) + " |", "|---|" + "---:|" * len(heads)]
     for row in rows:
-        cells = [_cell(row.values, column, digits) for column, (_, _, digits) in columns.items()]
+        cells = [_cell(row.values, column, digits) for column, (_, _, digits) in COLUMNS.items()]
         lines.append(f"| {row.name} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 
 def _cell(values: Mapping[str, list[float]], column: str, digits: int) -> str:
-    found = values[column]
-    if not found:
+    numbers = values[column]
+    if not numbers:
         return "–"
-    mean = f"{statistics.mean(found):,.{digits}f}"
-    return mean if len(found) < 2 else f"{mean} ± {statistics.stdev(found):.{digits + 1}f}"
+    mean = f"{statistics.mean(numbers):,.{digits}f}"
+    return mean if len(numbers) < 2 else f"{mean} ± {statistics.stdev(numbers):.{digits + 1}f}"

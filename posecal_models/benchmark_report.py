@@ -1,5 +1,6 @@
-"""What does the benchmark leave behind? The table, the numbers as JSON, a result of each model that ``posecal compare``
-and ``posecal report`` read, and the paper's pictures, in one folder.
+"""Output files of the benchmark: table, numbers as JSON, a saved result of each model, and figures, in one folder.
+
+The saved results are input of ``posecal compare`` and ``posecal report``.
 """
 
 from __future__ import annotations
@@ -13,19 +14,19 @@ import torch
 from posecal.data.write import write_file
 from posecal.errors import PoseDataError, PoseFileError
 from posecal.plot import save
-from posecal_models import pictures
-from posecal_models.benchmark import Judged, held_out_poses, hypotheses_of, judge, markdown
+from posecal_models import figures
+from posecal_models.benchmark import BenchmarkRow, draw_hypotheses, evaluate_estimator, held_out_poses, markdown
 from posecal_models.cgnf.model import CGNF
 from posecal_models.checkpoint import load_estimator, notes_of
 from posecal_models.contract import Context
 from posecal_models.data.lifting_set import LiftingSet
-from posecal_models.data.training_set import seeded
-from posecal_models.progress import counted
-from posecal_models.sample import check_suits
+from posecal_models.data.training_set import seeded_generator
+from posecal_models.progress import progress_bar
+from posecal_models.sample import check_input
 
-__all__ = ["run_benchmark", "seen_in_training"]
+__all__ = ["leaked_subjects", "run_benchmark"]
 
-_SHOWN = 7
+_EXAMPLES = 7
 
 
 def run_benchmark(
@@ -38,7 +39,7 @@ def run_benchmark(
     every: int = 16,
     seeds: int = 3,
 ) -> str:
-    """Judge estimators and write everything into a folder.
+    """Evaluate estimators and write all results into a folder.
 
     Parameters
     ----------
@@ -49,9 +50,9 @@ def run_benchmark(
     subjects : list of str
         Test subjects.
     folder : Path
-        It is made if its parent is there.
+        Output folder; created if its parent exists.
     n, every, seeds : int
-        Hypotheses, frames and sampling seeds.
+        Hypotheses, frame step and number of sampling seeds.
 
     Returns
     -------
@@ -61,27 +62,27 @@ def run_benchmark(
     Raises
     ------
     PoseFileError, PoseDataError
-        Where something does not fit.
+        Where a file can't be read or written, models and images don't fit, or two models would share a file name.
     """
     stems = [_stem(name) for name in models]
-    if alike := [name for name in models if not _stem(name) or stems.count(_stem(name)) > 1]:
+    if ambiguous := [name for name in models if not _stem(name) or stems.count(_stem(name)) > 1]:
         raise PoseDataError(
-            f"models: {', '.join(map(repr, alike))} would leave files of one name; expected names that differ in "
+            f"models: {', '.join(map(repr, ambiguous))} give files of the same name; expected names that differ in "
             "letters or digits."
         )
     estimators = {name: load_estimator(weights) for name, weights in models.items()}
     test = held_out_poses(data, subjects, every=every)
     for estimator in estimators.values():
-        seen = test.in_order_of(estimator.joints, estimator.keypoints)
-        check_suits(estimator, Context(torch.from_numpy(seen.keypoints), torch.from_numpy(seen.observed)))
+        ordered = test.in_order_of(estimator.joints, estimator.keypoints)
+        check_input(estimator, Context(torch.from_numpy(ordered.keypoints), torch.from_numpy(ordered.observed)))
     try:
         folder.mkdir(exist_ok=True)
     except OSError as problem:
         raise PoseFileError(f"{folder}: can't be made ({problem.strerror}).") from problem
-    rows: list[Judged] = []
+    rows: list[BenchmarkRow] = []
     for name, estimator in estimators.items():
-        with counted(name, seeds * len(test)) as progress:
-            rows.append(judge(name, estimator, test, n=n, seeds=range(seeds), progress=progress))
+        with progress_bar(name, seeds * len(test)) as progress:
+            rows.append(evaluate_estimator(name, estimator, test, n=n, seeds=range(seeds), progress=progress))
     table = markdown(rows)
     _write(folder / "table.md", table + "\n")
     about = {
@@ -95,17 +96,17 @@ def run_benchmark(
     _write(folder / "benchmark.json", json.dumps(about, indent=1) + "\n")
     reports = {row.name: row.report for row in rows if row.report is not None}
     if reports:
-        save(pictures.reliability_grid(reports), folder / "reliability.png")
+        save(figures.reliability_grid(reports), folder / "reliability.png")
     for name, report in reports.items():
         report.save(folder / f"{_stem(name)}.npz")
     for name, estimator in estimators.items():
         if isinstance(estimator, CGNF):
-            _draw(estimator, test, folder, _stem(name))
+            _save_figures(estimator, test, folder, _stem(name))
     return table
 
 
-def seen_in_training(weights: str, subjects: list[str]) -> list[str]:
-    """Name the subjects that weights were not held out from, by their own notes.
+def leaked_subjects(weights: str, subjects: list[str]) -> list[str]:
+    """Name the test subjects that were in the training set, according to the notes of the weights.
 
     Parameters
     ----------
@@ -117,7 +118,7 @@ def seen_in_training(weights: str, subjects: list[str]) -> list[str]:
     Returns
     -------
     list of str
-        Those that were not among the test subjects of the training; none where the notes don't say.
+        Those that were not among the test subjects of the training; empty where the notes hold no configuration.
     """
     data = notes_of(weights).get("config", {}).get("data", {})
     return [subject for subject in subjects if "test_subjects" in data and subject not in data["test_subjects"]]
@@ -127,21 +128,21 @@ def _stem(name: str) -> str:
     return "-".join("".join(letter if letter.isalnum() else " " for letter in name.lower()).split())
 
 
-def _draw(estimator: CGNF, test: LiftingSet, folder: Path, stem: str) -> None:
-    """Draw hypotheses of evenly spread images, and poses of the prior: none chosen by hand."""
-    rows = np.linspace(0, len(test) - 1, _SHOWN + 2)[1:-1].astype(int)
-    some = test.take(rows).in_order_of(estimator.joints, estimator.keypoints)
-    drawn = np.pad(hypotheses_of(estimator, some, 50), ((0, 0), (0, 0), (1, 0), (0, 0)))
-    truth = np.pad(some.poses, ((0, 0), (1, 0), (0, 0)))
+def _save_figures(estimator: CGNF, test: LiftingSet, folder: Path, stem: str) -> None:
+    """Plot hypotheses of evenly spaced images, and poses of the prior: none selected by hand."""
+    rows = np.linspace(0, len(test) - 1, _EXAMPLES + 2)[1:-1].astype(int)
+    examples = test.take(rows).in_order_of(estimator.joints, estimator.keypoints)
+    drawn = np.pad(draw_hypotheses(estimator, examples, 50), ((0, 0), (0, 0), (1, 0), (0, 0)))
+    truth = np.pad(examples.poses, ((0, 0), (1, 0), (0, 0)))
     columns = [
-        (f"{frame}\n{int((~seen).sum())} of 16 hidden", drawn[:, index], truth[index])
-        for index, (frame, seen) in enumerate(zip(some.frame_id, some.observed, strict=True))
+        (f"{frame}\n{int((~observed).sum())} of 16 hidden", drawn[:, index], truth[index])
+        for index, (frame, observed) in enumerate(zip(examples.frame_id, examples.observed, strict=True))
     ]
-    joints = (some.root, *some.joints)
-    save(pictures.hypotheses(columns, joints, cloud="RWrist"), folder / f"{stem}-hypotheses.png")
+    joints = (examples.root, *examples.joints)
+    save(figures.hypotheses(columns, joints, cloud="RWrist"), folder / f"{stem}-hypotheses.png")
     with torch.inference_mode():
-        prior = estimator.prior().sample(10, generator=seeded("cpu", 0))[:, 0].numpy()
-    save(pictures.prior(np.pad(prior, ((0, 0), (1, 0), (0, 0))), joints), folder / f"{stem}-prior.png")
+        prior = estimator.prior().sample(10, generator=seeded_generator("cpu", 0))[:, 0].numpy()
+    save(figures.prior(np.pad(prior, ((0, 0), (1, 0), (0, 0))), joints), folder / f"{stem}-prior.png")
 
 
 def _write(path: Path, text: str) -> None:

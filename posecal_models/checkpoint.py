@@ -1,7 +1,7 @@
-"""How are weights kept? In safetensors files that say what they are weights of, written whole or not at all.
+"""Weights and checkpoints as safetensors files, written atomically.
 
-Nothing is ever unpickled. A weights file holds the tensors of an estimator, its standardizer among them, and in its
-header the estimator's description and a few words on its training.
+Nothing is unpickled. A weights file holds the tensors of an estimator, those of its standardizer included, and in its
+header the estimator's description and notes on its training.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from posecal_models.data.standardizer import Standardizer
 from posecal_models.estimators import ReferenceEstimator, build, describe
 
 __all__ = [
-    "device_named",
     "load_estimator",
     "load_released",
     "named_weights",
     "notes_of",
     "read_tensors",
+    "resolve_device",
     "save_estimator",
     "write_tensors",
 ]
@@ -47,8 +47,8 @@ def named_weights() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in _FOLDER.glob("*.safetensors")))
 
 
-def device_named(name: str) -> torch.device:
-    """Give a device, if it is there.
+def resolve_device(name: str) -> torch.device:
+    """Find a PyTorch device by name.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def device_named(name: str) -> torch.device:
     Raises
     ------
     PoseDataError
-        Where it is not there.
+        Where the name is unknown or there is no such device.
     """
     if name == "auto":
         name = "cuda" if torch.cuda.is_available() else "cpu"
@@ -72,33 +72,31 @@ def device_named(name: str) -> torch.device:
     except RuntimeError as problem:
         raise PoseDataError(f"device: {name!r} is not known; expected cpu, cuda or auto.") from problem
     if device.type == "cuda" and not torch.cuda.is_available():
-        raise PoseDataError(
-            f"device: {name} was asked for and PyTorch {torch.__version__} sees no GPU. Use cpu or auto."
-        )
+        raise PoseDataError(f"device: {name}, but PyTorch {torch.__version__} sees no GPU; expected cpu or auto.")
     if device.type not in ("cpu", "cuda"):
         raise PoseDataError(f"device: {name!r}; expected cpu, cuda or auto.")
     return device
 
 
 def write_tensors(path: str | Path, tensors: Mapping[str, Tensor], about: dict[str, Any]) -> None:
-    """Write a safetensors file whole or not at all.
+    """Write a safetensors file atomically.
 
     Parameters
     ----------
     path : str or Path
-        Where to.
+        Output file.
     tensors : mapping of str to Tensor
-        What.
+        Tensors by name.
     about : dict
         Plain values for the header.
 
     Raises
     ------
     PoseFileError
-        Where it can't be written: no such folder, no right to, no space left.
+        Where it can't be written: no such folder, no permission, no space left.
     """
-    plain = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-    content = save(plain, metadata={_HEADER: json.dumps(about), _DIGEST: _digest(plain)})
+    on_cpu = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+    content = save(on_cpu, metadata={_HEADER: json.dumps(about), _DIGEST: _digest(on_cpu)})
 
     def write(file: BinaryIO) -> None:
         file.write(content)
@@ -116,19 +114,19 @@ def read_tensors(path: str | Path, *, device: torch.device | str = "cpu") -> tup
     path : str or Path
         The file.
     device : torch.device or str
-        Where the tensors go.
+        Device of the tensors.
 
     Returns
     -------
     tensors : dict of str to Tensor
-        What it holds.
+        Tensors by name.
     about : dict
         The header's values.
 
     Raises
     ------
     PoseFileError
-        Where the file is missing, damaged, or not one of ours.
+        Where the file is missing, damaged, or was not written by :func:`write_tensors`.
     """
     if not Path(path).is_file():
         raise PoseFileError(f"{path}: is not there; expected a .safetensors file.")
@@ -139,21 +137,21 @@ def read_tensors(path: str | Path, *, device: torch.device | str = "cpu") -> tup
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except KeyError as problem:
         raise PoseFileError(
-            f"{path}: a safetensors file without the header of posecal; expected one of ours."
+            f"{path}: a safetensors file without the header of posecal; expected one written by posecal-models."
         ) from problem
     except (SafetensorError, OSError, ValueError) as problem:
-        raise PoseFileError(f"{path}: damaged or no safetensors file ({problem}). Get it anew.") from problem
+        raise PoseFileError(f"{path}: damaged or no safetensors file ({problem}). Copy it again.") from problem
     if header.get(_DIGEST, digest := _digest(tensors)) != digest:
-        raise PoseFileError(f"{path}: damaged: its numbers are not those that were written. Get it anew.")
+        raise PoseFileError(f"{path}: damaged: its numbers differ from those that were written. Copy it again.")
     return {name: tensor.to(device) for name, tensor in tensors.items()}, about
 
 
 def _digest(tensors: Mapping[str, Tensor]) -> str:
-    """Give the SHA-256 of the numbers, which tells of a single flipped bit."""
-    whole = hashlib.sha256()
+    """Compute the SHA-256 of all numbers, which detects a single flipped bit."""
+    sha256 = hashlib.sha256()
     for name in sorted(tensors):
-        whole.update(tensors[name].reshape(-1).view(torch.uint8).numpy().data)
-    return whole.hexdigest()
+        sha256.update(tensors[name].reshape(-1).view(torch.uint8).numpy().data)
+    return sha256.hexdigest()
 
 
 def save_estimator(
@@ -168,13 +166,13 @@ def save_estimator(
     Parameters
     ----------
     path : str or Path
-        Where to, ``*.safetensors``.
+        Output file, ``*.safetensors``.
     estimator : CGNF, SimpleBaseline or GaussianNoise
-        What.
+        The estimator to save.
     tensors : mapping of str to Tensor, optional
         Other weights of the same estimator; its own where not given.
     notes : dict, optional
-        Plain values that say how it was trained.
+        Plain values on its training.
 
     Raises
     ------
@@ -186,14 +184,14 @@ def save_estimator(
 
 
 def load_estimator(name: str | Path, *, device: torch.device | str = "cpu") -> ReferenceEstimator:
-    """Read an estimator, ready to be called.
+    """Load an estimator with its weights.
 
     Parameters
     ----------
     name : str or Path
         One of :func:`named_weights`, or a file of :func:`save_estimator`.
     device : torch.device or str
-        Where it computes.
+        Device of the weights.
 
     Returns
     -------
@@ -203,18 +201,20 @@ def load_estimator(name: str | Path, *, device: torch.device | str = "cpu") -> R
     Raises
     ------
     PoseFileError, PoseDataError
-        Where the file is not there, damaged, or its tensors don't fit its description.
+        Where the file is missing or damaged, or its tensors don't fit its description.
     """
     tensors, about = read_tensors(_path_of(name), device=device)
     if "estimator" not in about:
-        raise PoseFileError(f"{name}: holds the state of a training, not weights. Give weights.safetensors beside it.")
+        raise PoseFileError(
+            f"{name}: holds the state of a training; expected weights. Give weights.safetensors of the same folder."
+        )
     estimator = build(about["estimator"])
-    _fill(estimator, tensors, str(name))
+    _load_state(estimator, tensors, str(name))
     return estimator.to(device).eval()
 
 
 def notes_of(name: str | Path) -> dict[str, Any]:
-    """Read what a weights file says of its training.
+    """Read the notes on its training from a weights file.
 
     Parameters
     ----------
@@ -244,21 +244,21 @@ def load_released(path: str | Path, *, blocks: int | None = None) -> tuple[CGNF,
     Parameters
     ----------
     path : str or Path
-        The file; it is read with ``weights_only=True``, so that it can't run anything.
+        The file; it is read with ``weights_only=True``, so that it can't run code.
     blocks : int, optional
-        Blocks that it should have; whatever it has where not given.
+        Expected number of blocks; any where not given.
 
     Returns
     -------
     estimator : CGNF
         With the ``released`` options and that code's constants as standardizer, in evaluation mode.
-    dead : dict of str to Tensor
+    unused : dict of str to Tensor
         Parameters of the file that no output depends on.
 
     Raises
     ------
     PoseFileError, PoseDataError
-        Where the file can't be read, or is of something else.
+        Where the file can't be read, or is not such a checkpoint.
     """
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
@@ -267,41 +267,41 @@ def load_released(path: str | Path, *, blocks: int | None = None) -> tuple[CGNF,
     except Exception as problem:
         raise PoseFileError(
             f"{path}: can't be read as plain tensors ({type(problem).__name__}); expected a state_dict. "
-            "It was not loaded: a pickle that asks for more can run programs."
+            "It was not loaded: a pickle with anything else can run code."
         ) from problem
     if not isinstance(state, dict) or not all(isinstance(tensor, Tensor) for tensor in state.values()):
         raise PoseDataError(f"{path}: holds no state_dict; expected tensors by name.")
-    live, dead = from_released(state)
+    used, unused = from_released(state)
     try:
-        hidden, context = live["couplings.first.from_context.weight"].shape[1:]
+        hidden, context = used["couplings.first.from_context.weight"].shape[1:]
         size = FlowSize(
-            blocks=len(live["couplings.actnorm_shift"]),
+            blocks=len(used["couplings.actnorm_shift"]),
             hidden=hidden,
             context=context,
-            embedding=live["embedding.first_own.bias"].shape[0],
+            embedding=used["embedding.first_own.bias"].shape[0],
         )
     except KeyError as problem:
-        raise PoseDataError(f"{path}: lacks {problem}; expected the state_dict of a whole cGNF.") from problem
+        raise PoseDataError(f"{path}: lacks {problem}; expected the complete state_dict of a cGNF.") from problem
     if blocks is not None and size.blocks != blocks:
         raise PoseDataError(f"{path}: {size.blocks} blocks; expected {blocks}.")
     estimator = CGNF(size, scale="sigmoid", backward_weights=False)
-    _fill(estimator.flow, live, str(path))
+    _load_state(estimator.flow, used, str(path))
     estimator.standardizer = Standardizer.released(len(estimator.joints))
-    return estimator.eval(), dead
+    return estimator.eval(), unused
 
 
-def _fill(module: torch.nn.Module, tensors: Mapping[str, Tensor], which: str) -> None:
-    """Put tensors into a module, or say what does not fit."""
-    own = module.state_dict()
-    other = [f"{name} {tuple(tensors[name].shape)}, expected {tuple(own[name].shape)}"
-             for name in own if name in tensors and tensors[name].shape != own[name].shape]  # fmt: skip
-    missing = [name for name in own if name not in tensors]
-    extra = [name for name in tensors if name not in own]
-    if other or missing or extra:
+def _load_state(module: torch.nn.Module, tensors: Mapping[str, Tensor], which: str) -> None:
+    """Load tensors into a module, or raise an error that lists all that don't fit."""
+    expected = module.state_dict()
+    mismatched = [f"{name} {tuple(tensors[name].shape)}, expected {tuple(expected[name].shape)}"
+                  for name in expected if name in tensors and tensors[name].shape != expected[name].shape]  # fmt: skip
+    missing = [name for name in expected if name not in tensors]
+    unexpected = [name for name in tensors if name not in expected]
+    if mismatched or missing or unexpected:
         parts = [
-            f"{len(other)} tensors of another size ({first_few(other, 1)})" if other else "",
+            f"{len(mismatched)} tensors of another size ({first_few(mismatched, 1)})" if mismatched else "",
             f"{len(missing)} missing ({first_few(missing)})" if missing else "",
-            f"{len(extra)} too many ({first_few(extra)})" if extra else "",
+            f"{len(unexpected)} too many ({first_few(unexpected)})" if unexpected else "",
         ]
         raise PoseDataError(f"{which}: weights don't fit the estimator: {'; '.join(p for p in parts if p)}.")
     module.load_state_dict(dict(tensors))

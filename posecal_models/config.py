@@ -1,7 +1,7 @@
-"""What is trained, on what, and how? A training's settings, read from TOML.
+"""Training configuration, read from TOML.
 
-A configuration has three tables, ``[model]``, ``[data]`` and ``[train]``; what is left out has the default that stands
-here. Named configurations lie in the folder ``configs`` beside this file.
+A configuration has three tables, ``[model]``, ``[data]`` and ``[train]``; settings that are not given have the defaults
+below. Named configurations are in the folder ``configs`` beside this file.
 """
 
 from __future__ import annotations
@@ -31,29 +31,29 @@ _Seed = Annotated[int, Limit(0, LARGEST_SEED, "0 or more")]
 
 @dataclass(frozen=True)
 class ModelConfig:
-    """Which estimator.
+    """Settings of the estimator.
 
     Attributes
     ----------
     kind : str
         ``cgnf``, ``simple-baseline`` or ``gaussian-noise``.
     size : str
-        Of a cGNF: ``tiny``, ``small``, ``large``, ``xlarge``.
+        Size of a cGNF: ``tiny``, ``small``, ``large``, ``xlarge``.
     backward_weights, scale
-        Of a cGNF, see :class:`posecal_models.cgnf.flow.GraphFlow`.
+        Options of a cGNF, see :class:`posecal_models.cgnf.flow.GraphFlow`.
     origin : str
-        What keypoints are relative to: ``observed`` (the mean of the observed ones), ``root`` (the hip's keypoint,
-        which the data must then hold) or ``none``.
+        Origin of the keypoints: ``observed`` (the mean of the observed ones), ``root`` (the hip's keypoint, which the
+        data must then hold) or ``none``.
     units : str
         Constants of the standardizer: ``fitted`` to the training set, or those of the ``released`` code.
     width, residuals, dropout
-        Of a SimpleBaseline.
+        Options of a SimpleBaseline.
     start : str
-        Weights to begin with, named or a file, with their standardizer; random ones where not given.
+        Initial weights, named or a file, with their standardizer; random initialisation where not given.
     mean : str
-        Of a Gaussian noise model: the weights file of its SimpleBaseline.
+        Mean of a Gaussian noise model: the weights file of its SimpleBaseline.
     spread : str
-        Of a Gaussian noise model: one σ a ``joint`` or a ``coordinate``.
+        Standard deviations of a Gaussian noise model: one σ per ``joint`` or per ``coordinate``.
     """
 
     kind: Literal["cgnf", "simple-baseline", "gaussian-noise"] = "cgnf"
@@ -75,26 +75,26 @@ class ModelConfig:
 
 @dataclass(frozen=True)
 class DataConfig:
-    """Which poses.
+    """Settings of the training data.
 
     Attributes
     ----------
     test_subjects : tuple of str
-        Never trained on.
+        Held out for test.
     validation_subjects : tuple of str
-        Never trained on; their loss steers the learning rate and chooses the weights that are kept.
+        Held out for validation; their loss controls the learning rate and selects the weights that are saved.
     views : int
         Virtual cameras around each clip of motion capture.
     every : int
-        Only every so manieth frame of motion capture.
+        Frame step of motion capture: every n-th frame is used.
     body_variation : float
-        How much bodies are varied in training, see :meth:`posecal_models.data.mocap.MocapPoses.seen_by_cameras`.
+        Variation of bone lengths in training, see :meth:`posecal_models.data.mocap.MocapPoses.project`.
     validation_poses : int
-        How many poses of the validation subjects are looked at, evenly spread.
+        Number of poses of the validation subjects, evenly spaced.
     camera_seed : int
-        Where the virtual cameras stand.
+        Seed of the positions of the virtual cameras.
     detector : Detector
-        The noise of keypoints that virtual cameras see.
+        Noise model of keypoints in virtual cameras.
     """
 
     test_subjects: tuple[str, ...] = ()
@@ -110,19 +110,19 @@ class DataConfig:
         check_limits(self, "data")
         if both := sorted(set(self.test_subjects) & set(self.validation_subjects)):
             raise PoseDataError(
-                f"data.test_subjects and data.validation_subjects: both name {', '.join(both)}; expected others. "
-                "What chooses the weights can't judge them."
+                f"data.test_subjects and data.validation_subjects: both name {', '.join(both)}; expected different "
+                "subjects. Subjects that select the weights are no test of them."
             )
 
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """How.
+    """Settings of the optimisation.
 
     Attributes
     ----------
     objective : str
-        ``likelihood``; of a Gaussian noise model also ``min-mpjpe``; of a SimpleBaseline ``squared-error``.
+        ``likelihood``; for a Gaussian noise model also ``min-mpjpe``; for a SimpleBaseline ``squared-error``.
     sample_weight : float
         λ: weight of the error of a cGNF's mode, per mm.
     sample_loss : str
@@ -132,31 +132,31 @@ class TrainConfig:
     hypotheses : int
         N of the objective ``min-mpjpe``.
     batch : int
-        Poses in a batch, of all processes together.
+        Poses per batch, over all processes.
     graphs_per_pose : int
-        Of a cGNF: sets of observed keypoints of each pose in a batch, the paper's five in turn. With 5 each pose comes
-        with all of them, and its prior is computed once.
+        For a cGNF: sets of observed keypoints of each pose in a batch, the paper's five in turn. With 5 each pose has
+        all of them in one batch, and its prior is computed once.
     augmentation : str
-        ``paper`` or ``released``, see :func:`posecal_models.data.masks.hide`.
+        ``paper`` or ``released``, see :func:`posecal_models.data.masks.mask_keypoints`.
     learning_rate : float
-        Of Adam, at the start.
+        Initial learning rate of Adam.
     schedule : str
         ``plateau``: times 0.1 when the loss has not fallen for ``patience`` epochs, stop at the third time.
         ``exponential``: times 0.96 every 100,000 steps. ``cosine``: falls to 0 at the last step.
     patience : int
-        Epochs.
+        Epochs without improvement before the learning rate drops.
     epochs : int
-        At most.
+        Maximum number of epochs.
     steps_per_epoch : int
-        0: as many as it takes to see every pose once.
+        0: one pass over all poses.
     clip : float
-        Largest norm of the gradient.
+        Maximum norm of the gradient.
     cuda_graph : bool
         Whether a GPU records a step once and replays it, see :mod:`posecal_models.cuda_graph`.
     seed : int
-        Of everything random.
+        Random seed.
     checkpoint_seconds : float
-        Between two checkpoints.
+        Time between two checkpoints.
     """
 
     objective: Literal["likelihood", "min-mpjpe", "squared-error"] = "likelihood"
@@ -183,7 +183,7 @@ class TrainConfig:
 
 @dataclass(frozen=True)
 class Config:
-    """A whole training.
+    """Complete configuration of a training.
 
     Attributes
     ----------
@@ -192,9 +192,9 @@ class Config:
 
     Examples
     --------
-    >>> Config.of_table({"model": {"size": "tiny"}}).model.size
+    >>> Config.from_table({"model": {"size": "tiny"}}).model.size
     'tiny'
-    >>> Config.of_table({"model": {"sise": "tiny"}})
+    >>> Config.from_table({"model": {"sise": "tiny"}})
     Traceback (most recent call last):
     posecal.errors.PoseDataError: config: model.sise is not known. Did you mean size?
     """
@@ -206,11 +206,11 @@ class Config:
     def __post_init__(self) -> None:
         if self.model.kind == "simple-baseline" and self.train.batch == 1:
             raise PoseDataError(
-                "train.batch: 1 of a simple-baseline; expected 2 or more. Its batch norm compares the poses of a batch."
+                "train.batch: 1 of a simple-baseline; expected 2 or more. Its batch norm needs the variance of a batch."
             )
 
     @classmethod
-    def of_table(cls, table: dict[str, Any]) -> Config:
+    def from_table(cls, table: dict[str, Any]) -> Config:
         """Build a configuration from parsed TOML.
 
         Parameters
@@ -221,15 +221,15 @@ class Config:
         Returns
         -------
         Config
-            With defaults for what is left out.
+            With defaults for settings that are not given.
 
         Raises
         ------
         PoseDataError
-            Where a name is unknown or a value does not fit, all of them at once.
+            Where a name is unknown or a value is invalid; all problems in one error.
         """
         problems: list[str] = []
-        config = _of_table(cls, table, "", problems)
+        config = _from_table(cls, table, "", problems)
         raise_all(problems)
         if config is None:
             raise PoseDataError("config: can't be read.")
@@ -247,12 +247,12 @@ class Config:
         Returns
         -------
         Config
-            What it says.
+            The configuration.
 
         Raises
         ------
         PoseFileError, PoseDataError
-            Where it is not there or not valid.
+            Where the file is missing or not valid.
         """
         path = _FOLDER / f"{name}.toml" if name in named_configs() else Path(name)
         try:
@@ -263,12 +263,12 @@ class Config:
             ) from problem
         try:
             table = tomllib.loads(content.decode("utf-8"))
-        except ValueError as problem:  # what is no TOML, no UTF-8, or has a number of thousands of digits
+        except ValueError as problem:  # not TOML, not UTF-8, or a number of thousands of digits
             raise PoseFileError(f"{name}: not valid TOML ({problem}).") from problem
-        return cls.of_table(table)
+        return cls.from_table(table)
 
-    def changed(self, changes: Sequence[str]) -> Config:
-        """Change single settings.
+    def with_changes(self, changes: Sequence[str]) -> Config:
+        """Override single settings.
 
         Parameters
         ----------
@@ -283,11 +283,11 @@ class Config:
         Raises
         ------
         PoseDataError
-            Where a change can't be read or does not fit.
+            Where a change can't be parsed or a value is invalid.
 
         Examples
         --------
-        >>> Config().changed(["model.scale=exp", "train.epochs=3"]).train.epochs
+        >>> Config().with_changes(["model.scale=exp", "train.epochs=3"]).train.epochs
         3
         """
         table = self.table()
@@ -303,10 +303,10 @@ class Config:
                 inner[last] = tomllib.loads(f"value = {value}")["value"]
             except ValueError:
                 inner[last] = value.strip()
-        return Config.of_table(table)
+        return Config.from_table(table)
 
     def table(self) -> dict[str, Any]:
-        """Give the configuration as nested dictionaries of plain values."""
+        """Return the configuration as nested dictionaries of plain values."""
         return dataclasses.asdict(self)
 
 
@@ -318,7 +318,7 @@ def named_configs() -> tuple[str, ...]:
 _T = TypeVar("_T")
 
 
-def _of_table(cls: type[_T], table: dict[str, Any], prefix: str, problems: list[str]) -> _T | None:
+def _from_table(cls: type[_T], table: dict[str, Any], prefix: str, problems: list[str]) -> _T | None:
     hints = get_type_hints(cls)
     values: dict[str, Any] = {}
     before = len(problems)
@@ -328,7 +328,7 @@ def _of_table(cls: type[_T], table: dict[str, Any], prefix: str, problems: list[
             problems.append(f"config: {where} is not known. {did_you_mean(name, hints)}")
         elif dataclasses.is_dataclass(hints[name]):
             if isinstance(value, dict):
-                values[name] = _of_table(hints[name], value, f"{where}.", problems)
+                values[name] = _from_table(hints[name], value, f"{where}.", problems)
             else:
                 problems.append(f"config: {where} is {value!r}; expected a table.")
         else:
@@ -352,7 +352,7 @@ def _value(hint: Any, value: Any, where: str, problems: list[str]) -> Any:
             problems.append(f"config: {where} is {value!r}; expected a list of names.")
             return ()
         return tuple(value)
-    # an integer that no float can hold is no number here
+    # integers beyond the range of a float are refused
     number = isinstance(value, float) or (type(value) is int and abs(value) < 2**1000)
     fits = number if hint is float else type(value) is hint
     if not fits:

@@ -1,7 +1,7 @@
-"""What is an estimator? Whatever is called with keypoints and returns a distribution of poses.
+"""Interface of estimators: from 2D keypoints to a distribution of 3D poses.
 
-One contract for the reference models and for anybody's own: ``estimator(context)`` returns a :class:`PoseDistribution`
-with ``.sample(n)`` and ``.log_prob(truth)``. Subclassing is not needed, having the methods is.
+One contract for the reference models and for any other: ``estimator(context)`` returns a :class:`PoseDistribution`
+with ``.sample(n)`` and ``.log_prob(truth)``. The classes here are protocols: subclassing is not needed.
 
 Letters: N hypotheses, M poses, K joints. Poses are in millimetres, relative to the root, in the camera's frame (x to
 the right, y down, z away from the camera); keypoints are in pixels.
@@ -22,12 +22,12 @@ __all__ = ["Context", "Estimator", "PointEstimate", "PoseDistribution", "check_k
 
 @dataclass(frozen=True)
 class Context:
-    """What is known of M poses: their 2D keypoints.
+    """2D keypoints of M poses, the input of an estimator.
 
     Attributes
     ----------
     keypoints : Tensor
-        (M, K, 2), pixels. What stands in the place of a missing keypoint has no meaning and may be NaN.
+        (M, K, 2), pixels. Values of missing keypoints are not read and may be NaN.
     observed : Tensor
         (M, K), bool: which keypoints were detected.
     sigma : Tensor or None
@@ -36,13 +36,13 @@ class Context:
     Raises
     ------
     PoseDataError
-        Where shapes or types don't fit, or an observed keypoint is not finite (on a GPU that is not looked at: looking
-        would wait for it).
+        Where shapes or types don't fit, or an observed keypoint is not finite (not checked on a GPU, where it would
+        need a synchronisation).
 
     Examples
     --------
     >>> context = Context(torch.zeros(5, 16, 2), torch.ones(5, 16, dtype=torch.bool))
-    >>> len(context), len(context[:2]), int(context.hidden().observed.sum())
+    >>> len(context), len(context[:2]), int(context.without_keypoints().observed.sum())
     (5, 2, 0)
     """
 
@@ -60,10 +60,10 @@ class Context:
                 f"observed {tuple(self.observed.shape)} {self.observed.dtype}: expected bool of shape {shape[:2]}."
             )
         if self.sigma is not None and tuple(self.sigma.shape) != shape[:2]:
-            problems.append(f"sigma {tuple(self.sigma.shape)}: expected {shape[:2]}, one number a keypoint.")
+            problems.append(f"sigma {tuple(self.sigma.shape)}: expected {shape[:2]}, one number per keypoint.")
         raise_all(problems)
         if self.keypoints.device.type == "cpu":
-            _refuse_unknown(self.keypoints, self.observed)
+            _check_finite(self.keypoints, self.observed)
 
     def __len__(self) -> int:
         return len(self.keypoints)
@@ -76,31 +76,31 @@ class Context:
         )
 
     def to(self, device: torch.device | str, dtype: torch.dtype | None = None) -> Context:
-        """Move to a device, and change the floating type where one is given."""
+        """Move to a device, and convert to a floating type where one is given."""
         return Context(
             self.keypoints.to(device, dtype),
             self.observed.to(device),
             None if self.sigma is None else self.sigma.to(device, dtype),
         )
 
-    def hidden(self) -> Context:
-        """Take every keypoint away: the context of the prior."""
+    def without_keypoints(self) -> Context:
+        """Return the same context with no keypoint observed: the context of the prior."""
         return replace(self, observed=torch.zeros_like(self.observed))
 
 
-def _refuse_unknown(keypoints: Tensor, observed: Tensor) -> None:
-    """Refuse observed keypoints that are not finite."""
-    unknown = observed & ~keypoints.isfinite().all(-1)
-    if unknown.any():
-        pose, keypoint = unknown.nonzero()[0].tolist()
+def _check_finite(keypoints: Tensor, observed: Tensor) -> None:
+    """Raise an error for observed keypoints that are not finite."""
+    broken = observed & ~keypoints.isfinite().all(-1)
+    if broken.any():
+        pose, keypoint = broken.nonzero()[0].tolist()
         raise PoseDataError(
-            f"keypoints: {int(unknown.sum()):,} of {int(observed.sum()):,} observed ones are not finite (first: image "
+            f"keypoints: {int(broken.sum()):,} of {int(observed.sum()):,} observed ones are not finite (first: image "
             f"{pose}, keypoint {keypoint}). Mark them as not observed."
         )
 
 
 def check_keypoints(context: Context, keypoints: tuple[str, ...]) -> None:
-    """Refuse another number of keypoints than an estimator reads.
+    """Check the number of keypoints against those that an estimator reads.
 
     Parameters
     ----------
@@ -114,8 +114,7 @@ def check_keypoints(context: Context, keypoints: tuple[str, ...]) -> None:
     PoseDataError
         Where there are more or fewer.
     """
-    found = context.keypoints.shape[1]
-    if found != len(keypoints):
+    if context.keypoints.shape[1] != len(keypoints):
         raise PoseDataError(
             f"keypoints {tuple(context.keypoints.shape)}: expected (M, {len(keypoints)}, 2), in the order of "
             f"{first_few(keypoints)}."
@@ -123,12 +122,12 @@ def check_keypoints(context: Context, keypoints: tuple[str, ...]) -> None:
 
 
 def check_truth(truth: Tensor, poses: int, joints: int, dimensions: int = 3) -> None:
-    """Refuse poses that a distribution is not of.
+    """Check the shape of true poses against that of a distribution.
 
     Parameters
     ----------
     truth : Tensor
-        Should be (M, K, D), mm.
+        Expected: (M, K, D), mm.
     poses, joints, dimensions : int
         M, K and D.
 
@@ -143,20 +142,20 @@ def check_truth(truth: Tensor, poses: int, joints: int, dimensions: int = 3) -> 
 
 @runtime_checkable
 class PoseDistribution(Protocol):
-    """A distribution over poses, one for each of the M poses of a context."""
+    """Distributions of the M poses of a context."""
 
     def sample(self, n: int, *, generator: torch.Generator | None = None) -> Tensor:
         """Draw n hypotheses of each pose: (n, M, K, 3), mm."""
         ...
 
     def log_prob(self, truth: Tensor) -> Tensor:
-        """Give the log density at ``truth`` (M, K, 3) in mm: (M,), nats per pose in mm."""
+        """Compute the log density at ``truth`` (M, K, 3) in mm: (M,), nats per pose in mm."""
         ...
 
 
 @runtime_checkable
 class Estimator(Protocol):
-    """Anything that turns keypoints into a distribution of poses."""
+    """A callable from keypoints to a distribution of poses."""
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -169,7 +168,7 @@ class Estimator(Protocol):
         ...
 
     def __call__(self, context: Context) -> PoseDistribution:
-        """Give the distribution of the poses with these keypoints."""
+        """Return the distribution of the poses with these keypoints."""
         ...
 
 
@@ -191,12 +190,12 @@ class PointEstimate:
         self.pose = pose
 
     def sample(self, n: int, *, generator: torch.Generator | None = None) -> Tensor:
-        """Repeat the estimate n times, (n, M, K, 3) in mm; there is nothing to draw."""
+        """Repeat the estimate n times, (n, M, K, 3) in mm; nothing is random."""
         del generator
         return self.pose.expand(n, *self.pose.shape)
 
     def log_prob(self, truth: Tensor) -> Tensor:
-        """Refuse: a point has no density.
+        """Raise an error: a point has no density.
 
         Raises
         ------
@@ -205,9 +204,9 @@ class PointEstimate:
         """
         raise PoseDataError(
             f"log_prob of {len(truth)} poses: a point estimate has no density. "
-            "Put a Gaussian around it with posecal_models.gaussian_noise.GaussianNoise."
+            "Add Gaussian noise with posecal_models.gaussian_noise.GaussianNoise."
         )
 
     def mode(self) -> Tensor:
-        """Give the estimate itself, (M, K, 3), mm."""
+        """Return the estimate itself, (M, K, 3), mm."""
         return self.pose

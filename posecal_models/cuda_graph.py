@@ -1,7 +1,7 @@
-"""How is a GPU kept busy by small operations? Losses and gradients of a batch, recorded once and replayed.
+"""Losses and gradients of a batch as a CUDA graph, recorded once and replayed.
 
-A step of a small flow is hundreds of short kernels; started one by one from Python they take longer to start than to
-run. A recording is started as one. Batches must keep their shapes, which the training loop's do.
+A step of a small flow is hundreds of short kernels; launched one by one from Python they take longer to launch than to
+run. A graph is launched as one. Batches must keep their shapes, as those of the training loop do.
 """
 
 from __future__ import annotations
@@ -13,29 +13,29 @@ from posecal.errors import PoseDataError
 from posecal_models.contract import Context
 from posecal_models.objectives import Objective
 
-__all__ = ["Recorded"]
+__all__ = ["CudaGraphObjective"]
 
 _WARM_UP = 3
 
 
-class Recorded:
+class CudaGraphObjective:
     """An objective whose backward pass is recorded as a CUDA graph at its first batch.
 
-    The recording lies in the objective's memory: its own ``backward`` must not be called any more.
+    The graph uses the objective's memory: its own ``backward`` must not be called any more.
 
     Parameters
     ----------
     objective : Objective
-        What is recorded.
+        The objective to record.
     parameters : list of Tensor
-        What it computes gradients of.
+        The parameters that it computes gradients of.
     device : torch.device
         A GPU.
 
     Raises
     ------
     PoseDataError
-        Where the device is none.
+        Where the device is no GPU.
     """
 
     def __init__(self, objective: Objective, parameters: list[Tensor], device: torch.device) -> None:
@@ -46,24 +46,24 @@ class Recorded:
         self._graph: torch.cuda.CUDAGraph | None = None
 
     def initialise(self, context: Context, truth: Tensor) -> None:
-        """Prepare the estimator with a first batch."""
+        """Initialise the estimator with a first batch."""
         self._objective.initialise(context, truth)
 
     def evaluate(self, context: Context, truth: Tensor, *, generator: torch.Generator) -> dict[str, Tensor]:
-        """Give the losses without gradients."""
+        """Compute the losses without gradients."""
         return self._objective.evaluate(context, truth, generator=generator)
 
     def backward(
         self, context: Context, truth: Tensor, *, generator: torch.Generator, graphs_per_pose: int = 1
     ) -> dict[str, Tensor]:
-        """Add the batch's gradients to the parameters, whose gradients must be there already, and give the losses."""
+        """Add the batch's gradients to those of the parameters, which must exist already, and return the losses."""
         if self._graph is None:
             self._context = Context(context.keypoints.clone(), context.observed.clone())
             self._truth = truth.clone()
             self._record(generator, graphs_per_pose)
         if truth.shape != self._truth.shape:
             raise PoseDataError(
-                f"batch of {len(truth)} graphs after batches of {len(self._truth)}; expected one size. "
+                f"batch: {len(truth)} graphs after batches of {len(self._truth)}; expected one size. "
                 "Leave train.cuda_graph out."
             )
         self._context.keypoints.copy_(context.keypoints)
@@ -74,21 +74,21 @@ class Recorded:
         return {name: loss.clone() for name, loss in self._losses.items()}
 
     def _record(self, generator: torch.Generator, graphs_per_pose: int) -> None:
-        def once() -> dict[str, Tensor]:
+        def step() -> dict[str, Tensor]:
             return self._objective.backward(
                 self._context, self._truth, generator=generator, graphs_per_pose=graphs_per_pose
             )
 
-        aside = torch.cuda.Stream()  # type: ignore[no-untyped-call]
-        aside.wait_stream(torch.cuda.current_stream())
-        with torch.cuda.stream(aside):
+        side_stream = torch.cuda.Stream()  # type: ignore[no-untyped-call]
+        side_stream.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(side_stream):
             for _ in range(_WARM_UP):
-                once()
-        torch.cuda.current_stream().wait_stream(aside)
+                step()
+        torch.cuda.current_stream().wait_stream(side_stream)
         graph = torch.cuda.CUDAGraph()
         with torch.cuda.graph(graph):
-            self._losses = once()
+            self._losses = step()
         self._graph = graph
-        for parameter in self._parameters:  # what warming up and recording left there
+        for parameter in self._parameters:  # gradients of warm-up and recording
             if parameter.grad is not None:
                 parameter.grad.zero_()

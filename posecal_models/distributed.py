@@ -1,8 +1,8 @@
-"""How do several processes train one estimator? Each takes its share of every batch, and gradients are added up.
+"""Data-parallel training: every process computes a shard of each batch, and gradients are averaged.
 
-Started by ``torchrun``; every process draws the same whole batch and takes its rows, so that any number of processes
-computes the same gradient as one (:mod:`posecal_models.whole_batch` has what is not a sum over rows). They begin with
-the first process's numbers, and its validation loss counts for all, so that they can't part.
+Started by ``torchrun``; every process draws the same full batch and takes its rows, so that any number of processes
+computes the same gradient as one (:mod:`posecal_models.batch_shard` has what is not a sum over rows). All start with
+the main process's parameters and use its validation loss, so that they stay identical.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from torch import Tensor
 from torch import distributed as torch_distributed
 
 from posecal.errors import PoseDataError
-from posecal_models.whole_batch import sharing
+from posecal_models.batch_shard import batch_shard
 
-__all__ = ["Crew", "crew_of_torchrun"]
+__all__ = ["ProcessGroup", "torchrun_group"]
 
 
 @dataclass(frozen=True)
-class Crew:
-    """The processes of a training.
+class ProcessGroup:
+    """The processes of a distributed training, seen from one of them.
 
     Attributes
     ----------
     rank : int
-        Which one this is.
+        Index of this process.
     size : int
-        How many there are.
+        Number of processes.
     device : torch.device
-        Where this one computes.
+        Device of this process.
     """
 
     rank: int = 0
@@ -41,37 +41,37 @@ class Crew:
     device: torch.device = field(default_factory=lambda: torch.device("cpu"))
 
     @property
-    def leads(self) -> bool:
+    def is_main(self) -> bool:
         """Whether this process writes the files and shows the progress."""
         return self.rank == 0
 
-    def share(self, poses: int) -> slice:
-        """Give this process's rows of a batch.
+    def rows(self, poses: int) -> slice:
+        """Return this process's rows of a batch.
 
         Parameters
         ----------
         poses : int
-            Of the whole batch.
+            Size of the batch.
 
         Returns
         -------
         slice
-            Contiguous rows; the shares of all processes make up the batch.
+            Contiguous rows; those of all processes make up the batch.
 
         Examples
         --------
-        >>> [Crew(rank, 3).share(8) for rank in range(3)]
+        >>> [ProcessGroup(rank, 3).rows(8) for rank in range(3)]
         [slice(0, 2, None), slice(2, 5, None), slice(5, 8, None)]
         """
         return slice(poses * self.rank // self.size, poses * (self.rank + 1) // self.size)
 
     def check_batch(self, poses: int) -> None:
-        """Refuse a batch of which some process would have no share.
+        """Check that every process has at least one pose of a batch.
 
         Parameters
         ----------
         poses : int
-            Of the whole batch.
+            Size of the batch.
 
         Raises
         ------
@@ -85,40 +85,40 @@ class Crew:
             )
 
     @contextmanager
-    def sharing(self, poses: int) -> Iterator[slice]:
-        """Share a batch; what needs the whole of it, such as batch norm, sees the whole meanwhile.
+    def batch_shard(self, poses: int) -> Iterator[slice]:
+        """Split a batch over the processes; batch norm, dropout and noise are those of the full batch meanwhile.
 
         Parameters
         ----------
         poses : int
-            Of the whole batch.
+            Size of the batch.
 
         Yields
         ------
         slice
             This process's rows.
         """
-        rows = self.share(poses)
+        rows = self.rows(poses)
         if self.size == 1:
             yield rows
             return
-        with sharing(rows, poses):
+        with batch_shard(rows, poses):
             yield rows
 
-    def accumulate(self, tensors: Iterable[Tensor], share: float) -> None:
-        """Replace each process's means over its rows by the mean over the whole batch, in place.
+    def average(self, tensors: Iterable[Tensor], weight: float) -> None:
+        """Replace each process's means over its rows by the mean over the full batch, in place.
 
         Parameters
         ----------
         tensors : iterable of Tensor
             The same ones in every process.
-        share : float
+        weight : float
             This process's rows by those of the batch.
         """
         if self.size == 1:
             return
         tensors = list(tensors)
-        flat = torch.cat([tensor.flatten() for tensor in tensors]) * share
+        flat = torch.cat([tensor.flatten() for tensor in tensors]) * weight
         torch_distributed.all_reduce(flat)
         start = 0
         for tensor in tensors:
@@ -126,43 +126,43 @@ class Crew:
             start += tensor.numel()
 
     @torch.no_grad()
-    def follow(self, tensors: Iterable[Tensor]) -> None:
-        """Replace every process's tensors by those of the leading one, in place."""
+    def broadcast(self, tensors: Iterable[Tensor]) -> None:
+        """Replace every process's tensors by those of the main process, in place."""
         if self.size > 1:
             for tensor in tensors:
                 torch_distributed.broadcast(tensor, 0)
 
-    def agree(self, value: float) -> float:
-        """Give the leading process's number, whatever the others found."""
+    def broadcast_number(self, value: float) -> float:
+        """Return the main process's number in every process."""
         if self.size == 1:
             return value
         number = torch.tensor([value], dtype=torch.float64, device=self.device)
-        self.follow([number])
+        self.broadcast([number])
         return float(number)
 
 
 @contextmanager
-def crew_of_torchrun(device: torch.device) -> Iterator[Crew]:
+def torchrun_group(device: torch.device) -> Iterator[ProcessGroup]:
     """Join the processes that ``torchrun`` started, if it did.
 
     Parameters
     ----------
     device : torch.device
-        Where the gradients lie: NCCL connects GPUs, Gloo processors.
+        Device of the gradients: NCCL connects GPUs, Gloo CPUs.
 
     Yields
     ------
-    Crew
-        One process where there was no ``torchrun``.
+    ProcessGroup
+        A single process without ``torchrun``.
     """
     if int(os.environ.get("WORLD_SIZE", "1")) == 1:
-        yield Crew(device=device)
+        yield ProcessGroup(device=device)
         return
     if device.type == "cuda":
         device = torch.device("cuda", int(os.environ["LOCAL_RANK"]))
         torch.cuda.set_device(device)
     torch_distributed.init_process_group("nccl" if device.type == "cuda" else "gloo")
     try:
-        yield Crew(torch_distributed.get_rank(), torch_distributed.get_world_size(), device)
+        yield ProcessGroup(torch_distributed.get_rank(), torch_distributed.get_world_size(), device)
     finally:
         torch_distributed.destroy_process_group()

@@ -1,4 +1,4 @@
-"""Which estimators are there? Building them from a configuration, and from what a weights file says of itself."""
+"""Construction of the reference estimators, from a configuration or from the description in a weights file."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from posecal_models.gaussian_noise import GaussianNoise
 from posecal_models.graph import PoseGraph
 from posecal_models.simple_baseline import SimpleBaseline
 
-__all__ = ["ReferenceEstimator", "build", "describe", "keypoints_of", "of_config", "parameter_count"]
+__all__ = ["ReferenceEstimator", "baseline_keypoints", "build", "build_from_config", "describe", "parameter_count"]
 
 ReferenceEstimator = CGNF | SimpleBaseline | GaussianNoise
 
 
-def of_config(
+def build_from_config(
     config: ModelConfig, *, mean: SimpleBaseline | None = None, keypoints: tuple[str, ...] | None = None
 ) -> ReferenceEstimator:
     """Build an untrained estimator.
@@ -30,16 +30,16 @@ def of_config(
     Parameters
     ----------
     config : ModelConfig
-        Which.
+        Settings of the estimator.
     mean : SimpleBaseline, optional
         The trained point estimator that a Gaussian noise model needs.
     keypoints : tuple of str, optional
-        What a SimpleBaseline reads; see :func:`keypoints_of` where not given.
+        Keypoints of a SimpleBaseline; those of :func:`baseline_keypoints` where not given.
 
     Returns
     -------
     CGNF, SimpleBaseline or GaussianNoise
-        With random weights.
+        With random initialisation.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def of_config(
         )
     else:
         estimator = SimpleBaseline(
-            keypoints=keypoints_of(config) if keypoints is None else keypoints,
+            keypoints=baseline_keypoints(config) if keypoints is None else keypoints,
             width=config.width,
             residuals=config.residuals,
             dropout=config.dropout,
@@ -71,23 +71,23 @@ def of_config(
     return estimator
 
 
-def keypoints_of(config: ModelConfig) -> tuple[str, ...]:
+def baseline_keypoints(config: ModelConfig) -> tuple[str, ...]:
     """Name the 16 keypoints that a SimpleBaseline reads, after the hip's where they are relative to it."""
     return joint_set("h36m-17" if config.origin == "root" else "h36m-16")
 
 
 def describe(estimator: ReferenceEstimator) -> dict[str, Any]:
-    """Say what it takes to build an estimator again.
+    """Describe an estimator, so that :func:`build` can construct it again.
 
     Parameters
     ----------
     estimator : CGNF, SimpleBaseline or GaussianNoise
-        Any of ours.
+        A reference estimator.
 
     Returns
     -------
     dict
-        Of plain values, for :func:`build`.
+        Plain values.
     """
     if isinstance(estimator, CGNF):
         return {
@@ -128,12 +128,12 @@ def build(description: dict[str, Any]) -> ReferenceEstimator:
     Returns
     -------
     CGNF, SimpleBaseline or GaussianNoise
-        With random weights.
+        With random initialisation.
 
     Raises
     ------
     PoseDataError
-        Where the description is of something else.
+        Where the description is incomplete or of another estimator.
     """
     try:
         kind = description["kind"]
@@ -150,10 +150,10 @@ def build(description: dict[str, Any]) -> ReferenceEstimator:
             if isinstance(mean, SimpleBaseline):
                 return GaussianNoise(mean, spread=description["spread"])
     except (KeyError, TypeError) as problem:
-        raise PoseDataError(f"weights: their description lacks or misnames something ({problem}).") from problem
+        raise PoseDataError(f"weights: incomplete or invalid description ({problem}).") from problem
     raise PoseDataError(f"weights: of {description.get('kind')!r}; expected cgnf, simple-baseline or gaussian-noise.")
 
 
 def parameter_count(estimator: nn.Module) -> int:
-    """Count the trainable numbers of an estimator, those of a frozen mean included."""
+    """Count the parameters of an estimator, those of a frozen mean included."""
     return sum(parameter.numel() for parameter in estimator.parameters())

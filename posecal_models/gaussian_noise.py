@@ -1,7 +1,7 @@
-"""How far is a point estimate off, on average? The same Gaussian around every estimate, the paper's baseline.
+"""Gaussian noise around a point estimate, the paper's baseline.
 
-Its spread does not depend on the input. Trained by likelihood it is as wide as the errors are; trained to have one good
-hypothesis among N it becomes narrower, and that is the paper's point.
+Its standard deviation does not depend on the input. Trained by likelihood it equals the root mean squared error;
+trained for the minMPJPE of N hypotheses it becomes smaller, which is the paper's point.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class GaussianDistribution:
         return self.mean + temperature * self.sigma * noise
 
     def log_prob(self, truth: Tensor) -> Tensor:
-        r"""Give the log density of poses.
+        r"""Compute the log density of poses.
 
         .. math:: \log p(x) = -\tfrac12 \sum_{k, d} \left(
                   \frac{(x_{kd} - \mu_{kd})^2}{\sigma_{kd}^2} + \log 2 \pi \sigma_{kd}^2 \right)
@@ -85,11 +85,11 @@ class GaussianDistribution:
         """
         check_truth(truth, *self.mean.shape)
         variance = self.sigma.square()
-        apart = (truth - self.mean).square() / variance + (2 * math.pi * variance).log()
-        return -0.5 * apart.sum((1, 2))
+        terms = (truth - self.mean).square() / variance + (2 * math.pi * variance).log()
+        return -0.5 * terms.sum((1, 2))
 
     def mode(self) -> Tensor:
-        """Give the mean, (M, K, 3), mm."""
+        """Return the mean, (M, K, 3), mm."""
         return self.mean
 
 
@@ -105,9 +105,9 @@ class GaussianNoise(nn.Module):
 
     Notes
     -----
-    With one σ a joint and the paper's 15 joints it has 4,288,572 parameters, the paper's number.
+    With one σ per joint and the paper's 15 joints it has 4,288,572 parameters, the paper's number.
 
-    Differs from the published code: it has one σ a coordinate (45 of them).
+    Differs from the published code: there it has one σ per coordinate, 45 in all.
 
     References
     ----------
@@ -132,21 +132,21 @@ class GaussianNoise(nn.Module):
 
     @property
     def standardizer(self) -> Standardizer:
-        """That of the point estimator."""
+        """The standardizer of the point estimator."""
         return self.mean.standardizer
 
     def check(self, context: Context) -> None:
-        """Refuse keypoints that the point estimator can't read; see its own check."""
+        """Raise an error for keypoints that don't fit the point estimator; see its own check."""
         self.mean.check(context)
 
     def train(self, mode: bool = True) -> GaussianNoise:
-        """Switch to training; the mean stays as it is."""
+        """Set training mode; the point estimator stays in evaluation mode."""
         super().train(mode)
         self.mean.eval()
         return self
 
     def forward(self, context: Context) -> GaussianDistribution:
-        """Give the distribution of the poses with these keypoints.
+        """Return the distribution of the poses with these keypoints.
 
         Parameters
         ----------
@@ -164,7 +164,7 @@ class GaussianNoise(nn.Module):
 
 
 def likelihood_optimum(residuals: Tensor, *, spread: Spread = "joint") -> Tensor:
-    r"""Give the σ of highest likelihood: the root mean squared residual.
+    r"""Compute the maximum likelihood σ: the root mean squared residual.
 
     .. math:: \sigma_k^2 = \frac{1}{3 M} \sum_{m, d} (x_{mkd} - \mu_{mkd})^2
 

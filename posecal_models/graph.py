@@ -1,7 +1,7 @@
-"""Which joints talk to which? The bones between the joints of a pose, as index lists and small matrices.
+"""Kinematic tree of a pose as a graph: edges between joints as index lists and matrices.
 
 A pose that is relative to its root has no uncertainty at the root, so the root is no node: it is a neighbour of the
-nodes whose parent it is. Nodes are the remaining joints, in the order in which poses hold them.
+nodes whose parent it is. Nodes are the remaining joints, in the order of the poses' joint axis.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class PoseGraph:
     array([[0., 0., 0.],
            [1., 0., 0.],
            [0., 1., 0.]])
-    >>> chain.spans  # all but the third speak to a child, all but the first to a parent
+    >>> chain.spans  # all but the third have a child, all but the first a parent
     ((0, 2), (1, 3))
     """
 
@@ -51,7 +51,7 @@ class PoseGraph:
     def __post_init__(self) -> None:
         if len(self.joints) != len(self.parents):
             raise PoseDataError(
-                f"graph: {len(self.joints)} joints and {len(self.parents)} parents; expected one parent a joint."
+                f"graph: {len(self.joints)} joints and {len(self.parents)} parents; expected one parent per joint."
             )
         for child, parent in enumerate(self.parents):
             if not -1 <= parent < len(self.joints) or parent == child:
@@ -61,8 +61,8 @@ class PoseGraph:
                 )
 
     @classmethod
-    def of_joints(cls, joints: tuple[str, ...], root: str = "Hip") -> PoseGraph:
-        """Take the bones between named joints from the human tree.
+    def from_joints(cls, joints: tuple[str, ...], root: str = "Hip") -> PoseGraph:
+        """Build the tree of named joints from the human skeleton.
 
         Parameters
         ----------
@@ -83,15 +83,15 @@ class PoseGraph:
 
         Examples
         --------
-        >>> PoseGraph.of_joints(("RHip", "RKnee", "RFoot")).parents
+        >>> PoseGraph.from_joints(("RHip", "RKnee", "RFoot")).parents
         (-1, 0, 1)
         """
-        whole = Skeleton((root, *joints))
-        if not whole.is_known:
-            raise PoseDataError(f"joints: {', '.join(joints)} are not all on the human tree. Give their parents.")
+        skeleton = Skeleton((root, *joints))
+        if not skeleton.is_known:
+            raise PoseDataError(f"joints: {', '.join(joints)} are not all in the human skeleton. Give their parents.")
         if root in joints:
             raise PoseDataError(f"joints: {root} is the root and no node of the graph. Leave it out.")
-        return cls(joints, tuple(parent - 1 for parent in whole.parents[1:]), root)
+        return cls(joints, tuple(parent - 1 for parent in skeleton.parents[1:]), root)
 
     @property
     def bones(self) -> tuple[tuple[int, int], ...]:
@@ -100,20 +100,20 @@ class PoseGraph:
 
     @property
     def next_to_root(self) -> tuple[int, ...]:
-        """The nodes that are joined to the root."""
+        """The nodes whose parent is the root."""
         return tuple(child for child, parent in enumerate(self.parents) if parent < 0)
 
     @cached_property
     def order(self) -> tuple[int, ...]:
-        """The nodes, those without a parent first and those that have a parent and no children last.
+        """The nodes, those whose parent is the root first and those that have a parent and no children last.
 
-        In this order the nodes that speak to their children lie together, and so do those that speak to a parent.
+        In this order the nodes with children are contiguous, and so are the nodes with a parent.
         """
         return tuple(sorted(range(len(self.joints)), key=lambda node: (self.parents[node] >= 0, self._is_leaf(node))))
 
     @property
     def spans(self) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Which places of :attr:`order` speak to their children, and which to their parents: (start, stop) each."""
+        """Ranges of :attr:`order` with the nodes that have children, and with those that have a parent."""
         leaves = sum(map(self._is_leaf, range(len(self.joints))))
         return (0, len(self.joints) - leaves), (len(self.next_to_root), len(self.joints))
 
@@ -122,7 +122,7 @@ class PoseGraph:
 
     @cached_property
     def from_parent(self) -> npt.NDArray[np.float64]:
-        """The (K, K) matrix that carries a value from each parent to its children."""
+        """The (K, K) matrix that maps the values of parents to their children."""
         matrix = np.zeros((len(self.joints), len(self.joints)))
         for parent, child in self.bones:
             matrix[child, parent] = 1
@@ -130,7 +130,7 @@ class PoseGraph:
 
 
 def human36m_graph() -> PoseGraph:
-    """Give the graph of the paper: Human3.6M's 17 joints without the hip.
+    """Return the graph of the paper: Human3.6M's 17 joints without the hip.
 
     Returns
     -------
@@ -151,4 +151,4 @@ def human36m_graph() -> PoseGraph:
     >>> len(graph.joints), len(graph.bones), [graph.joints[k] for k in graph.next_to_root]
     (16, 13, ['RHip', 'LHip', 'Spine'])
     """
-    return PoseGraph.of_joints(joint_set("h36m-16"))
+    return PoseGraph.from_joints(joint_set("h36m-16"))

@@ -1,4 +1,4 @@
-"""Which numbers may a setting have? Limits that stand beside the fields of a dataclass, and the one check of them."""
+"""Ranges of numeric settings, as annotations of dataclass fields, and their check."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ _LARGEST = 2**31 - 1
 
 @dataclass(frozen=True)
 class Limit:
-    """The numbers that a setting may have, written ``views: Annotated[int, Limit(1)]``.
+    """The range of a setting, written ``views: Annotated[int, Limit(1)]``.
 
     Attributes
     ----------
     low, high : float
-        Both are allowed. Without ``high`` an integer must fit into 32 bits, and a float be finite.
+        Ends of the range, both included. Without ``high`` an integer must fit into 32 bits, and a float be finite.
     words : str
-        What a message calls them; made from low and high where not given.
+        The range in words, for messages; derived from low and high where not given.
     """
 
     low: float
@@ -32,7 +32,7 @@ class Limit:
     words: str = ""
 
     def problem(self, value: float) -> str:
-        """Say what is expected instead of a value, or nothing where it fits."""
+        """Describe what is expected instead of a value; empty where the value is allowed."""
         high = _LARGEST if isinstance(value, int) and math.isinf(self.high) else self.high
         if self.low <= value <= high and math.isfinite(value):
             return ""
@@ -42,23 +42,23 @@ class Limit:
 
 
 def check_limits(settings: Any, table: str) -> None:
-    """Refuse settings outside the limits that stand beside their fields.
+    """Check settings against the limits of their fields.
 
     Parameters
     ----------
     settings : dataclass instance
-        Whose fields are checked.
+        The settings.
     table : str
-        What messages call it.
+        Their name in messages.
 
     Raises
     ------
     PoseDataError
-        Where a number is outside; all of them at once.
+        Where a number is out of range; all of them in one error.
 
     Examples
     --------
-    >>> from posecal_models.config import DataConfig  # its fields have limits, and it calls this
+    >>> from posecal_models.config import DataConfig  # its fields have limits, and it calls this function
     >>> DataConfig(views=0)
     Traceback (most recent call last):
     posecal.errors.PoseDataError: data.views: 0; expected 1 or more.

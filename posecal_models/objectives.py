@@ -1,4 +1,4 @@
-"""What are the estimators trained to do? One interface for all losses, and those of the two baselines."""
+"""Training objectives: their interface, and those of the two baselines."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from posecal.errors import PoseDataError
+from posecal_models.batch_shard import draw_rows
 from posecal_models.cgnf.model import CGNF
 from posecal_models.cgnf.objective import FlowObjective
 from posecal_models.config import TrainConfig
@@ -15,39 +16,38 @@ from posecal_models.contract import Context
 from posecal_models.estimators import ReferenceEstimator
 from posecal_models.gaussian_noise import GaussianNoise
 from posecal_models.simple_baseline import SimpleBaseline
-from posecal_models.whole_batch import drawn
 
-__all__ = ["BestOfN", "Likelihood", "Objective", "SquaredError", "objective_of"]
+__all__ = ["BestOfN", "Likelihood", "Objective", "SquaredError", "build_objective"]
 
 
 class Objective(Protocol):
     """A training loss, a mean over the poses of a batch."""
 
     def initialise(self, context: Context, truth: Tensor) -> None:
-        """Prepare the estimator with a first batch."""
+        """Initialise the estimator with a first batch."""
         ...
 
     def backward(
         self, context: Context, truth: Tensor, *, generator: torch.Generator, graphs_per_pose: int = 1
     ) -> dict[str, Tensor]:
-        """Add the batch's gradients to the parameters; give the losses, ``loss`` among them, lower is better."""
+        """Add the batch's gradients to those of the parameters; return the losses, ``loss`` among them, to minimise."""
         ...
 
     def evaluate(self, context: Context, truth: Tensor, *, generator: torch.Generator) -> dict[str, Tensor]:
-        """Give the losses without gradients."""
+        """Compute the losses without gradients."""
         ...
 
 
-class _Plain:
-    """An objective whose gradient is a single backward pass."""
+class _SingleLoss:
+    """An objective of one loss, whose gradient is a single backward pass."""
 
     def initialise(self, context: Context, truth: Tensor) -> None:
-        """Do nothing: there is nothing to prepare."""
+        """Do nothing: no initialisation is needed."""
 
     def backward(
         self, context: Context, truth: Tensor, *, generator: torch.Generator, graphs_per_pose: int = 1
     ) -> dict[str, Tensor]:
-        """Add the batch's gradients to the parameters and give the loss."""
+        """Add the batch's gradients to those of the parameters and return the loss."""
         del graphs_per_pose
         loss = self.loss(context, truth, generator)
         torch.autograd.backward(loss)
@@ -55,15 +55,15 @@ class _Plain:
 
     @torch.no_grad()
     def evaluate(self, context: Context, truth: Tensor, *, generator: torch.Generator) -> dict[str, Tensor]:
-        """Give the loss without gradients."""
+        """Compute the loss without gradients."""
         return {"loss": self.loss(context, truth, generator)}
 
     def loss(self, context: Context, truth: Tensor, generator: torch.Generator) -> Tensor:
-        """Give the loss of a batch, a scalar."""
+        """Compute the loss of a batch, a scalar."""
         raise NotImplementedError
 
 
-class SquaredError(_Plain):
+class SquaredError(_SingleLoss):
     r"""The mean squared error of standardised poses, unitless.
 
     .. math:: \frac{1}{3 M K} \sum \left( \hat x - x \right)^2
@@ -71,46 +71,46 @@ class SquaredError(_Plain):
     Parameters
     ----------
     estimator : SimpleBaseline
-        What is trained.
+        The estimator to train.
     """
 
     def __init__(self, estimator: SimpleBaseline) -> None:
         self.estimator = estimator
 
     def loss(self, context: Context, truth: Tensor, generator: torch.Generator) -> Tensor:
-        """Give the loss of a batch, a scalar."""
+        """Compute the loss of a batch, a scalar."""
         del generator
         poses = self.estimator.standardizer.poses(truth)
-        return torch.mean((self.estimator.standardised(context) - poses).square())
+        return torch.mean((self.estimator.standardised_poses(context) - poses).square())
 
 
-class Likelihood(_Plain):
-    """The negative log density, nats per pose in mm.
+class Likelihood(_SingleLoss):
+    """The negative log likelihood, nats per pose in mm.
 
     Parameters
     ----------
     estimator : GaussianNoise
-        What is trained.
+        The estimator to train.
     """
 
     def __init__(self, estimator: GaussianNoise) -> None:
         self.estimator = estimator
 
     def loss(self, context: Context, truth: Tensor, generator: torch.Generator) -> Tensor:
-        """Give the loss of a batch, a scalar."""
+        """Compute the loss of a batch, a scalar."""
         del generator
         return -torch.mean(self.estimator(context).log_prob(truth))
 
 
-class BestOfN(_Plain):
-    r"""The error of the best of N hypotheses, in mm: what the paper warns of.
+class BestOfN(_SingleLoss):
+    r"""The minMPJPE of N hypotheses, in mm, which the paper shows to give overconfident models.
 
     .. math:: \min_n \frac1K \sum_k \lVert \hat x_{nk} - x_k \rVert
 
     Parameters
     ----------
     estimator : GaussianNoise
-        What is trained.
+        The estimator to train.
     hypotheses : int
         N.
     """
@@ -120,38 +120,38 @@ class BestOfN(_Plain):
         self.hypotheses = hypotheses
 
     def loss(self, context: Context, truth: Tensor, generator: torch.Generator) -> Tensor:
-        """Give the loss of a batch, a scalar."""
-        around = self.estimator(context)
-        mean: Tensor = around.mean
+        """Compute the loss of a batch, a scalar."""
+        distribution = self.estimator(context)
+        mean: Tensor = distribution.mean
 
         def draw(poses: int) -> Tensor:
             shape = (self.hypotheses, poses, *mean.shape[1:])
             return torch.randn(shape, generator=generator, device=mean.device, dtype=mean.dtype)
 
-        poses = mean + around.sigma * drawn(draw, len(mean), axis=1)
+        poses = mean + distribution.sigma * draw_rows(draw, len(mean), axis=1)
         errors = torch.mean(torch.linalg.vector_norm(poses - truth, dim=-1), dim=-1)
         return torch.mean(torch.amin(errors, dim=0))
 
 
-def objective_of(estimator: ReferenceEstimator, config: TrainConfig) -> Objective:
-    """Give the objective that a configuration names.
+def build_objective(estimator: ReferenceEstimator, config: TrainConfig) -> Objective:
+    """Build the objective of a configuration.
 
     Parameters
     ----------
     estimator : CGNF, SimpleBaseline or GaussianNoise
-        What is trained.
+        The estimator to train.
     config : TrainConfig
-        How.
+        Settings of the training.
 
     Returns
     -------
     Objective
-        Its loss.
+        The objective.
 
     Raises
     ------
     PoseDataError
-        Where the estimator can't be trained so.
+        Where the estimator has no such objective.
     """
     if isinstance(estimator, CGNF) and config.objective == "likelihood":
         return FlowObjective(
@@ -167,6 +167,6 @@ def objective_of(estimator: ReferenceEstimator, config: TrainConfig) -> Objectiv
     if isinstance(estimator, GaussianNoise) and config.objective == "min-mpjpe":
         return BestOfN(estimator, config.hypotheses)
     raise PoseDataError(
-        f"train.objective: {config.objective} of a {type(estimator).__name__}; expected likelihood of a cGNF, "
-        "squared-error of a SimpleBaseline, likelihood or min-mpjpe of a Gaussian noise model."
+        f"train.objective: {config.objective} of a {type(estimator).__name__}; expected likelihood for a cGNF, "
+        "squared-error for a SimpleBaseline, likelihood or min-mpjpe for a Gaussian noise model."
     )

@@ -1,4 +1,4 @@
-"""What is needed before the first step? Poses split by subject, an estimator, and the constants of its standardizer."""
+"""Setup of a training: data split by subject, the estimator, and the constants of its standardizer."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from posecal_models.data.lifting_set import LiftingSet
 from posecal_models.data.mocap import MocapPoses
 from posecal_models.data.npz import read_npz
 from posecal_models.data.standardizer import check_pixels
-from posecal_models.data.training_set import TrainingSet, seeded
-from posecal_models.distributed import Crew
-from posecal_models.estimators import ReferenceEstimator, describe, keypoints_of, of_config
+from posecal_models.data.training_set import TrainingSet, seeded_generator
+from posecal_models.distributed import ProcessGroup
+from posecal_models.estimators import ReferenceEstimator, baseline_keypoints, build_from_config, describe
 from posecal_models.gaussian_noise import GaussianNoise
 from posecal_models.simple_baseline import SimpleBaseline
 from posecal_models.train import Training
@@ -29,44 +29,44 @@ _FIT_POSES = 20_000
 
 
 def split(path: str | Path, config: DataConfig) -> tuple[LiftingSet, LiftingSet | None, bool]:
-    """Read poses and part them by subject.
+    """Read poses and split them by subject into training and validation set.
 
     Parameters
     ----------
     path : str or Path
-        Motion capture (:class:`posecal_models.data.mocap.MocapPoses`), seen by virtual cameras; or pairs of poses and
-        keypoints (:class:`posecal_models.data.lifting_set.LiftingSet`).
+        Motion capture (:class:`posecal_models.data.mocap.MocapPoses`), projected into virtual cameras; or pairs of
+        poses and keypoints (:class:`posecal_models.data.lifting_set.LiftingSet`).
     config : DataConfig
-        Which subjects are for what.
+        Settings of the data, the held-out subjects among them.
 
     Returns
     -------
     training : LiftingSet
         All subjects but those for validation and test.
     validation : LiftingSet or None
-        Evenly spread poses of the validation subjects.
-    clean : bool
-        Whether keypoints are exact, so that a detector's noise is yet to be drawn.
+        Evenly spaced poses of the validation subjects.
+    exact : bool
+        Whether keypoints are exact, so that a detector's noise is to be added.
 
     Raises
     ------
     PoseFileError, PoseDataError
-        Where the file can't be read or a subject is not there.
+        Where the file can't be read or lacks a subject.
     """
     held_out = (*config.test_subjects, *config.validation_subjects)
-    clean = "poses" in read_npz(path)
-    if clean:
+    exact = "poses" in read_npz(path)
+    if exact:
         mocap = MocapPoses(path)
-        training = mocap.seen_by_cameras(
+        training = mocap.project(
             views=config.views,
             every=config.every,
-            but_not=held_out,
+            exclude=held_out,
             body_variation=config.body_variation,
             seed=config.camera_seed,
         )
-        rest = None
+        validation = None
         if config.validation_subjects:
-            rest = mocap.seen_by_cameras(
+            validation = mocap.project(
                 views=config.views,
                 every=config.every,
                 subjects=config.validation_subjects,
@@ -77,15 +77,16 @@ def split(path: str | Path, config: DataConfig) -> tuple[LiftingSet, LiftingSet 
         known = set(pairs.subject.tolist())
         if missing := sorted(set(held_out) - known):
             raise PoseDataError(
-                f"{path}: subjects {', '.join(missing)} not there; there are {', '.join(sorted(known))}."
+                f"{path}: subjects {', '.join(missing)} not there; expected some of {', '.join(sorted(known))}."
             )
         training = pairs.take(~np.isin(pairs.subject, held_out))
-        rest = pairs.take(np.isin(pairs.subject, config.validation_subjects)) if config.validation_subjects else None
+        in_validation = np.isin(pairs.subject, config.validation_subjects)
+        validation = pairs.take(in_validation) if config.validation_subjects else None
     if not len(training):
         raise PoseDataError(f"{path}: no pose is left for training. Hold out fewer subjects.")
-    if rest is not None and len(rest) > config.validation_poses:
-        rest = rest.take(np.linspace(0, len(rest) - 1, config.validation_poses).astype(int))
-    return training, rest, clean
+    if validation is not None and len(validation) > config.validation_poses:
+        validation = validation.take(np.linspace(0, len(validation) - 1, config.validation_poses).astype(int))
+    return training, validation, exact
 
 
 def prepare(
@@ -95,51 +96,51 @@ def prepare(
     *,
     device: torch.device | str = "cpu",
     resume: bool = False,
-    crew: Crew | None = None,
+    processes: ProcessGroup | None = None,
 ) -> Training:
-    """Make a training ready to run.
+    """Set up a training.
 
     Parameters
     ----------
     config : Config
-        How.
+        The configuration.
     path : str or Path
         The poses, as :func:`split` reads them.
     folder : Path
-        Where its files go; it is made if its parent is there.
+        Output folder; created if its parent exists.
     device : torch.device or str
-        Where it computes.
+        Device of the training.
     resume : bool
-        Go on from the folder's checkpoint if there is one.
-    crew : Crew, optional
-        The processes that train together.
+        Resume from the folder's checkpoint if there is one.
+    processes : ProcessGroup, optional
+        The processes of a distributed training.
 
     Returns
     -------
     Training
-        At its first step, or where it was.
+        At its first step, or at that of the checkpoint.
 
     Raises
     ------
     PoseFileError, PoseDataError
-        Where something does not fit, a process would have no pose of a batch, a file could not be written, or the
-        folder holds a training already and ``resume`` was not asked for.
+        Where data and configuration don't fit, a process would have no pose of a batch, a file can't be written, or
+        the folder holds a training already and ``resume`` is false.
     """
-    crew = crew or Crew()
-    crew.check_batch(config.train.batch)
+    processes = processes or ProcessGroup()
+    processes.check_batch(config.train.batch)
     check_folder(folder, resume=resume)
     mean = _mean(config.model)
-    training, validation, clean = split(path, config.data)
+    training, validation, exact = split(path, config.data)
     estimator = _estimator(config, mean, _keypoints(config.model, training))
     order = (estimator.joints, estimator.keypoints)
-    for poses in filter(None, (training, validation)):
-        seen = poses.in_order_of(*order)
-        estimator.check(Context(torch.from_numpy(seen.keypoints), torch.from_numpy(seen.observed)))
-    detector = config.data.detector if clean else None
+    for pairs in filter(None, (training, validation)):
+        ordered = pairs.in_order_of(*order)
+        estimator.check(Context(torch.from_numpy(ordered.keypoints), torch.from_numpy(ordered.observed)))
+    detector = config.data.detector if exact else None
     data = TrainingSet(training, *order, detector=detector, device=device)
-    judged = None if validation is None else TrainingSet(validation, *order, detector=detector, device=device)
+    validation_data = None if validation is None else TrainingSet(validation, *order, detector=detector, device=device)
     rows = torch.linspace(0, len(data) - 1, min(len(data), _FIT_POSES), device=data.device).long()
-    context, truth = data.batch(rows, seeded(data.device, config.train.seed))
+    context, truth = data.batch(rows, seeded_generator(data.device, config.train.seed))
     context, truth = context.to("cpu"), truth.cpu()
     check_pixels(context)
     if not isinstance(estimator, GaussianNoise) and not config.model.start and config.model.units == "fitted":
@@ -149,7 +150,13 @@ def prepare(
     except OSError as problem:
         raise PoseFileError(f"{folder}: can't be made ({problem.strerror}).") from problem
     run = Training(
-        estimator.to(device), config, data, folder=folder, validation=judged, crew=crew, digests=digests(path)
+        estimator.to(device),
+        config,
+        data,
+        folder=folder,
+        validation=validation_data,
+        processes=processes,
+        digests=digests(path),
     )
     if resume and (folder / CHECKPOINT).exists():
         run.resume()
@@ -157,18 +164,18 @@ def prepare(
 
 
 def _keypoints(config: ModelConfig, training: LiftingSet) -> tuple[str, ...] | None:
-    """Name the keypoints that a SimpleBaseline can learn to read: those that some image of the training set has."""
+    """Name the keypoints of a SimpleBaseline: those that some image of the training set has."""
     if config.kind != "simple-baseline":
         return None
-    wanted = keypoints_of(config)
-    seen = training.in_order_of(keypoint_joints=wanted).keypoints
-    there = tuple(name for j, name in enumerate(wanted) if np.isfinite(seen[:, j]).any())
-    if config.origin == "root" and wanted[0] not in there:
+    names = baseline_keypoints(config)
+    keypoints = training.in_order_of(keypoint_joints=names).keypoints
+    available = tuple(name for j, name in enumerate(names) if np.isfinite(keypoints[:, j]).any())
+    if config.origin == "root" and names[0] not in available:
         raise PoseDataError(
-            f"keypoints: no image has the {wanted[0]}'s, and model.origin = root reads the others relative to it. "
-            "Give it, or leave model.origin as it is."
+            f"keypoints: no image has the {names[0]}'s, and model.origin = root reads the others relative to it; "
+            "expected it in every image. Give it, or leave model.origin at its default."
         )
-    return there
+    return available
 
 
 def _mean(config: ModelConfig) -> SimpleBaseline | None:
@@ -179,27 +186,27 @@ def _mean(config: ModelConfig) -> SimpleBaseline | None:
         raise PoseDataError("model.mean: not given; expected the weights file of a trained SimpleBaseline.")
     mean = load_estimator(config.mean)
     if not isinstance(mean, SimpleBaseline):
-        raise PoseDataError(f"model.mean: {config.mean} holds a {type(mean).__name__}, not a SimpleBaseline.")
+        raise PoseDataError(f"model.mean: {config.mean} holds a {type(mean).__name__}; expected a SimpleBaseline.")
     return mean
 
 
 def _estimator(config: Config, mean: SimpleBaseline | None, keypoints: tuple[str, ...] | None) -> ReferenceEstimator:
-    """Build what is trained, or load what training starts from."""
+    """Build the estimator, or load the one that training starts from."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.train.seed)
-        estimator = of_config(config.model, mean=mean, keypoints=keypoints)
+        estimator = build_from_config(config.model, mean=mean, keypoints=keypoints)
     if not config.model.start:
         return estimator
-    started = load_estimator(config.model.start)
-    wanted, found = describe(estimator), describe(started)
-    differ = [name for name in wanted if wanted[name] != found.get(name)]
-    if isinstance(started, GaussianNoise) and mean is not None and not differ:
-        own = mean.state_dict()
-        if any(not torch.equal(tensor, own[name]) for name, tensor in started.mean.state_dict().items()):
-            differ = ["the weights of the mean"]
-    if differ:
+    loaded = load_estimator(config.model.start)
+    expected, actual = describe(estimator), describe(loaded)
+    different = [name for name in expected if expected[name] != actual.get(name)]
+    if isinstance(loaded, GaussianNoise) and mean is not None and not different:
+        weights = mean.state_dict()
+        if any(not torch.equal(tensor, weights[name]) for name, tensor in loaded.mean.state_dict().items()):
+            different = ["the weights of the mean"]
+    if different:
         raise PoseDataError(
-            f"model.start: {config.model.start} differs from the configuration in {', '.join(differ)}. "
-            "Say in [model] what it is of."
+            f"model.start: {config.model.start} differs from the configuration in {', '.join(different)}. "
+            "Set [model] to the options of these weights."
         )
-    return started
+    return loaded

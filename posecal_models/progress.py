@@ -1,4 +1,4 @@
-"""What does a person see while a training runs? Two lines on a terminal, a line an epoch elsewhere, both on stderr."""
+"""Progress of trainings and samplings on stderr: bars on a terminal, else a line per epoch."""
 
 from __future__ import annotations
 
@@ -15,42 +15,41 @@ from rich.table import Column
 from rich.text import Text
 
 from posecal.errors import PoseFileError
-from posecal_models.train import Progress as Standing
-from posecal_models.train import Training
+from posecal_models.train import Training, TrainingProgress
 
-__all__ = ["TrainingBar", "counted", "read_losses", "shown"]
+__all__ = ["TrainingProgressBar", "progress_bar", "read_losses", "training_progress"]
 
 
-def _losses(standing: Standing) -> str:
-    losses = dict(standing.losses)
-    if standing.validation is not None:
-        losses["validation"] = standing.validation
+def _losses(progress: TrainingProgress) -> str:
+    losses = dict(progress.losses)
+    if progress.validation is not None:
+        losses["validation"] = progress.validation
     return ", ".join(f"{name} {value:.4g}" for name, value in losses.items())
 
 
-class TrainingBar(Progress):
-    """Two lines: epoch, time left, learning rate, steps and a bar; and below it the losses.
+class TrainingProgressBar(Progress):
+    """Two lines: epoch, time left, learning rate, steps and a bar; below them the losses.
 
-    The bar takes what room the line has; what is said never gives way to it.
+    The bar fills the rest of the line; the text is never shortened for it.
 
     Parameters
     ----------
     run : Training
-        What is shown.
+        The training.
     console : Console
-        Where.
+        The terminal.
     """
 
     def __init__(self, run: Training, console: Console) -> None:
         self._run = run
         self._losses = ""
-        whole = Column(no_wrap=True)
+        no_wrap = Column(no_wrap=True)
         super().__init__(
             TextColumn("{task.description}"),
-            TimeRemainingColumn(table_column=whole),
+            TimeRemainingColumn(table_column=no_wrap),
             TextColumn("left"),
             TextColumn("learning rate {task.fields[rate]:.2g}"),
-            MofNCompleteColumn(table_column=whole),
+            MofNCompleteColumn(table_column=no_wrap),
             BarColumn(bar_width=None),
             console=console,
             expand=True,
@@ -58,14 +57,14 @@ class TrainingBar(Progress):
         rate = run.schedule.learning_rate(run.step)
         self._steps = self.add_task(self._epoch(), total=run.schedule.total_steps, completed=run.step, rate=rate)
 
-    def tell(self, standing: Standing) -> None:
-        """Show where the training stands."""
-        self._losses = _losses(standing)
-        rate = standing.learning_rate
-        self.update(self._steps, completed=standing.step, description=self._epoch(), rate=rate)
+    def show(self, progress: TrainingProgress) -> None:
+        """Show the progress of the training."""
+        self._losses = _losses(progress)
+        rate = progress.learning_rate
+        self.update(self._steps, completed=progress.step, description=self._epoch(), rate=rate)
 
     def get_renderables(self) -> Iterable[RenderableType]:
-        """Give the two lines."""
+        """Yield the two lines."""
         yield self.make_tasks_table(self.tasks)
         if self._losses:
             yield Text(self._losses, no_wrap=True, overflow="ellipsis")
@@ -75,60 +74,61 @@ class TrainingBar(Progress):
 
 
 @contextmanager
-def shown(run: Training) -> Iterator[Callable[[Standing], None]]:
+def training_progress(run: Training) -> Iterator[Callable[[TrainingProgress], None]]:
     """Show a training's losses, learning rate and time left.
 
     Parameters
     ----------
     run : Training
-        What is shown. Only the leading process shows anything.
+        The training. Only the main process shows anything.
 
     Yields
     ------
     callable
         For :meth:`posecal_models.train.Training.run`.
     """
-    if not run.crew.leads:
+    if not run.processes.is_main:
         yield lambda _: None
         return
     if sys.stderr.isatty():
-        with TrainingBar(run, Console(stderr=True)) as bar:
-            yield bar.tell
+        with TrainingProgressBar(run, Console(stderr=True)) as bar:
+            yield bar.show
         return
-    told = [run.epoch]
+    last_epoch = run.epoch
 
-    def tell(standing: Standing) -> None:
-        if standing.epoch > told[0]:
-            told[0] = standing.epoch
-            line = f"step {standing.step:,} of {standing.steps:,}, epoch {standing.epoch}: {_losses(standing)}"
-            line += f", learning rate {standing.learning_rate:.2g}"
+    def print_epoch(progress: TrainingProgress) -> None:
+        nonlocal last_epoch
+        if progress.epoch > last_epoch:
+            last_epoch = progress.epoch
+            line = f"step {progress.step:,} of {progress.steps:,}, epoch {progress.epoch}: {_losses(progress)}"
+            line += f", learning rate {progress.learning_rate:.2g}"
             print(line, file=sys.stderr, flush=True)  # noqa: T201
 
-    yield tell
+    yield print_epoch
 
 
 @contextmanager
-def counted(what: str, total: int) -> Iterator[Callable[[int], None]]:
-    """Show how much of something is done, on a terminal; nothing elsewhere.
+def progress_bar(description: str, total: int) -> Iterator[Callable[[int], None]]:
+    """Show a progress bar on a terminal; nothing elsewhere.
 
     Parameters
     ----------
-    what : str
-        The words beside the bar.
+    description : str
+        The text beside the bar.
     total : int
-        How much there is.
+        Number of items.
 
     Yields
     ------
     callable
-        Takes how much is done.
+        Takes the number of items done.
     """
     if not sys.stderr.isatty():
         yield lambda _: None
         return
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(what, total=total)
+        task = bar.add_task(description, total=total)
         yield lambda done: bar.update(task, completed=done)
 
 
@@ -138,17 +138,17 @@ def read_losses(folder: Path) -> npt.NDArray[np.void]:
     Parameters
     ----------
     folder : Path
-        Of the training, with its ``losses.csv``.
+        Folder of the training, with its ``losses.csv``.
 
     Returns
     -------
     structured ndarray
-        A row an epoch: ``epoch``, ``step``, ``learning_rate``, ``training_loss``, ``validation_loss``.
+        A row per epoch: ``epoch``, ``step``, ``learning_rate``, ``training_loss``, ``validation_loss``.
 
     Raises
     ------
     PoseFileError
-        Where there is none, or no epoch in it.
+        Where the file is missing or holds no epoch.
     """
     path = folder / "losses.csv"
     try:
@@ -156,5 +156,5 @@ def read_losses(folder: Path) -> npt.NDArray[np.void]:
     except (OSError, ValueError) as problem:
         raise PoseFileError(f"{path}: can't be read ({problem}); expected the losses.csv of a training.") from problem
     if not len(rows) or "validation_loss" not in (rows.dtype.names or ()):
-        raise PoseFileError(f"{path}: holds no epoch; expected the losses.csv of a training. Train on.")
+        raise PoseFileError(f"{path}: holds no epoch; expected the losses.csv of a training. Train longer.")
     return rows

@@ -1,7 +1,7 @@
-"""How do hypotheses come into a file that ``posecal evaluate`` reads? Block by block, so that memory does not grow.
+"""Sampling of hypotheses into a file for ``posecal evaluate``, block by block in constant memory.
 
-The file is an uncompressed ``.npz`` with the poses outermost, ``axes`` MNKD: what is drawn for some poses lies
-together, and the file can be memory-mapped. The root stands in it at 0, as in a file of true poses.
+The file is an uncompressed ``.npz`` with the poses outermost, ``axes`` MNKD: the hypotheses of a block of poses are
+contiguous, and the file can be memory-mapped. The root is at 0, as in a file of true poses.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from posecal.data.write import write_file
 from posecal.errors import PoseDataError
 from posecal_models.contract import Context, Estimator, PoseDistribution
 from posecal_models.data.keypoint_set import KeypointSet
-from posecal_models.data.training_set import seeded
+from posecal_models.data.training_set import seeded_generator
 from posecal_models.estimators import ReferenceEstimator
 
-__all__ = ["POSES_AT_ONCE", "check_suits", "draw", "sample_to_file"]
+__all__ = ["POSES_AT_ONCE", "check_input", "draw", "sample_to_file"]
 
 POSES_AT_ONCE = 64
-"""Poses that are drawn together. What is drawn depends on the seed and on this number alone."""
+"""Poses of a block. Hypotheses depend on the seed and on this number alone."""
 
 
 def draw(
@@ -44,15 +44,15 @@ def draw(
     Parameters
     ----------
     distribution : PoseDistribution
-        Of M poses.
+        Distributions of M poses.
     n : int
         N.
     generator : torch.Generator, optional
         The source of randomness.
     temperature : float
-        Spread of the noise; 1 is the distribution itself.
+        Scale of the noise; 1 is the distribution itself.
     mode : bool
-        Give the single best pose instead.
+        Give the mode instead of samples.
 
     Returns
     -------
@@ -67,13 +67,13 @@ def draw(
     if mode:
         if not hasattr(distribution, "mode"):
             raise PoseDataError(f"mode: a {type(distribution).__name__} has none. Draw samples.")
-        best: Tensor = distribution.mode()
-        return best[None]
+        pose: Tensor = distribution.mode()
+        return pose[None]
     if temperature == 1:
         return distribution.sample(n, generator=generator)
-    takes = signature(distribution.sample).parameters.values()
-    if not any(one.name == "temperature" or one.kind is one.VAR_KEYWORD for one in takes):
-        raise PoseDataError(f"temperature: a {type(distribution).__name__} has none; leave it at 1.")
+    parameters = signature(distribution.sample).parameters.values()
+    if not any(parameter.name == "temperature" or parameter.kind is parameter.VAR_KEYWORD for parameter in parameters):
+        raise PoseDataError(f"temperature: a {type(distribution).__name__} has none; expected 1.")
     return distribution.sample(n, generator=generator, temperature=temperature)  # type: ignore[call-arg]
 
 
@@ -90,33 +90,33 @@ def sample_to_file(
     device: torch.device | str = "cpu",
     progress: Callable[[int], None] | None = None,
 ) -> None:
-    """Draw hypotheses for every image and write them.
+    """Draw hypotheses of every image and write them to a file.
 
     Parameters
     ----------
     estimator : Estimator
-        Ours or somebody else's.
+        A reference estimator, or any other.
     keypoints : KeypointSet
         M images.
     path : str or Path
-        The ``.npz`` to write: whole or not at all.
+        The ``.npz`` to write, atomically.
     n : int
-        N hypotheses of each.
+        N hypotheses of each image.
     seed : int
-        Of what is drawn.
+        Seed of the hypotheses.
     temperature, mode
         As in :func:`draw`.
     root : str
-        The joint that poses are relative to; it is put first, at 0.
+        The joint that poses are relative to; it comes first, at 0.
     device : torch.device or str
-        Where the estimator computes.
+        Device of the estimator.
     progress : callable, optional
-        Is told how many poses are done.
+        Called with the number of poses done.
 
     Raises
     ------
     PoseDataError
-        Where keypoints don't suit the estimator.
+        Where keypoints don't fit the estimator, or hypotheses are not finite.
     PoseFileError
         Where the file can't be written.
     """
@@ -124,11 +124,11 @@ def sample_to_file(
         raise PoseDataError(f"n: {n}; expected 1 or more hypotheses.")
     ordered = keypoints.in_order_of(estimator.keypoints)
     if not len(ordered):
-        raise PoseDataError("keypoints: 0 images; expected some.")
-    check_suits(estimator, _context(ordered, slice(None), device))
+        raise PoseDataError("keypoints: 0 images; expected 1 or more.")
+    check_input(estimator, _context(ordered, slice(None), device))
     count = 1 if mode else n
     joints = (root, *estimator.joints)
-    small = {
+    metadata = {
         "axes": np.array("MNKD"),
         "unit": np.array("mm"),
         "joints": np.array(joints),
@@ -137,7 +137,7 @@ def sample_to_file(
 
     def write(file: BinaryIO) -> None:
         with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
-            for name, array in small.items():
+            for name, array in metadata.items():
                 with archive.open(f"{name}.npy", "w") as member:
                     npy.write_array(member, array, allow_pickle=False)
             with archive.open("hypotheses.npy", "w", force_zip64=True) as member:
@@ -148,7 +148,7 @@ def sample_to_file(
     @torch.inference_mode()
     def block(start: int) -> npt.NDArray[np.float32]:
         poses = slice(start, start + POSES_AT_ONCE)
-        generator = seeded(device, seed, start // POSES_AT_ONCE)
+        generator = seeded_generator(device, seed, start // POSES_AT_ONCE)
         drawn = draw(
             estimator(_context(ordered, poses, device)), n, generator=generator, temperature=temperature, mode=mode
         )
@@ -156,13 +156,13 @@ def sample_to_file(
             raise PoseDataError(
                 f"hypotheses: {int((~drawn.isfinite()).any(-1).any(-1).sum()):,} of {drawn[..., 0, 0].numel():,} drawn "
                 f"for the images from {ordered.frame_id[start]} on are not finite. "
-                "Look at the keypoints and the weights."
+                "Check the keypoints and the weights."
             )
-        held = np.zeros((drawn.shape[1], count, len(joints), 3), np.float32)
-        held[:, :, 1:] = drawn.transpose(0, 1).float().cpu().numpy()
+        hypotheses = np.zeros((drawn.shape[1], count, len(joints), 3), np.float32)
+        hypotheses[:, :, 1:] = drawn.transpose(0, 1).float().cpu().numpy()
         if progress is not None:
             progress(min(start + POSES_AT_ONCE, len(ordered)))
-        return held
+        return hypotheses
 
     write_file(path, write)
 
@@ -179,20 +179,20 @@ def _context(keypoints: KeypointSet, poses: slice, device: torch.device | str) -
     ).to(device)
 
 
-def check_suits(estimator: Estimator, context: Context) -> None:
-    """Refuse keypoints that a reference estimator was not made for, before anything is drawn.
+def check_input(estimator: Estimator, context: Context) -> None:
+    """Check keypoints against a reference estimator, before anything is sampled.
 
     Parameters
     ----------
     estimator : Estimator
-        Ours; of anybody else's nothing is known.
+        The estimator; only reference estimators are checked.
     context : Context
         All keypoints, in the estimator's order.
 
     Raises
     ------
     PoseDataError
-        Where it can't read them, or they look normalised already.
+        Where keypoints are missing that the estimator needs, or look normalised already.
     """
     if isinstance(estimator, ReferenceEstimator):
         estimator.check(context)

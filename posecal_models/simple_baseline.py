@@ -1,6 +1,7 @@
-"""Which single pose fits these keypoints best? SimpleBaseline, a plain network from 2D keypoints to 3D joints.
+"""SimpleBaseline: a residual network from 2D keypoints to 3D joints, a point estimator.
 
-It knows no uncertainty and no missing keypoints: it reads every keypoint, also those that a detector marks as hidden.
+It models neither uncertainty nor missing keypoints: it reads every keypoint, also those that a detector marks as
+hidden.
 """
 
 from __future__ import annotations
@@ -13,9 +14,9 @@ from torch import Tensor, nn
 
 from posecal.data.skeleton import joint_set
 from posecal.errors import PoseDataError
+from posecal_models.batch_shard import BatchNorm, dropout
 from posecal_models.contract import Context, PointEstimate, check_keypoints
 from posecal_models.data.standardizer import Origin, Standardizer
-from posecal_models.whole_batch import BatchNorm, dropout
 
 __all__ = ["SimpleBaseline", "from_public"]
 
@@ -55,18 +56,18 @@ class SimpleBaseline(nn.Module):
     joints, keypoints : tuple of str
         K joints of the pose, without the root, and J keypoints. Human3.6M's 16 where not given.
     width, residuals : int
-        Features of a layer, and how many residual blocks.
+        Features of a layer, and number of residual blocks.
     dropout : float
-        Share of features that training hides.
+        Dropout probability in training.
     origin : str
-        What keypoints are relative to, see :class:`posecal_models.data.standardizer.Standardizer`.
+        Origin of the keypoints, see :class:`posecal_models.data.standardizer.Standardizer`.
 
     Notes
     -----
     With 16 keypoints, 15 joints, width 1024 and 2 residual blocks it has 4,288,557 parameters, the paper's number.
 
-    Differs from the published code: none (Martinez et al.'s own one limits the norm of each weight, the paper's
-    does not).
+    Differs from the published code: none (that of Martinez et al. limits the norm of each weight, the paper's does
+    not).
 
     References
     ----------
@@ -112,7 +113,7 @@ class SimpleBaseline(nn.Module):
         return self._keypoints
 
     def check(self, context: Context) -> None:
-        """Refuse keypoints that it can't read.
+        """Raise an error for keypoints that don't fit this estimator.
 
         Parameters
         ----------
@@ -129,10 +130,10 @@ class SimpleBaseline(nn.Module):
             missing = int((~context.keypoints.isfinite().all(-1)).sum())
             raise PoseDataError(
                 f"keypoints: {missing:,} of {context.observed.numel():,} are not finite; "
-                "SimpleBaseline reads every keypoint. Give the detector's guess, or use a cGNF."
+                "SimpleBaseline reads every keypoint. Give the detector's estimate, or use a cGNF."
             )
 
-    def standardised(self, context: Context) -> Tensor:
+    def standardised_poses(self, context: Context) -> Tensor:
         """Estimate standardised poses.
 
         Parameters
@@ -170,7 +171,7 @@ class SimpleBaseline(nn.Module):
         PointEstimate
             (M, K, 3), mm.
         """
-        return PointEstimate(self.standardizer.millimetres(self.standardised(context)))
+        return PointEstimate(self.standardizer.millimetres(self.standardised_poses(context)))
 
 
 _PUBLIC = {
@@ -185,7 +186,7 @@ _PUBLIC = {
 
 
 def from_public(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Translate the names of the public PyTorch SimpleBaseline's state dict into ours.
+    """Convert a state dict of the public PyTorch SimpleBaseline to the names used here.
 
     Parameters
     ----------
@@ -195,7 +196,7 @@ def from_public(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
     Returns
     -------
     dict of str to Tensor
-        For ``load_state_dict(..., strict=False)``: it lacks the standardizer, which that code does not have.
+        For ``load_state_dict(..., strict=False)``: without the standardizer, which that code does not have.
 
     Raises
     ------
@@ -209,9 +210,9 @@ def from_public(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """
     renamed = {}
     for name, tensor in state.items():
-        for theirs, ours in _PUBLIC.items():
-            if re.match(theirs, name):
-                renamed[re.sub(theirs, ours, name)] = tensor
+        for pattern, replacement in _PUBLIC.items():
+            if re.match(pattern, name):
+                renamed[re.sub(pattern, replacement, name)] = tensor
                 break
         else:
             raise PoseDataError(f"checkpoint: {name} is not part of a SimpleBaseline.")

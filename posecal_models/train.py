@@ -1,7 +1,7 @@
-"""How does an estimator learn? The training loop: batches, steps, epochs, checkpoints.
+"""The training loop: batches, steps, epochs, checkpoints.
 
-Whatever is random in a step depends on the seed and the step's number alone, so that a training that was interrupted,
-by ``kill -9`` or by a power cut, goes on from its last checkpoint to the very result that it would have had.
+All random numbers of a step depend on the seed and the step's number alone, so that a training that was interrupted, by
+``kill -9`` or by a power cut, resumes from its last checkpoint and ends with the same result as without interruption.
 """
 
 from __future__ import annotations
@@ -19,33 +19,33 @@ from torch import Tensor
 from posecal.errors import PoseDataError, PoseFileError
 from posecal_models.checkpoint import read_tensors, save_estimator, write_tensors
 from posecal_models.config import Config
-from posecal_models.cuda_graph import Recorded
-from posecal_models.data.training_set import TrainingSet, draw_graphs, seeded
-from posecal_models.distributed import Crew
+from posecal_models.cuda_graph import CudaGraphObjective
+from posecal_models.data.training_set import TrainingSet, draw_graphs, seeded_generator
+from posecal_models.distributed import ProcessGroup
 from posecal_models.estimators import ReferenceEstimator
-from posecal_models.objectives import Objective, objective_of
+from posecal_models.objectives import Objective, build_objective
 from posecal_models.schedule import Schedule
 from posecal_models.training_folder import CHECKPOINT, WEIGHTS, check_same, write_losses
 
-__all__ = ["Progress", "Training"]
+__all__ = ["Training", "TrainingProgress"]
 
 _ORDER, _BATCH, _VALIDATION = 1, 2, 3
 
 
 @dataclass(frozen=True)
-class Progress:
-    """Where a training stands, for whoever shows it.
+class TrainingProgress:
+    """The progress of a training, for display.
 
     Attributes
     ----------
     epoch, step, steps : int
-        Epochs and steps done, and the steps of the whole training.
+        Epochs and steps done, and the steps of the complete training.
     learning_rate : float
-        Of the last step.
+        Learning rate of the last step.
     losses : dict of str to float
-        Of the last step.
+        Losses of the last step.
     validation : float or None
-        Loss of the validation poses after the last epoch; none before, and where there are no such poses.
+        Validation loss after the last epoch; None before, and where there are no validation poses.
     """
 
     epoch: int
@@ -62,24 +62,24 @@ class Training:
     Parameters
     ----------
     estimator : CGNF, SimpleBaseline or GaussianNoise
-        What is trained; on the device where it shall be.
+        The estimator to train, on the device of the training.
     config : Config
-        How.
+        The configuration.
     data : TrainingSet
-        On the same device.
+        The training set, on the same device.
     validation : TrainingSet, optional
-        Poses that steer the learning rate and choose the weights that are kept.
+        Poses that control the learning rate and select the weights that are saved.
     folder : Path
-        Where ``checkpoint.safetensors``, ``weights.safetensors`` and ``losses.csv`` go.
-    crew : Crew
-        The processes that train together.
+        Folder of ``checkpoint.safetensors``, ``weights.safetensors`` and ``losses.csv``.
+    processes : ProcessGroup
+        The processes of a distributed training.
     digests : dict of str to str
-        What tells the data from others, see :func:`posecal_models.training_folder.digests`; kept in the checkpoint.
+        Digests of the data, see :func:`posecal_models.training_folder.digests`; saved in the checkpoint.
 
     Attributes
     ----------
     step, epoch : int
-        Done so far.
+        Steps and epochs done so far.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class Training:
         *,
         folder: Path,
         validation: TrainingSet | None = None,
-        crew: Crew | None = None,
+        processes: ProcessGroup | None = None,
         digests: dict[str, str] | None = None,
     ) -> None:
         self.estimator = estimator
@@ -98,31 +98,31 @@ class Training:
         self.data = data
         self.validation = validation
         self.folder = folder
-        self.crew = crew or Crew()
+        self.processes = processes or ProcessGroup()
         self.digests = digests or {}
-        self.parameters = {name: p for name, p in estimator.named_parameters() if self._learns(name)}
-        self.objective: Objective = objective_of(estimator, config.train)
+        self.parameters = {name: p for name, p in estimator.named_parameters() if self._is_trainable(name)}
+        self.objective: Objective = build_objective(estimator, config.train)
         if config.train.cuda_graph:
-            self.objective = Recorded(self.objective, list(self.parameters.values()), data.device)
+            self.objective = CudaGraphObjective(self.objective, list(self.parameters.values()), data.device)
         self.optimizer = torch.optim.Adam(self.parameters.values(), lr=config.train.learning_rate, fused=True)
         self.steps_per_epoch = config.train.steps_per_epoch or math.ceil(len(data) / config.train.batch)
         self.schedule = Schedule(config.train, self.steps_per_epoch * config.train.epochs)
         self.step = self.epoch = 0
-        self._together = False
+        self._synchronised = False
         self.best: dict[str, Tensor] = {}
         self._step_losses: list[float] = []
         self._epochs: list[tuple[float, ...]] = []
         self._order: tuple[int, Tensor] | None = None
 
-    def run(self, *, on_step: Callable[[Progress], None] | None = None, most_steps: int | None = None) -> None:
+    def run(self, *, on_step: Callable[[TrainingProgress], None] | None = None, max_steps: int | None = None) -> None:
         """Train until the end.
 
         Parameters
         ----------
         on_step : callable, optional
-            Is told the progress after each step.
-        most_steps : int, optional
-            Stop, with a checkpoint, when so many steps are done.
+            Called with the progress after each step.
+        max_steps : int, optional
+            Stop, with a checkpoint, when this many steps are done.
 
         Raises
         ------
@@ -133,7 +133,7 @@ class Training:
         """
         saved = time.monotonic()
         while not self.finished:
-            if most_steps is not None and self.step >= most_steps:
+            if max_steps is not None and self.step >= max_steps:
                 break
             losses = self._one_step()
             if self.step % self.steps_per_epoch == 0:
@@ -149,28 +149,28 @@ class Training:
 
     @property
     def finished(self) -> bool:
-        """Whether there is nothing left to learn."""
+        """Whether all epochs are done or the schedule stops."""
         return self.epoch >= self.config.train.epochs or self.schedule.finished
 
-    def _learns(self, name: str) -> bool:
+    def _is_trainable(self, name: str) -> bool:
         return self.config.model.kind != "gaussian-noise" or not name.startswith("mean.")
 
     def _rows(self, step: int) -> Tensor:
-        """Give the poses of a step: one random order of all poses after another."""
-        batch, many = self.config.train.batch, len(self.data)
-        wanted = torch.arange(step * batch, (step + 1) * batch)
-        rows = torch.empty_like(wanted)
-        for turn in torch.unique(wanted // many).tolist():
-            if self._order is None or self._order[0] != turn:
-                order = torch.randperm(many, generator=seeded("cpu", self.config.train.seed, _ORDER, turn))
-                self._order = (turn, order)
-            here = wanted // many == turn
-            rows[here] = self._order[1][wanted[here] % many]
+        """Return the poses of a step, from consecutive random permutations of the training set."""
+        batch, poses = self.config.train.batch, len(self.data)
+        positions = torch.arange(step * batch, (step + 1) * batch)
+        rows = torch.empty_like(positions)
+        for index in torch.unique(positions // poses).tolist():
+            if self._order is None or self._order[0] != index:
+                generator = seeded_generator("cpu", self.config.train.seed, _ORDER, index)
+                self._order = (index, torch.randperm(poses, generator=generator))
+            selected = positions // poses == index
+            rows[selected] = self._order[1][positions[selected] % poses]
         return rows.to(self.data.device)
 
     def _one_step(self) -> dict[str, float]:
         config = self.config.train
-        generator = seeded(self.data.device, config.seed, _BATCH, self.step)
+        generator = seeded_generator(self.data.device, config.seed, _BATCH, self.step)
         context, truth = self.data.batch(self._rows(self.step), generator)
         graphs = config.graphs_per_pose if self.config.model.kind == "cgnf" else 1
         if self.config.model.kind == "cgnf":
@@ -185,9 +185,9 @@ class Training:
             )
         if self.step == 0 and not self.config.model.start:
             self.objective.initialise(context, truth)
-        if not self._together:
-            self.crew.follow(self.estimator.state_dict().values())
-            self._together = True
+        if not self._synchronised:
+            self.processes.broadcast(self.estimator.state_dict().values())
+            self._synchronised = True
 
         self.estimator.train()
         learning_rate = self.schedule.learning_rate(self.step)
@@ -195,13 +195,13 @@ class Training:
             group["lr"] = learning_rate
         self.optimizer.zero_grad(set_to_none=False)
         device = self.data.device
-        on_gpu = [device] if device.type == "cuda" else []
-        with torch.random.fork_rng(devices=on_gpu), self.crew.sharing(len(truth) // graphs) as poses:
+        gpus = [device] if device.type == "cuda" else []
+        with torch.random.fork_rng(devices=gpus), self.processes.batch_shard(len(truth) // graphs) as poses:
             torch.manual_seed(generator.initial_seed())
-            mine = slice(poses.start * graphs, poses.stop * graphs)
-            losses = self.objective.backward(context[mine], truth[mine], generator=generator, graphs_per_pose=graphs)
+            rows = slice(poses.start * graphs, poses.stop * graphs)
+            losses = self.objective.backward(context[rows], truth[rows], generator=generator, graphs_per_pose=graphs)
         gradients = [p.grad for p in self.parameters.values() if p.grad is not None]
-        self.crew.accumulate([*gradients, *losses.values()], (mine.stop - mine.start) / len(truth))
+        self.processes.average([*gradients, *losses.values()], (rows.stop - rows.start) / len(truth))
         norm = torch.nn.utils.clip_grad_norm_(self.parameters.values(), config.clip)
         values = {name: float(loss) for name, loss in losses.items()}
         self._check_finite(values, float(norm))
@@ -219,45 +219,45 @@ class Training:
             + ", ".join(f"{name} is {value:.6g}" for name, value in losses.items())
             + f", the gradient's norm {norm:.6g}, not finite in {len(broken)} of {len(self.parameters)} tensors"
             + (f" (first: {broken[0]})" if broken else "")
-            + f". {self._advice(self.step)} or look at the poses of this batch."
+            + f". {self._advice(self.step)} or check the poses of this batch."
         )
 
     def _advice(self, step: int) -> str:
-        kept = f"The checkpoint in {self.folder} is from before. " if (self.folder / CHECKPOINT).exists() else ""
-        return f"{kept}Lower train.learning_rate ({self.schedule.learning_rate(step):.3g})"
+        checkpoint = f"The checkpoint in {self.folder} is from before. " if (self.folder / CHECKPOINT).exists() else ""
+        return f"{checkpoint}Lower train.learning_rate ({self.schedule.learning_rate(step):.3g})"
 
     def _end_epoch(self) -> None:
         self.epoch += 1
         recent = self._step_losses[-self.steps_per_epoch :]
         train = sum(recent) / len(recent)
         validation = self._validate()
-        told = math.nan if validation is None else validation
         rate = self.schedule.learning_rate(self.step - 1)
-        self._epochs.append((float(self.epoch), float(self.step), rate, train, told))
-        judged = _judged(self._epochs[-1])
-        if judged < self.schedule.best:
+        validation_loss = math.nan if validation is None else validation
+        self._epochs.append((float(self.epoch), float(self.step), rate, train, validation_loss))
+        loss = _selection_loss(self._epochs[-1])
+        if loss < self.schedule.best:
             self.best = {name: t.detach().clone() for name, t in self.estimator.state_dict().items()}
-        self.schedule.after_epoch(judged)
+        self.schedule.after_epoch(loss)
 
     def _validate(self) -> float | None:
         if self.validation is None:
             return None
         self.estimator.eval()
-        generator = seeded(self.validation.device, self.config.train.seed, _VALIDATION)
+        generator = seeded_generator(self.validation.device, self.config.train.seed, _VALIDATION)
         rows = torch.arange(len(self.validation), device=self.validation.device)
         context, truth = self.validation.batch(rows, generator)
-        found = self.objective.evaluate(context, truth, generator=generator)
-        losses = {name: self.crew.agree(float(loss)) for name, loss in found.items()}
+        local_losses = self.objective.evaluate(context, truth, generator=generator)
+        losses = {name: self.processes.broadcast_number(float(loss)) for name, loss in local_losses.items()}
         if not all(map(math.isfinite, losses.values())):
             raise PoseDataError(
                 f"validation: after step {self.step:,} (epoch {self.epoch}) "
                 + ", ".join(f"{name} is {value:.6g}" for name, value in losses.items())
-                + f". {self._advice(self.step - 1)} or look at the poses of data.validation_subjects."
+                + f". {self._advice(self.step - 1)} or check the poses of data.validation_subjects."
             )
         return losses["loss"]
 
-    def _progress(self, losses: dict[str, float]) -> Progress:
-        return Progress(
+    def _progress(self, losses: dict[str, float]) -> TrainingProgress:
+        return TrainingProgress(
             self.epoch,
             self.step,
             self.schedule.total_steps,
@@ -267,14 +267,14 @@ class Training:
         )
 
     def save(self) -> None:
-        """Write checkpoint, weights and loss curve, each whole or not at all.
+        """Write checkpoint, weights and loss curve, each atomically.
 
         Raises
         ------
         PoseFileError
             Where one can't be written.
         """
-        if not self.crew.leads:
+        if not self.processes.is_main:
             return
         tensors = {f"weights.{name}": tensor for name, tensor in self.estimator.state_dict().items()}
         tensors |= {f"best.{name}": tensor for name, tensor in self.best.items()}
@@ -287,20 +287,20 @@ class Training:
         write_losses(self.folder, self._epochs)
         notes = {"config": self.config.table(), "epochs": self.epoch, "steps": self.step, "poses": len(self.data)}
         if self._epochs:
-            notes["weights_of_step"] = int(min(self._epochs, key=_judged)[1])
+            notes["weights_of_step"] = int(min(self._epochs, key=_selection_loss)[1])
         save_estimator(self.folder / WEIGHTS, self.estimator, tensors=self.best or None, notes=notes)
 
     def _state(self) -> dict[str, Any]:
         schedule = self.schedule
         return {
             "training": {"config": self.config.table(), "step": self.step, "epoch": self.epoch, "data": self.digests},
-            "schedule": {"best": schedule.best, "waited": schedule.waited, "drops": schedule.drops},
+            "schedule": {"best": schedule.best, "waited": schedule.bad_epochs, "drops": schedule.drops},
         }
 
     def resume(self) -> None:
-        """Go back to the last checkpoint in the folder.
+        """Load the checkpoint in the folder.
 
-        The number of epochs may differ from that of the start; a cosine then changes its slope.
+        The number of epochs may differ from that at the start; a cosine schedule then changes its slope.
 
         Raises
         ------
@@ -312,13 +312,14 @@ class Training:
         path = self.folder / CHECKPOINT
         tensors, about = read_tensors(path, device=self.data.device)
         if "training" not in about:
-            raise PoseFileError(f"{path}: holds no training; expected the checkpoint of one.")
+            raise PoseFileError(f"{path}: holds no training; expected a checkpoint.")
         check_same(path, about["training"], self.config, self.digests)
         self.step, self.epoch = about["training"]["step"], about["training"]["epoch"]
-        for name in ("best", "waited", "drops"):
-            setattr(self.schedule, name, about["schedule"][name])
-        self.estimator.load_state_dict(_under("weights.", tensors))
-        self.best = _under("best.", tensors)
+        schedule = about["schedule"]
+        self.schedule.best, self.schedule.bad_epochs = schedule["best"], schedule["waited"]
+        self.schedule.drops = schedule["drops"]
+        self.estimator.load_state_dict(_with_prefix("weights.", tensors))
+        self.best = _with_prefix("best.", tensors)
         for name, parameter in self.parameters.items():
             moments = {
                 moment: tensors[f"adam.{moment}.{name}"]
@@ -336,11 +337,11 @@ class Training:
         return list(self._step_losses)
 
 
-def _under(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+def _with_prefix(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
     return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
 
 
-def _judged(epoch: tuple[float, ...]) -> float:
-    """Give what an epoch is judged by: its validation loss, or its training loss where there is none."""
+def _selection_loss(epoch: tuple[float, ...]) -> float:
+    """Return the loss that weights are selected by: that of validation, or of training where there is none."""
     *_, train, validation = epoch
     return train if math.isnan(validation) else validation

@@ -1,4 +1,4 @@
-"""What does a training leave in its folder, and does what is there already fit? Checkpoint, weights and loss curve."""
+"""The folder of a training: checkpoint, weights and loss curve, and checks before resuming."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ __all__ = ["CHECKPOINT", "LOSSES", "WEIGHTS", "check_folder", "check_same", "dig
 
 CHECKPOINT, WEIGHTS, LOSSES = "checkpoint.safetensors", "weights.safetensors", "losses.csv"
 
-_READ = {
+_MEMBERS = {
     *("joints", "keypoint_joints", "axes", "unit", "up", "subject", "clip_id", "root_relative"),
     *("poses", "truth", "gt", "occluded", "keypoints_2d", "keypoints_observed", "keypoints_sigma"),
 }
 
 
 def check_folder(folder: Path, *, resume: bool) -> None:
-    """Check, before any work, that a training can write its files and overwrites nobody's.
+    """Check, before any computation, that a training can write its files without overwriting those of another.
 
     Parameters
     ----------
     folder : Path
-        Where they go; its parent must be there.
+        Output folder; its parent must exist.
     resume : bool
-        Whether the training that is there shall go on.
+        Whether to resume the training in the folder.
 
     Raises
     ------
     PoseFileError
-        Where a file could not be written, where there is a training and ``resume`` was not asked for, or where there
-        are weights or losses without the checkpoint that one could go on from.
+        Where a file can't be written, where there is a training and ``resume`` is false, or where there are weights or
+        losses without a checkpoint to resume from.
     """
     if not folder.is_dir():
         if folder.exists() or not folder.parent.is_dir():
@@ -46,23 +46,23 @@ def check_folder(folder: Path, *, resume: bool) -> None:
         return
     for name in (CHECKPOINT, WEIGHTS, LOSSES):
         check_writable(folder / name)
-    there = [name for name in (CHECKPOINT, WEIGHTS, LOSSES) if (folder / name).exists()]
-    if CHECKPOINT in there and not resume:
-        raise PoseFileError(f"{folder}: holds a training already. Pass --resume to go on, or give another folder.")
-    if there and CHECKPOINT not in there:
+    existing = [name for name in (CHECKPOINT, WEIGHTS, LOSSES) if (folder / name).exists()]
+    if CHECKPOINT in existing and not resume:
+        raise PoseFileError(f"{folder}: holds a training already. Pass --resume to continue, or give another folder.")
+    if existing and CHECKPOINT not in existing:
         raise PoseFileError(
-            f"{folder}: holds {' and '.join(there)}, but no {CHECKPOINT} that --resume could go on from. "
-            "Give another folder; model.start begins with weights that are there."
+            f"{folder}: holds {' and '.join(existing)}, but no {CHECKPOINT} to resume from. "
+            "Give another folder; model.start starts from existing weights."
         )
 
 
 def write_losses(folder: Path, epochs: Sequence[tuple[float, ...]]) -> None:
-    """Write the loss curve whole or not at all.
+    """Write the loss curve, atomically.
 
     Parameters
     ----------
     folder : Path
-        Where to.
+        Output folder.
     epochs : sequence of tuple
         Epoch, step, learning rate, training loss and validation loss (NaN: no validation) of each.
 
@@ -78,9 +78,9 @@ def write_losses(folder: Path, epochs: Sequence[tuple[float, ...]]) -> None:
 
 
 def digests(path: str | Path) -> dict[str, str]:
-    """Tell data by a few letters for each array that a training reads.
+    """Compute a digest of each array that a training reads, to recognise the same data.
 
-    They are of the file's numbers as they are stored, so that they are the same on every machine.
+    Digests are of the numbers as stored in the file, so that they are the same on every machine.
 
     Parameters
     ----------
@@ -90,36 +90,36 @@ def digests(path: str | Path) -> dict[str, str]:
     Returns
     -------
     dict of str to str
-        By the array's name.
+        Digests by the array's name.
 
     Raises
     ------
     PoseFileError
         Where the file can't be read.
     """
-    found = {}
+    by_name = {}
     for name, array in read_npz(path).items():
-        if name in _READ:
+        if name in _MEMBERS:
             digest = hashlib.blake2b(f"{array.dtype.str[1:]} {array.shape}".encode(), digest_size=8)
             digest.update(array.astype(array.dtype.newbyteorder("<")).tobytes())
-            found[name] = digest.hexdigest()
-    return found
+            by_name[name] = digest.hexdigest()
+    return by_name
 
 
 def check_same(path: Path, before: Mapping[str, Any], config: Config, data: Mapping[str, str]) -> None:
-    """Refuse to go on from the checkpoint of another training.
+    """Check that a checkpoint is of the same configuration and the same data.
 
     Parameters
     ----------
     path : Path
-        Of the checkpoint.
+        The checkpoint.
     before : mapping
-        What it says of its training: ``config`` and the digests of its ``data``. Older checkpoints lack them and go on
-        with any data.
+        Its training: ``config`` and the digests of its ``data``. Checkpoints of older versions lack the digests and
+        resume with any data.
     config : Config
-        That of now; its number of epochs may be another one.
+        The current configuration; its number of epochs may differ.
     data : mapping of str to str
-        The digests of now; none where they are not known.
+        The current digests; empty where they are not known.
 
     Raises
     ------
@@ -143,7 +143,7 @@ def check_same(path: Path, before: Mapping[str, Any], config: Config, data: Mapp
 
 
 def _plain(value: Any) -> Any:
-    """Turn tuples into lists, as JSON does."""
+    """Convert tuples to lists, as JSON does."""
     if isinstance(value, dict):
-        return {name: _plain(item) for name, item in value.items()}
-    return [_plain(item) for item in value] if isinstance(value, (list, tuple)) else value
+        return {name: _plain(setting) for name, setting in value.items()}
+    return [_plain(element) for element in value] if isinstance(value, (list, tuple)) else value

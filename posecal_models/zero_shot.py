@@ -1,8 +1,8 @@
-"""Does a cGNF know what it was never shown? Densities given sets of observed nodes that training left out.
+"""Zero-shot experiments: densities given sets of observed nodes that are not in the training set.
 
-The paper's experiment (supplement B.2): three models of the triple pendulum, judged on p(x | c1, c2, c3), of which the
-cGNF has seen at most two nodes observed. And the same question where the answer is known: in the toy world of jointly
-Gaussian poses, how many nats is the cGNF above the true posterior?
+The paper's experiment (supplement B.2): three models of the triple pendulum, evaluated on p(x | c1, c2, c3); the cGNF
+is trained with at most two observed nodes. And the same in the toy world of jointly Gaussian poses, where the true
+posterior is known: by how many nats the cGNF's negative log density exceeds that of the true posterior.
 
 The data come from the folder ``toy`` of a checkout, which is not installed with the package.
 """
@@ -23,7 +23,7 @@ from posecal.errors import PoseDataError
 from posecal_models.cgnf.flow import FlowSize
 from posecal_models.cgnf.model import CGNF
 from posecal_models.contract import Context
-from posecal_models.data.training_set import seeded
+from posecal_models.data.training_set import seeded_generator
 from posecal_models.graph import PoseGraph
 
 __all__ = ["PENDULUM_MODELS", "LogDensity", "Pendulum", "PoseWorldRow", "fit", "pendulum", "pose_world"]
@@ -41,7 +41,7 @@ PENDULUM_MODELS: dict[str, tuple[tuple[int, ...], ...]] = {
         nodes for count in range(3) for nodes in combinations(range(3), count)
     ),
 }
-"""The three models by the sets of nodes that they see observed in training."""
+"""The three models, with the sets of nodes that are observed in their training."""
 
 
 def fit(
@@ -53,38 +53,37 @@ def fit(
     learning_rate: float = 2e-3,
     progress: Callable[[int], None] | None = None,
 ) -> None:
-    """Train a cGNF on batches that are drawn as it goes.
+    """Train a cGNF on newly drawn batches.
 
     Parameters
     ----------
     estimator : CGNF
-        What is trained. Its standardizer and ActNorms are set from a first batch.
+        The estimator to train. Its standardizer and ActNorms are set from a first batch.
     draw : callable
-        Gives a batch, drawn with a generator.
+        Draws a batch with a generator.
     steps : int
         Steps of Adam, with a learning rate that falls to 0 along a cosine.
     seed : int
-        Of the batches.
+        Seed of the batches.
     learning_rate : float
-        At the start.
+        Initial learning rate.
     progress : callable, optional
-        Is told how many steps are done.
+        Called with the number of steps done.
 
     Raises
     ------
     PoseDataError
         Where the loss is no longer finite.
     """
-    poses, keypoints, observed = draw(seeded("cpu", seed, steps))
+    poses, keypoints, observed = draw(seeded_generator("cpu", seed, steps))
     estimator.standardizer.fit(poses, keypoints, observed)
     flow, standardizer = estimator.flow, estimator.standardizer
-    evidence = estimator.evidence(Context(keypoints, observed))
-    flow.initialise_actnorm(standardizer.poses(poses)[:, None], evidence)
+    flow.initialise_actnorm(standardizer.poses(poses)[:, None], estimator.embed(Context(keypoints, observed)))
     optimizer = torch.optim.Adam(estimator.parameters(), learning_rate, fused=True)
     for step in range(steps):
         for group in optimizer.param_groups:
             group["lr"] = learning_rate * 0.5 * (1 + math.cos(math.pi * step / steps))
-        poses, keypoints, observed = draw(seeded("cpu", seed, step))
+        poses, keypoints, observed = draw(seeded_generator("cpu", seed, step))
         optimizer.zero_grad(set_to_none=False)
         loss = -estimator(Context(keypoints, observed)).log_prob(poses).mean()
         if not loss.isfinite():
@@ -100,11 +99,11 @@ def fit(
 
 
 def _observed(sets: Sequence[tuple[int, ...]], rows: int, nodes: int, generator: torch.Generator) -> Tensor:
-    """Draw which nodes are observed: one of the sets for each row."""
-    table = torch.zeros(len(sets), nodes, dtype=torch.bool)
+    """Draw the observed nodes: one of the sets for each row."""
+    masks = torch.zeros(len(sets), nodes, dtype=torch.bool)
     for index, members in enumerate(sets):
-        table[index, list(members)] = True
-    return table[torch.randint(len(sets), (rows,), generator=generator)]
+        masks[index, list(members)] = True
+    return masks[torch.randint(len(sets), (rows,), generator=generator)]
 
 
 @dataclass(frozen=True)
@@ -114,10 +113,10 @@ class LogDensity:
     Attributes
     ----------
     mean, standard_error : float
-        Over held-out pendulums; not finite where one pose's is not.
+        Over held-out pendulums; not finite where that of a single pose is not.
     median : float
         Over poses.
-    lost : int
+    overflows : int
         Poses so improbable that their latents overflow double precision; their log density counts as minus infinity.
     poses : int
         M.
@@ -126,27 +125,27 @@ class LogDensity:
     mean: float
     standard_error: float
     median: float
-    lost: int
+    overflows: int
     poses: int
 
     @classmethod
     def of(cls, nats: Tensor) -> LogDensity:
-        """Sum up the log densities (pendulums, timesteps) of held-out poses, NaN where a latent overflowed."""
-        known = torch.where(nats.isfinite(), nats, -math.inf)
-        each = known.mean(1)
+        """Summarise the log densities (pendulums, timesteps) of held-out poses, NaN where a latent overflowed."""
+        log_density = torch.where(nats.isfinite(), nats, -math.inf)
+        pendulum_means = log_density.mean(1)
         return cls(
-            mean=float(each.mean()),
-            standard_error=float(each.std()) / math.sqrt(len(each)),
-            median=float(np.median(known.numpy())),
-            lost=int((~nats.isfinite()).sum()),
+            mean=float(pendulum_means.mean()),
+            standard_error=float(pendulum_means.std()) / math.sqrt(len(pendulum_means)),
+            median=float(np.median(log_density.numpy())),
+            overflows=int((~nats.isfinite()).sum()),
             poses=nats.numel(),
         )
 
     def __str__(self) -> str:
-        if not self.lost:
+        if not self.overflows:
             return f"{self.mean:.2f} ± {self.standard_error:.2f} nats"
         median = f"median {self.median:.3g} nats, " if math.isfinite(self.median) else ""
-        return f"{median}{self.lost:,} of {self.poses:,} poses below what double precision holds"
+        return f"{median}{self.overflows:,} of {self.poses:,} poses below the range of double precision"
 
 
 @dataclass(frozen=True)
@@ -156,11 +155,11 @@ class Pendulum:
     Attributes
     ----------
     log_density : dict of str to LogDensity
-        Of each model.
+        Log densities of each model.
     truth, keypoints : ndarray
-        Held-out poses (M, 3, 2) and what was seen of them, m.
+        Held-out poses (M, 3, 2) and their observations, m.
     samples : dict of str to ndarray
-        Of each model, (n, M, 3, 2), m, for the first poses.
+        Samples of each model for these poses, (n, M, 3, 2), m.
     """
 
     log_density: dict[str, LogDensity]
@@ -174,23 +173,23 @@ def pendulum(
     steps: int = 3000,
     batch: int = 250,
     seed: int = 0,
-    shown: int = 4,
+    examples: int = 4,
     samples: int = 200,
     progress: Callable[[int], None] | None = None,
 ) -> Pendulum:
-    """Train the paper's three models of the triple pendulum and judge them on all nodes observed.
+    """Train the paper's three models of the triple pendulum and evaluate them with all nodes observed.
 
     Parameters
     ----------
     steps, batch : int
-        Of each model's training on 50 pendulums of 25 timesteps; the noise of what is observed is drawn anew for
-        every batch.
+        Training steps and batch size of each model, on 50 pendulums of 25 timesteps; the observation noise is drawn
+        anew for every batch.
     seed : int
-        Of everything.
-    shown, samples : int
-        For how many held-out poses samples are drawn, and how many.
+        Random seed.
+    examples, samples : int
+        Number of held-out poses that are sampled, and of samples of each.
     progress : callable, optional
-        Is told how many steps of all models are done.
+        Called with the number of steps done, over all models.
 
     Returns
     -------
@@ -200,20 +199,20 @@ def pendulum(
     Raises
     ------
     PoseDataError
-        Where the toy world is not at hand.
+        Where the package ``toy`` can't be imported.
 
     References
     ----------
     Pierzchlewicz et al. 2022, arXiv:2210.11179, supplement B.2.
     """
-    simulate = _toy("toy.pendulum", "simulate")
+    simulate = _import_toy("toy.pendulum", "simulate")
     training, held_out = (simulate(np.random.default_rng([seed, part])) for part in range(2))
     poses = torch.from_numpy(training.positions[:, :, 1:].reshape(-1, 3, 2)).float()
     truth = torch.from_numpy(held_out.positions[:, :, 1:].reshape(-1, 3, 2)).float()
-    seen = torch.from_numpy(held_out.observed.reshape(-1, 3, 2)).float()
-    everything = torch.ones(len(truth), 3, dtype=torch.bool)
+    keypoints = torch.from_numpy(held_out.observed.reshape(-1, 3, 2)).float()
+    all_observed = torch.ones(len(truth), 3, dtype=torch.bool)
     pendulums, timesteps = held_out.positions.shape[:2]
-    few = slice(len(truth) // (2 * shown), len(truth), len(truth) // shown)
+    rows = slice(len(truth) // (2 * examples), len(truth), len(truth) // examples)
     log_density, drawn = {}, {}
     for index, (name, sets) in enumerate(PENDULUM_MODELS.items()):
 
@@ -225,33 +224,33 @@ def pendulum(
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             estimator = CGNF(_SIZE, _CHAIN, origin="none", dimensions=2)
-        told = None if progress is None else _after(progress, index * steps)
-        fit(estimator, draw, steps=steps, seed=seed, progress=told)
+        model_progress = None if progress is None else _with_offset(progress, index * steps)
+        fit(estimator, draw, steps=steps, seed=seed, progress=model_progress)
         with torch.inference_mode():
-            exact = estimator.double()
-            nats = exact(Context(seen.double(), everything)).log_prob(truth.double()).view(pendulums, timesteps)
+            double = estimator.double()
+            context = Context(keypoints.double(), all_observed)
+            nats = double(context).log_prob(truth.double()).view(pendulums, timesteps)
             generator = torch.Generator().manual_seed(seed)
-            some = exact(Context(seen[few].double(), everything[few])).sample(samples, generator=generator)
-            drawn[name] = some.float().numpy()
+            drawn[name] = double(context[rows]).sample(samples, generator=generator).float().numpy()
         log_density[name] = LogDensity.of(nats)
-    return Pendulum(log_density, truth[few].numpy(), seen[few].numpy(), drawn)
+    return Pendulum(log_density, truth[rows].numpy(), keypoints[rows].numpy(), drawn)
 
 
 @dataclass(frozen=True)
 class PoseWorldRow:
-    """How a cGNF does with some number of observed keypoints in the world where the posterior is known.
+    """Log densities of a cGNF and of the true posterior for one number of observed keypoints.
 
     Attributes
     ----------
     observed : int
-        Keypoints that are observed, of 16.
+        Number of observed keypoints, of 16.
     trained : bool
-        Whether training had as many.
+        Whether this number is in the training set.
     true_log_density, log_density : float
         Mean log p(x | c) of the true posterior and of the cGNF, nats per pose in mm.
     gap, standard_error : float
-        Nats by which the cGNF is above the true posterior's negative log density: an estimate of the Kullback-Leibler
-        divergence. 0 is perfect.
+        Difference of the two, nats: an estimate of the Kullback-Leibler divergence of the cGNF from the true posterior.
+        0 is best.
     """
 
     observed: int
@@ -266,26 +265,26 @@ def pose_world(
     *,
     steps: int = 4000,
     batch: int = 200,
-    most_observed: int = 8,
+    max_observed: int = 8,
     poses: int = 2000,
     seed: int = 0,
     progress: Callable[[int], None] | None = None,
 ) -> list[PoseWorldRow]:
-    """Train a cGNF in the toy world of Gaussian poses with few observed keypoints, and judge it with any number.
+    """Train a cGNF in the toy world of Gaussian poses with few observed keypoints, and evaluate it with any number.
 
     Parameters
     ----------
     steps, batch : int
-        Of the training; every batch has new poses, and each a number of observed keypoints from 0 to
-        ``most_observed``, at random.
-    most_observed : int
-        Of 16 keypoints.
+        Training steps and batch size; every batch has new poses, each with a random number of observed keypoints from
+        0 to ``max_observed``.
+    max_observed : int
+        Maximum number of observed keypoints in training, of 16.
     poses : int
         M, for each row of the result.
     seed : int
-        Of everything.
+        Random seed.
     progress : callable, optional
-        Is told how many steps are done.
+        Called with the number of steps done.
 
     Returns
     -------
@@ -295,9 +294,9 @@ def pose_world(
     Raises
     ------
     PoseDataError
-        Where the toy world is not at hand.
+        Where the package ``toy`` can't be imported.
     """
-    world = _toy("toy.pose_world", "PoseWorld").person("h36m-16")
+    world = _import_toy("toy.pose_world", "PoseWorld").person("h36m-16")
     mean = torch.from_numpy(world.mean)
     factor = torch.from_numpy(np.linalg.cholesky(world.covariance))
 
@@ -308,47 +307,51 @@ def pose_world(
         return x, x[..., :2] + noise
 
     def draw_observed(counts: Tensor, generator: torch.Generator) -> Tensor:
-        turn = torch.rand((len(counts), 16), generator=generator)
-        return turn.argsort(1).argsort(1) < counts[:, None]
+        order = torch.rand((len(counts), 16), generator=generator)
+        return order.argsort(1).argsort(1) < counts[:, None]
 
     def draw(generator: torch.Generator) -> Batch:
         x, c = draw_poses(batch, generator)
-        counts = torch.randint(most_observed + 1, (batch,), generator=generator)
+        counts = torch.randint(max_observed + 1, (batch,), generator=generator)
         return x.float(), c.float(), draw_observed(counts, generator)
 
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        estimator = CGNF(_SIZE, PoseGraph.of_joints(world.joints), origin="none")
+        estimator = CGNF(_SIZE, PoseGraph.from_joints(world.joints), origin="none")
     fit(estimator, draw, steps=steps, seed=seed, progress=progress)
     rows = []
     for count in (0, 4, 8, 12, 16):
-        generator = seeded("cpu", seed, steps + 1, count)
+        generator = seeded_generator("cpu", seed, steps + 1, count)
         x, c = draw_poses(poses, generator)
         observed = draw_observed(torch.full((poses,), count), generator)
         true = torch.from_numpy(world.posterior(c.numpy(), observed.numpy()).log_prob(x.numpy()))
         with torch.inference_mode():
-            ours = estimator(Context(c.float(), observed)).log_prob(x.float()).double()
-        gap = true - ours
-        error = float(gap.std()) / math.sqrt(poses)
+            log_density = estimator(Context(c.float(), observed)).log_prob(x.float()).double()
+        gap = true - log_density
         rows.append(
             PoseWorldRow(
-                count, count <= most_observed, float(true.mean()), float(ours.mean()), float(gap.mean()), error
+                observed=count,
+                trained=count <= max_observed,
+                true_log_density=float(true.mean()),
+                log_density=float(log_density.mean()),
+                gap=float(gap.mean()),
+                standard_error=float(gap.std()) / math.sqrt(poses),
             )
         )
     return rows
 
 
-def _after(progress: Callable[[int], None], before: int) -> Callable[[int], None]:
-    return lambda steps: progress(before + steps)
+def _with_offset(progress: Callable[[int], None], offset: int) -> Callable[[int], None]:
+    return lambda steps: progress(offset + steps)
 
 
-def _toy(module: str, name: str):  # type: ignore[no-untyped-def]
+def _import_toy(module: str, name: str):  # type: ignore[no-untyped-def]
     from importlib import import_module
 
     try:
         return getattr(import_module(module), name)
     except ImportError as problem:
         raise PoseDataError(
-            f"zero-shot: {module} is not at hand; expected the folder toy of posecal's repository. "
+            f"zero-shot: {module} can't be imported; expected the folder toy of posecal's repository. "
             "Run the command in a checkout."
         ) from problem

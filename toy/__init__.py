@@ -1,1 +1,1 @@
-"""toy: worlds whose answers are known, run as ``python -m toy`` from a checkout."""
+"""toy: problems with known solutions, run as ``python -m toy`` from a checkout."""

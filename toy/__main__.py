@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 P = ParamSpec("P")
 
 app = typer.Typer(
-    help="Worlds whose answers are known: the paper's toy problems and an oracle pose world.",
+    help="Problems with known solutions: the paper's toy problems and a pose world with exact posteriors.",
     no_args_is_help=True,
     add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -26,7 +26,7 @@ app = typer.Typer(
 
 
 def command(body: Callable[P, None]) -> Callable[P, None]:
-    """Register a command; bad data end in one message and exit 3, Ctrl-C in 130."""
+    """Register a command; an error of posecal gives one message and exit code 3, Ctrl-C 130."""
 
     @functools.wraps(body)
     def guarded(*args: P.args, **kwargs: P.kwargs) -> None:
@@ -53,11 +53,11 @@ def _figure(path: Path) -> Path:
 
 
 Output = Annotated[Path, typer.Option("-o", "--output", help="The figure: .svg, .png or .pdf.", callback=_figure)]
-Seed = Annotated[int, typer.Option(help="Where random draws start.", min=0)]
-Poses = Annotated[int, typer.Option(help="Truths in the simulated check.", min=2)]
+Seed = Annotated[int, typer.Option(help="Random seed.", min=0)]
+Poses = Annotated[int, typer.Option(help="Number of truths in the check by simulation.", min=2)]
 
 
-def _deliver(result: Result, output: Path) -> None:
+def _print_and_save(result: Result, output: Path) -> None:
     from posecal.plot import save
 
     typer.echo(result.text)
@@ -75,7 +75,7 @@ def sigma_map(
     """Figure 1b: the spread that minimises minMPJPE, over dimensions and hypotheses."""
     from toy.experiments.sigma_map import run
 
-    _deliver(run(np.random.default_rng(seed), poses=poses, grid=grid), output)
+    _print_and_save(run(np.random.default_rng(seed), poses=poses, grid=grid), output)
 
 
 @command
@@ -83,7 +83,7 @@ def landscape(output: Output = Path("landscape.svg"), seed: Seed = 0, poses: Pos
     """Figure 1d: minMPJPE and ECE over the mean and the spread of a 1D Gaussian."""
     from toy.experiments.landscape import run
 
-    _deliver(run(np.random.default_rng(seed), poses=poses), output)
+    _print_and_save(run(np.random.default_rng(seed), poses=poses), output)
 
 
 @command
@@ -91,7 +91,7 @@ def collapse(output: Output = Path("collapse.svg"), seed: Seed = 0, poses: Poses
     """Supplement A.1: the mean MPJPE is lowest for a model without spread."""
     from toy.experiments.collapse import run
 
-    _deliver(run(np.random.default_rng(seed), poses=poses), output)
+    _print_and_save(run(np.random.default_rng(seed), poses=poses), output)
 
 
 @command
@@ -99,15 +99,15 @@ def mean(output: Output = Path("mean.svg"), seed: Seed = 0, poses: Poses = 100_0
     """Supplement A.2: minMPJPE keeps the mean of a symmetric truth."""
     from toy.experiments.mean import run
 
-    _deliver(run(np.random.default_rng(seed), poses=poses), output)
+    _print_and_save(run(np.random.default_rng(seed), poses=poses), output)
 
 
 @command
 def curves(output: Output = Path("curves.svg"), seed: Seed = 0, poses: Poses = 100_000) -> None:
-    """Closed calibration curves of a wrong spread, mean or dimension."""
+    """Closed-form calibration curves of a wrong spread, mean or dimension."""
     from toy.experiments.curves import run
 
-    _deliver(run(np.random.default_rng(seed), poses=poses), output)
+    _print_and_save(run(np.random.default_rng(seed), poses=poses), output)
 
 
 @command
@@ -116,33 +116,32 @@ def pose_world(
     seed: Seed = 0,
     data: Annotated[Path, typer.Option(help="The folder for hyps.npz and gt.npz.")] = Path("pose-world"),
     fault: Annotated[
-        str, typer.Option(help="What is wrong: a name (--list), spread-FACTOR, or all, a folder each.")
+        str, typer.Option(help="The fault: a name (--list), spread-FACTOR, or all, with a folder each.")
     ] = "perfect",
-    world: Annotated[Literal["person", "independent-joints"], typer.Option(help="Which world.")] = "person",
+    world: Annotated[Literal["person", "independent-joints"], typer.Option(help="The world.")] = "person",
     joints: Annotated[str, typer.Option(help="One of posecal's joint sets.")] = "h36m-16",
-    hypotheses: Annotated[int, typer.Option(help="How many of each pose.", min=1)] = 200,
-    sequences: Annotated[int, typer.Option(help="How many sequences.", min=1)] = 40,
-    frames: Annotated[int, typer.Option(help="Frames in each.", min=1)] = 25,
+    hypotheses: Annotated[int, typer.Option(help="Hypotheses of each pose.", min=1)] = 200,
+    sequences: Annotated[int, typer.Option(help="Number of sequences.", min=1)] = 40,
+    frames: Annotated[int, typer.Option(help="Frames per sequence.", min=1)] = 25,
     correlation: Annotated[float, typer.Option(help="Between consecutive frames.", min=0, max=0.9999)] = 0.0,
     hidden: Annotated[
         float, typer.Option(help="Share of keypoints missing in every other sequence.", min=0, max=1)
     ] = 0.3,
-    list_: Annotated[bool, typer.Option("--list", help="Name the faults and stop.")] = False,
+    list_: Annotated[bool, typer.Option("--list", help="List the faults and exit.")] = False,
 ) -> None:
     """Poses with a known posterior: files for posecal evaluate, perfect or with a named fault."""
-    from toy.faults import FAULTS, named_fault
+    from toy.faults import FAULTS, find_fault
 
     if list_:
-        for known in FAULTS.values():
-            typer.echo(f"{known.name:20} {known.says}")
+        for listed in FAULTS.values():
+            typer.echo(f"{listed.name:20} {listed.description}")
         return
     from toy.experiments.pose_world import run
     from toy.pose_world import PoseWorld
 
-    made = PoseWorld.person(joints) if world == "person" else PoseWorld.independent_joints(joints)
     result = run(
-        made,
-        list(FAULTS.values()) if fault == "all" else [named_fault(fault)],
+        PoseWorld.person(joints) if world == "person" else PoseWorld.independent_joints(joints),
+        list(FAULTS.values()) if fault == "all" else [find_fault(fault)],
         data,
         seed=seed,
         N=hypotheses,
@@ -151,26 +150,26 @@ def pose_world(
         correlation=correlation,
         hidden=hidden,
     )
-    _deliver(result, output)
+    _print_and_save(result, output)
 
 
 @command
 def fault_table(
     seed: Seed = 0,
-    hypotheses: Annotated[int, typer.Option(help="How many of each pose.", min=2)] = 100,
-    poses: Annotated[int, typer.Option(help="How many independent poses.", min=6)] = 1000,
+    hypotheses: Annotated[int, typer.Option(help="Hypotheses of each pose.", min=2)] = 100,
+    poses: Annotated[int, typer.Option(help="Number of independent poses.", min=6)] = 1000,
     joint_correlation: Annotated[
         float, typer.Option(help="Between the deviations of any two joints.", min=0, max=0.9999)
     ] = 0.0,
 ) -> None:
-    """What the paper's ECE misses: every named fault against the battery, as Markdown."""
+    """Table of all named faults: calibration errors and tests, with the paper's ECE, as Markdown."""
     from toy.experiments.fault_table import LEVEL, evaluate_faults
     from toy.experiments.fault_table import fault_table as as_markdown
 
-    together = f", joints correlated {joint_correlation:g}" if joint_correlation else ""
+    correlated = f", joints correlated {joint_correlation:g}" if joint_correlation else ""
     typer.echo(
-        f"N = {hypotheses}, M = {poses:,} independent poses{together}. Cells: mean |ω − q|, bold where sign-flips give "
-        f"p < {LEVEL:g}.\nES ratio: energy score over that of sampling from the truth's own law.\n"
+        f"N = {hypotheses}, M = {poses:,} independent poses{correlated}. Cells: mean |ω − q|, bold where sign-flips "
+        f"give p < {LEVEL:g}.\nES ratio: energy score over that of samples from the truth's distribution.\n"
     )
     typer.echo(as_markdown(evaluate_faults(seed, N=hypotheses, M=poses, joint_correlation=joint_correlation)))
 
@@ -180,13 +179,13 @@ def pendulum(
     output: Output = Path("pendulum.svg"),
     seed: Seed = 0,
     data: Annotated[Path, typer.Option(help="The .npz for positions and observations.")] = Path("pendulum.npz"),
-    pendulums: Annotated[int, typer.Option(help="How many.", min=1)] = 50,
-    timesteps: Annotated[int, typer.Option(help="Times of each, 0.02 s apart.", min=2)] = 25,
+    pendulums: Annotated[int, typer.Option(help="Number of pendulums.", min=1)] = 50,
+    timesteps: Annotated[int, typer.Option(help="Times of each pendulum, 0.02 s apart.", min=2)] = 25,
 ) -> None:
     """Supplement B.2: triple pendulums, the data of the zero-shot experiment."""
     from toy.experiments.pendulum import run
 
-    _deliver(run(np.random.default_rng(seed), data, pendulums=pendulums, timesteps=timesteps), output)
+    _print_and_save(run(np.random.default_rng(seed), data, pendulums=pendulums, timesteps=timesteps), output)
 
 
 @command

@@ -1,8 +1,8 @@
-"""How close does the best of N hypotheses come, and which spread brings it closest?
+"""Expected minMPJPE of N Gaussian hypotheses, and the spread that minimises it.
 
 The paper's toy problem (section 3.2, Figure 1b): a truth ``x ~ N(μ*, σ*² I_D)`` and N hypotheses
 ``x̂_n = μ + σ z_n`` of it, with ``z_n ~ N(0, I_D)``. One joint of D coordinates, so minMPJPE is the distance of the
-nearest hypothesis. Everything here is quadrature, and nothing is drawn except in :func:`simulated_min_mpjpe`.
+nearest hypothesis. All expectations are computed by quadrature; only :func:`simulated_min_mpjpe` draws samples.
 
 Conventions: ``sigma`` is σ, ``truth_sigma`` is σ*, ``offset`` is ‖μ* − μ‖; all share the data's unit of length.
 """
@@ -24,7 +24,7 @@ Floats = npt.NDArray[np.float64]
 
 
 def _chi_density(distance: Floats, offset: Floats, D: int) -> Floats:
-    """Density of ‖x‖ for x ~ N(m, I_D) with ‖m‖ = offset: the noncentral χ law."""
+    """Density of ‖x‖ for x ~ N(m, I_D) with ‖m‖ = offset: the noncentral χ distribution."""
     log_central = special.xlogy(D - 1, distance) - distance**2 / 2 - (D / 2 - 1) * math.log(2) - math.lgamma(D / 2)
     tilt = special.hyp0f1(D / 2, (offset * distance) ** 2 / 4)
     return np.exp(log_central - offset**2 / 2) * tilt
@@ -33,7 +33,7 @@ def _chi_density(distance: Floats, offset: Floats, D: int) -> Floats:
 def expected_min_mpjpe(
     sigma: float, *, N: int, D: int, truth_sigma: float = 0.5, offset: npt.ArrayLike = 0.0, nodes: int = NODES
 ) -> Floats:
-    r"""Give the expected minMPJPE of N Gaussian hypotheses of a Gaussian truth.
+    r"""Return the expected minMPJPE of N Gaussian hypotheses of a Gaussian truth.
 
     .. math:: E \min_n ‖x − μ − σ z_n‖,\quad x ∼ N(μ^*, σ^{*2} I_D)
 
@@ -67,7 +67,7 @@ def expected_min_mpjpe(
     With 48 nodes the relative error is below 3e-5 for D to 100, N to 500 and spreads from a tenth to twice the
     truth's.
 
-    Differs from the published code: it averages 100 truths against hypotheses that they share.
+    Differs from the published code: there 100 truths, which share their hypotheses, are averaged.
 
     References
     ----------
@@ -93,7 +93,7 @@ def expected_min_mpjpe(
 
 
 def optimal_sigma(*, N: int, D: int, truth_sigma: float = 0.5) -> float:
-    r"""Give the spread σ that minimises the expected minMPJPE of N hypotheses about the right mean.
+    r"""Return the spread σ that minimises the expected minMPJPE of N hypotheses with the correct mean.
 
     .. math:: σ_{opt} = \arg\min_σ E \min_n ‖x − μ^* − σ z_n‖
 
@@ -120,10 +120,10 @@ def optimal_sigma(*, N: int, D: int, truth_sigma: float = 0.5) -> float:
     Notes
     -----
     As N grows the best density of hypotheses is proportional to p^{D/(D+1)} (Zador's law for the mean distance), a
-    Gaussian √(1 + 1/D) times as wide as the truth. So every D ends underconfident, but at D = 45 by 1 % and after
-    astronomically many hypotheses.
+    Gaussian √(1 + 1/D) times as wide as the truth. So for every D the limit is underconfident, but at D = 45 by 1 % and
+    only for astronomically many hypotheses.
 
-    Differs from the published code: it follows noisy gradients for 1,000 steps, one spread per coordinate.
+    Differs from the published code: there 1,000 steps along noisy gradients are taken, with one spread per coordinate.
 
     References
     ----------
@@ -131,7 +131,7 @@ def optimal_sigma(*, N: int, D: int, truth_sigma: float = 0.5) -> float:
 
     Examples
     --------
-    >>> optimal_sigma(N=1, D=45)  # a single guess is best made at the mean
+    >>> optimal_sigma(N=1, D=45)  # the best single hypothesis is the mean
     0.0
     >>> round(optimal_sigma(N=200, D=45), 4)
     0.1973
@@ -139,17 +139,17 @@ def optimal_sigma(*, N: int, D: int, truth_sigma: float = 0.5) -> float:
     check(N, D, truth_sigma=truth_sigma)
     if N == 1 or truth_sigma == 0:
         return 0.0
-    found = optimize.minimize_scalar(
+    optimum = optimize.minimize_scalar(
         lambda spread: float(expected_min_mpjpe(spread, N=N, D=D, truth_sigma=1.0)),
         bounds=(0.0, math.sqrt(1 + 1 / D)),
         method="bounded",
         options={"xatol": 1e-5},
     )
-    return truth_sigma * float(found.x)
+    return truth_sigma * float(optimum.x)
 
 
 def nll(sigma: float, *, D: int, truth_sigma: float = 0.5) -> float:
-    r"""Give the expected negative log likelihood of the truth under a Gaussian about the right mean.
+    r"""Return the expected negative log likelihood of the truth under a Gaussian with the correct mean.
 
     .. math:: D \left(\ln(σ\sqrt{2π}) + \frac{σ^{*2}}{2σ²}\right)
 
@@ -165,7 +165,7 @@ def nll(sigma: float, *, D: int, truth_sigma: float = 0.5) -> float:
     Returns
     -------
     float
-        Nats for the D coordinates together. Lower is better; least where ``sigma`` is ``truth_sigma``.
+        Nats, summed over the D coordinates. Lower is better; lowest where ``sigma`` is ``truth_sigma``.
 
     Raises
     ------
@@ -176,8 +176,8 @@ def nll(sigma: float, *, D: int, truth_sigma: float = 0.5) -> float:
     -----
     The density has the data's unit, so a change of unit adds a constant. Infinite where ``sigma`` is 0.
 
-    Differs from the published code: it averages over coordinates, and prints 7.43 where this gives 0.73 per
-    coordinate and 32.7 for 45.
+    Differs from the published code: there it is averaged over coordinates, and 7.43 is printed where this gives 0.73
+    per coordinate and 32.7 for 45.
 
     References
     ----------
@@ -204,7 +204,7 @@ def simulated_min_mpjpe(
     truth_sigma: float = 0.5,
     offset: float = 0.0,
 ) -> tuple[float, float]:
-    r"""Draw truths and hypotheses, and average the distance of the nearest.
+    r"""Simulate truths and hypotheses, and average the distance of the nearest.
 
     .. math:: \frac1M Σ_m \min_n ‖x_m − σ z_{nm}‖
 
@@ -217,9 +217,9 @@ def simulated_min_mpjpe(
     D : int
         Number of coordinates.
     poses : int
-        Number M of independent truths, each with hypotheses of its own; at least 2.
+        Number M of independent truths, each with its own hypotheses; at least 2.
     rng : numpy.random.Generator
-        Where the draws come from.
+        The source of randomness.
     truth_sigma : float
         The truth's standard deviation per coordinate, above 0.
     offset : float
@@ -238,7 +238,7 @@ def simulated_min_mpjpe(
     Notes
     -----
     Two numbers are drawn for a hypothesis of any D: its coordinate along the truth, and the squared length of the
-    rest, which has the χ² law with D − 1 degrees of freedom.
+    rest, which has the χ² distribution with D − 1 degrees of freedom.
 
     Differs from the published code: there all truths share one draw of hypotheses, so its average has an error
     that does not shrink with the number of truths.

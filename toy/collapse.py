@@ -1,12 +1,11 @@
-r"""What does a model become that is trained on the mean MPJPE of its hypotheses?
+r"""Collapse of a model that is trained on the mean MPJPE of its hypotheses to a point: the paper's supplement A.1.
 
-A point (the paper's supplement A.1). For a Gaussian truth both objectives have closed forms here: the squared
-error of the supplement's proof, and the MPJPE itself. They agree that the best spread is 0 and differ in where:
-the squared error collapses to the mean, the MPJPE to the median. The exponential law, whose mean and median
-differ, shows it.
+For a Gaussian truth both objectives have closed forms here: the squared error of the supplement's proof, and the MPJPE
+itself. The best spread is 0 for both; the squared error collapses to the mean, the MPJPE to the median. The exponential
+distribution, whose mean and median differ, is an example.
 
-In general ``g(x̂) = E‖x − x̂‖`` is convex, so by Jensen's inequality hypotheses of any law do at least as well
-when all of them are moved to their mean, whatever the truth's law is.
+In general ``g(x̂) = E‖x − x̂‖`` is convex, so by Jensen's inequality moving all hypotheses to their mean never
+increases the expected error, for any distribution of hypotheses and truth.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ Floats = npt.NDArray[np.float64]
 
 
 def mean_mpjpe(sigma: npt.ArrayLike, *, D: int, truth_sigma: float = 1.0, offset: npt.ArrayLike = 0.0) -> Floats:
-    r"""Give the expected distance between a Gaussian hypothesis and a Gaussian truth.
+    r"""Return the expected distance between a Gaussian hypothesis and a Gaussian truth.
 
     .. math::
 
@@ -46,8 +45,8 @@ def mean_mpjpe(sigma: npt.ArrayLike, *, D: int, truth_sigma: float = 1.0, offset
     Returns
     -------
     ndarray, shape (...)
-        Expected mean MPJPE of any number of hypotheses, in the unit of ``sigma``. Lower is better; least at
-        ``sigma = offset = 0``, and √2 times that for the true law.
+        Expected mean MPJPE of any number of hypotheses, in the unit of ``sigma``. Lower is better; lowest at
+        ``sigma = offset = 0``, and √2 times that for the true distribution.
 
     Raises
     ------
@@ -80,7 +79,7 @@ def mean_mpjpe(sigma: npt.ArrayLike, *, D: int, truth_sigma: float = 1.0, offset
 def mean_squared_error(
     sigma: npt.ArrayLike, *, D: int, truth_sigma: float = 1.0, offset: npt.ArrayLike = 0.0
 ) -> Floats:
-    r"""Give the expected squared distance between a Gaussian hypothesis and a Gaussian truth.
+    r"""Return the expected squared distance between a Gaussian hypothesis and a Gaussian truth.
 
     .. math:: E‖x − \hat x‖² = D (σ² + σ^{*2}) + ‖μ^* − μ‖²
 
@@ -98,7 +97,7 @@ def mean_squared_error(
     Returns
     -------
     ndarray, shape (...)
-        In the squared unit of ``sigma``. Lower is better; least at ``sigma = offset = 0``.
+        In the squared unit of ``sigma``. Lower is better; lowest at ``sigma = offset = 0``.
 
     Notes
     -----
@@ -118,19 +117,19 @@ def mean_squared_error(
 
 
 def exponential_mpjpe(point: npt.ArrayLike) -> Floats:
-    r"""Give the expected distance of a collapsed model from an exponential truth of mean 1.
+    r"""Return the expected distance of a collapsed model from an exponential truth of mean 1.
 
     .. math:: E|x − a| = a − 1 + 2 e^{−a}
 
     Parameters
     ----------
     point : array_like, shape (...)
-        Where all hypotheses are, a ≥ 0, in units of the truth's mean.
+        The value a ≥ 0 of all hypotheses, in units of the truth's mean.
 
     Returns
     -------
     ndarray, shape (...)
-        In units of the truth's mean. Lower is better; least, ln 2, at the median ln 2.
+        In units of the truth's mean. Lower is better; lowest, ln 2, at the median ln 2.
 
     Notes
     -----
@@ -146,19 +145,19 @@ def exponential_mpjpe(point: npt.ArrayLike) -> Floats:
 
 
 def exponential_squared_error(point: npt.ArrayLike) -> Floats:
-    r"""Give the expected squared distance of a collapsed model from an exponential truth of mean 1.
+    r"""Return the expected squared distance of a collapsed model from an exponential truth of mean 1.
 
     .. math:: E(x − a)² = 1 + (a − 1)²
 
     Parameters
     ----------
     point : array_like, shape (...)
-        Where all hypotheses are, in units of the truth's mean.
+        The value a of all hypotheses, in units of the truth's mean.
 
     Returns
     -------
     ndarray, shape (...)
-        In squared units of the truth's mean. Lower is better; least, 1, at the mean 1.
+        In squared units of the truth's mean. Lower is better; lowest, 1, at the mean 1.
 
     Notes
     -----

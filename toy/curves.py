@@ -1,9 +1,9 @@
-r"""What calibration curve does a sampler show that is wrong in a known way?
+r"""Closed-form calibration curves of Gaussian samplers with a wrong spread, mean or dimension.
 
-Closed forms for one Gaussian joint: hypotheses ``N(μ, σ² I_D)``, truth ``N(μ*, σ*² I_D*)``, infinitely many of
-both, so that the hypotheses' median is μ and every quantile is exact. Each of the three ways to be wrong is a
-number without a unit: the spread σ/σ*, the offset ‖μ* − μ‖/σ*, and the truth's own number of coordinates D* where
-it moves in fewer than the model believes. These curves are the oracles of posecal's own at large N and M.
+One Gaussian joint: hypotheses ``N(μ, σ² I_D)``, truth ``N(μ*, σ*² I_D*)``, infinitely many of both, so that the
+hypotheses' median is μ and every quantile is exact. Each of the three errors is a number without a unit: the spread
+σ/σ*, the offset ‖μ* − μ‖/σ*, and the truth's number of coordinates D* where it varies in fewer than the model. These
+curves are the oracles of posecal's own at large N and M.
 
 Conventions: a level q is a share between 0 and 1, ω(q) the share of truths within the q-ball. Where ω lies below
 the diagonal the sampler is overconfident, above it underconfident.
@@ -40,7 +40,7 @@ def coverage(
     D: int = 3,
     truth_D: int | None = None,
 ) -> Floats:
-    r"""Give the share ω(q) of truths that lie within the hypotheses' q-ball.
+    r"""Return the share ω(q) of truths that lie within the hypotheses' q-ball.
 
     .. math:: ω(q) = F_{D^*,\,‖μ^*-μ‖²/σ^{*2}}\left(\frac{σ²}{σ^{*2}} F_D^{-1}(q)\right)
 
@@ -51,13 +51,13 @@ def coverage(
     levels : array_like, shape (Q,)
         Shares q of the hypotheses, between 0 and 1.
     spread : float
-        σ/σ*: below 1 the model is too narrow. 0 is the collapsed model.
+        σ/σ*: below 1 the model is overconfident. 0 is the collapsed model.
     offset : float
-        ‖μ* − μ‖/σ*, along a coordinate in which the truth moves.
+        ‖μ* − μ‖/σ*, along a coordinate in which the truth varies.
     D : int
-        Coordinates in which the hypotheses move.
+        Number of coordinates in which the hypotheses vary.
     truth_D : int, optional
-        Coordinates in which the truth moves, at most D; as many as the hypotheses where not given.
+        Number of coordinates in which the truth varies, at most D; D where not given.
 
     Returns
     -------
@@ -81,8 +81,8 @@ def coverage(
 
     Examples
     --------
-    In one dimension the half of the hypotheses lie within 0.6745 σ. At half the spread that ball reaches
-    0.3372 σ*, and holds 2 Φ(0.3372) − 1 = 26 % of the truths.
+    In one dimension half of the hypotheses are within 0.6745 σ. At half the spread the radius of that ball is
+    0.3372 σ*, and it contains 2 Φ(0.3372) − 1 = 26 % of the truths.
 
     >>> coverage([0.0, 0.5, 1.0], spread=0.5, D=1).round(4).tolist()
     [0.0, 0.2641, 1.0]
@@ -92,34 +92,34 @@ def coverage(
     _check(spread, offset, D, truth_D)
     if not np.all((levels >= 0) & (levels <= 1)):
         raise PoseDataError(f"levels: {levels.min():g} to {levels.max():g}; expected shares between 0 and 1.")
-    below_all = levels < 1
-    radius_squared = spread**2 * 2 * special.gammaincinv(D / 2, np.where(below_all, levels, 0.0))
+    below_one = levels < 1
+    radius_squared = spread**2 * 2 * special.gammaincinv(D / 2, np.where(below_one, levels, 0.0))
     within = special.chndtr(radius_squared, truth_D, offset**2)
-    return np.where(below_all, within, 1.0)
+    return np.where(below_one, within, 1.0)
 
 
 def coverage_of(
     N: int, levels: npt.ArrayLike = LEVELS, *, spread: float = 1.0, D: int = 3, step: float = 1e-4
 ) -> Floats:
-    r"""Give the share that N exchangeably ranked hypotheses of a wrong spread lead one to expect.
+    r"""Return the expected coverage of exchangeable ranks among N hypotheses of a wrong spread.
 
     .. math:: E\,ω_N(q) = ω(q) + \frac{q(1−q) + 2π\, T f_D(T)²}{2N}\, ω''(q) + O(N^{−2}), \quad T = F_D^{-1}(q)
 
-    with f the χ² density. The first term of the fraction is the scatter of a rank among N, the second that of a
+    with f the χ² density. The first term of the fraction is the variance of a rank among N, the second that of a
     median of N.
 
     Parameters
     ----------
     N : int
-        Number of hypotheses, at least 20 for the expansion to mean something.
+        Number of hypotheses, at least 20 for the expansion to be accurate.
     levels : array_like, shape (Q,)
         Shares q, between 0 and 1; only 0 and 1 may be nearer than ``step`` to an end.
     spread : float
         σ/σ*, above 0.
     D : int
-        Coordinates.
+        Number of coordinates.
     step : float
-        For the numerical second derivative.
+        Step of the numerical second derivative.
 
     Returns
     -------
@@ -141,7 +141,7 @@ def coverage_of(
     Examples
     --------
     >>> narrow = coverage_of(20, [0.5], spread=0.5) - coverage([0.5], spread=0.5)
-    >>> bool(0 < narrow.item() < 0.02)  # few hypotheses hide a little of the overconfidence
+    >>> bool(0 < narrow.item() < 0.02)  # few hypotheses show slightly less overconfidence
     True
     """
     levels = np.asarray(levels, float)
@@ -152,8 +152,8 @@ def coverage_of(
     curvature = (near[0] + near[1] - 2 * exact[inner]) / step**2
     half_T = special.gammaincinv(D / 2, q)
     density = np.exp(special.xlogy(D / 2 - 1, half_T) - half_T - special.gammaln(D / 2)) / 2
-    scatter = q * (1 - q) + 4 * np.pi * half_T * density**2
-    exact[inner] += scatter * curvature / (2 * N)
+    variance = q * (1 - q) + 4 * np.pi * half_T * density**2
+    exact[inner] += variance * curvature / (2 * N)
     return exact
 
 
@@ -165,7 +165,7 @@ def ece(
     truth_D: int | None = None,
     levels: npt.ArrayLike = LEVELS,
 ) -> float:
-    r"""Give the expected calibration error of the closed curve.
+    r"""Return the expected calibration error of the closed-form curve.
 
     .. math:: \frac1Q Σ_q |ω(q) − q|
 
@@ -174,7 +174,7 @@ def ece(
     spread, offset, D, truth_D
         As in :func:`coverage`.
     levels : array_like, shape (Q,)
-        The levels averaged over; by default the published 21.
+        The levels of the average; by default the published 21.
 
     Returns
     -------
@@ -207,7 +207,7 @@ def ece(
 def simulated_coverage(
     *, spread: float, offset: float, D: int, truth_D: int, draws: int, rng: np.random.Generator
 ) -> Floats:
-    r"""Draw the truth's and the hypotheses' distances to the centre, and count.
+    r"""Simulate the distances of truths and hypotheses from the centre, and count the truths within each ball.
 
     .. math:: \hat ω(q) = \frac1M Σ_m 1\left[‖y_m − μ‖ ≤ \hat Q(q)\right]
 
@@ -218,7 +218,7 @@ def simulated_coverage(
     draws : int
         Number of truths, and of hypotheses.
     rng : numpy.random.Generator
-        Where the draws come from.
+        The source of randomness.
 
     Returns
     -------

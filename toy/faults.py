@@ -1,13 +1,13 @@
-r"""Which faults can a sampler have that are known by name?
+r"""Named faults of samplers, each one modification of the exact posterior.
 
-Each fault takes the exact posterior of a scene and gives hypotheses that are wrong in one way. Most leave the
-truth as it is. Five need a truth of another shape than a Gaussian world has (correlated as asked, stretched in
-depth, always on one side, in two depth modes) and change its deviation from the posterior mean; they say so in
-their sentence, and the truth comes back with the hypotheses.
+Each fault takes the exact posterior of a scene and draws hypotheses that are wrong in one way. Most leave the truth
+unchanged. Five need a truth with another distribution than that of a Gaussian world (correlated as given, stretched in
+depth, always on one side, in two depth modes) and change its deviation from the posterior mean; their descriptions say
+so, and the truth is returned with the hypotheses.
 
-In :meth:`~toy.pose_world.PoseWorld.independent_joints` every fault shows its textbook number: the deviations are
-``σ z`` with independent standard normal z. In another world a fault is the same act on that world's posterior; and a
-case may ask that joints move together, each with the law that it has there.
+In :meth:`~toy.pose_world.PoseWorld.independent_joints` every fault has a closed form: the deviations are ``σ z`` with
+independent standard normal z. In another world a fault is the same modification of that world's posterior; and a case
+may have correlated joints, each with its own marginal distribution.
 
 Conventions: hypotheses (N, M, K, 3), truth (M, K, 3), mm, camera frame; depth is the last coordinate. A joint's sd
 is the root mean square of its three.
@@ -26,7 +26,7 @@ from posecal.errors import PoseDataError, did_you_mean
 from toy.pose_world import PoseWorld, Scene
 from toy.posterior import Posterior
 
-__all__ = ["FAULTS", "Case", "Fault", "named_fault", "spread"]
+__all__ = ["FAULTS", "Case", "Fault", "find_fault", "spread"]
 
 Floats = npt.NDArray[np.float64]
 
@@ -35,21 +35,21 @@ _DEPTH = np.array([0.0, 0, 1])
 
 @dataclass(frozen=True)
 class Case:
-    """A scene with its exact answer, and where further draws come from.
+    """A scene with its exact posterior, and a source of randomness.
 
     Attributes
     ----------
     world : PoseWorld
-        Where the scene was drawn.
+        The world of the scene.
     scene : Scene
         M truths and their keypoints.
     posterior : Posterior
-        The exact law of the truths given the keypoints.
+        The exact posterior of the truths given the keypoints.
     rng : numpy.random.Generator
-        Where hypotheses come from.
+        The source of randomness of the hypotheses.
     joint_correlation : float or None
-        Between the standardised deviations of any two joints, of truths and of perfect hypotheses; None leaves it to
-        the posterior.
+        Correlation between the standardised deviations of any two joints, of truths and of perfect hypotheses; that of
+        the posterior where None.
     """
 
     world: PoseWorld
@@ -62,7 +62,7 @@ class Case:
     def of(
         cls, world: PoseWorld, scene: Scene, rng: np.random.Generator, *, joint_correlation: float | None = None
     ) -> Case:
-        """Work out the posterior of a scene; where joints are to move together, draw its truths anew about the mean."""
+        """Compute the posterior of a scene; with a joint correlation, draw the truths again about the mean."""
         case = cls(world, scene, world.posterior(scene.keypoints, scene.observed), rng, joint_correlation)
         if joint_correlation is None:
             return case
@@ -87,7 +87,7 @@ class Case:
         return np.asarray(np.sqrt(variance)[self.posterior.pattern][..., None])
 
     def correlated(self, N: int, correlation: float) -> Floats:
-        """Draw deviations with the right law of each joint and a given correlation between joints.
+        """Draw deviations with the correct marginal of each joint and a given correlation between joints.
 
         Parameters
         ----------
@@ -109,31 +109,31 @@ class Case:
         values, vectors = np.linalg.eigh(self.posterior.joint_covariance)
         root = vectors * np.sqrt(np.maximum(values, 0))[..., None, :] @ vectors.swapaxes(-1, -2)
         common = self.rng.standard_normal((N, M, 1, D))
-        own = self.rng.standard_normal((N, M, K, D))
-        standard = np.sqrt(correlation) * common + np.sqrt(1 - correlation) * own
+        independent = self.rng.standard_normal((N, M, K, D))
+        standard = np.sqrt(correlation) * common + np.sqrt(1 - correlation) * independent
         return np.asarray(np.einsum("mkab,nmkb->nmka", root[self.posterior.pattern], standard))
 
 
 @dataclass(frozen=True)
 class Fault:
-    """A way to be wrong.
+    """A named fault of a sampler.
 
     Attributes
     ----------
     name : str
         Its name on the command line and in :data:`FAULTS`.
-    says : str
-        What is wrong, in one sentence.
+    description : str
+        The fault in one sentence.
     draw : callable
-        ``draw(case, N)`` gives deviations from the posterior mean: hypotheses (N, M, K, 3), truth (M, K, 3), mm.
+        ``draw(case, N)`` returns deviations from the posterior mean: hypotheses (N, M, K, 3), truth (M, K, 3), mm.
     """
 
     name: str
-    says: str
+    description: str
     draw: Callable[[Case, int], tuple[Floats, Floats]]
 
     def apply(self, case: Case, N: int) -> tuple[Floats, Floats]:
-        """Draw hypotheses with this fault, and the truth that they are to be judged by.
+        """Draw hypotheses with this fault, and the truth to evaluate them against.
 
         Parameters
         ----------
@@ -147,7 +147,7 @@ class Fault:
         hypotheses : ndarray, shape (N, M, K, 3)
             mm.
         truth : ndarray, shape (M, K, 3)
-            mm; the scene's own unless the fault says otherwise.
+            mm; that of the scene unless the fault changes it.
 
         Notes
         -----
@@ -173,12 +173,12 @@ def _one_sided(case: Case, N: int) -> tuple[Floats, Floats]:
 
 
 def _scaled_joints(cycle: list[float]) -> Callable[[Case, int], tuple[Floats, Floats]]:
-    """Scale joint after joint by the factors of a cycle, counting the joints that move."""
+    """Scale the moving joints by the factors of a cycle, one after the other."""
 
     def draw(case: Case, N: int) -> tuple[Floats, Floats]:
         factor = np.ones(len(case.world.joints))
-        moving = np.flatnonzero(case.world.moves)
-        factor[moving] = np.resize(cycle, moving.size)
+        joints = np.flatnonzero(case.world.moves)
+        factor[joints] = np.resize(cycle, joints.size)
         return factor[:, None] * case.deviations(N), case.truth_deviation
 
     return draw
@@ -202,21 +202,21 @@ def _mixed_poses(case: Case, N: int) -> tuple[Floats, Floats]:
 
 
 def _depth_modes(case: Case, N: int) -> tuple[Floats, Floats]:
-    """The truth's whole pose lies in front or behind; the model knows how far, and in no direction."""
+    """Shift the whole true pose forwards or backwards; the model has the same distances in random directions."""
     M = len(case.scene.truth)
 
-    def in_two_modes(deviation: Floats) -> Floats:
+    def two_modes(deviation: Floats) -> Floats:
         side = case.rng.choice([-1.0, 1.0], (*deviation.shape[:-2], 1, 1))
         return np.asarray(deviation + 3 * side * case.joint_sd * _DEPTH)
 
-    radius = np.linalg.norm(in_two_modes(case.deviations(N)), axis=-1, keepdims=True)
+    radius = np.linalg.norm(two_modes(case.deviations(N)), axis=-1, keepdims=True)
     direction = case.rng.standard_normal((N, M, len(case.world.joints), 3))
     shell = radius * direction / np.linalg.norm(direction, axis=-1, keepdims=True)
-    return shell, in_two_modes(case.truth_deviation)
+    return shell, two_modes(case.truth_deviation)
 
 
 def _ignored_image(case: Case, N: int) -> tuple[Floats, Floats]:
-    """Draw from the prior: where joints are to move together, from what other poses of the scene may be."""
+    """Draw from the prior; with correlated joints, from the posteriors of other poses of the scene."""
     M, mean = len(case.scene.truth), case.posterior.mean
     if case.joint_correlation is None:
         return case.world.prior(M).sample(N, case.rng) - mean, case.truth_deviation
@@ -225,17 +225,17 @@ def _ignored_image(case: Case, N: int) -> tuple[Floats, Floats]:
             f"ignored-image: N = {N} hypotheses and M = {M} poses; expected more poses than hypotheses."
         )
     others = np.array([case.rng.choice(M - 1, N, replace=False) for _ in range(M)]).T
-    others += others >= np.arange(M)  # each of another pose, and of no pose twice
+    others += others >= np.arange(M)  # distinct poses, none of them the pose itself
     return mean[others] + case.deviations(N) - mean, case.truth_deviation
 
 
 def spread(factor: float) -> Fault:
-    """Make the fault of a spread that is wrong by one factor everywhere.
+    """Build the fault of a spread that is wrong by one factor for all joints and poses.
 
     Parameters
     ----------
     factor : float
-        Hypotheses' deviation over the right one, 0 or more: below 1 overconfident, above 1 underconfident.
+        Factor of the hypotheses' deviations, 0 or more: below 1 overconfident, above 1 underconfident.
 
     Returns
     -------
@@ -256,7 +256,7 @@ def spread(factor: float) -> Fault:
         raise PoseDataError(f"spread: {factor}; expected a factor, 0 or more.")
     return Fault(
         f"spread-{factor:g}",
-        f"Every hypothesis lies {factor:g} times as far from the mean as it should.",
+        f"All hypotheses are {factor:g} times as far from the mean as they should be.",
         lambda case, N: (factor * case.deviations(N), case.truth_deviation),
     )
 
@@ -264,31 +264,31 @@ def spread(factor: float) -> Fault:
 FAULTS: dict[str, Fault] = {
     fault.name: fault
     for fault in (
-        Fault("perfect", "Nothing: hypotheses are drawn from the exact posterior.", _perfect),
-        Fault("shifted", "The mean is 1.2 sd too deep and the spread 1.23 times too wide.", _shifted),
+        Fault("perfect", "None: hypotheses are drawn from the exact posterior.", _perfect),
+        Fault("shifted", "The mean is 1.2 sd too deep and the spread 1.23 times the correct one.", _shifted),
         Fault(
             "one-sided",
-            "The truth is always behind the mean, at its right distance; the model is on all sides.",
+            "The truth is always behind the mean, at the correct distance; the model is on all sides.",
             _one_sided,
         ),
         Fault(
             "cancelling-joints",
-            "The spread is 0.75 times right in one half of the joints, 1.24 times in the other.",
+            "The spread is 0.75 times the correct one in half of the joints, 1.24 times in the others.",
             _scaled_joints([0.75, 1.24]),
         ),
         Fault(
             "few-joints",
-            "The spread is 0.4 times right in a quarter of the joints, 2.5 times in another.",
+            "The spread is 0.4 times the correct one in a quarter of the joints, 2.5 times in another.",
             _scaled_joints([0.4, 1, 2.5, 1]),
         ),
         Fault(
             "missing-correlation",
-            "The truth's joints move together (correlation 0.9), the model's each by itself.",
+            "The truth's joints are correlated (0.9), the model's independent.",
             _correlation(0.9, 0.0),
         ),
         Fault(
             "excess-correlation",
-            "The truth's joints move together a little (correlation 0.5), the model's too much (0.95).",
+            "The truth's joints are weakly correlated (0.5), the model's strongly (0.95).",
             _correlation(0.5, 0.95),
         ),
         Fault(
@@ -298,21 +298,21 @@ FAULTS: dict[str, Fault] = {
         ),
         Fault(
             "mixed-poses",
-            "The spread is 0.75 times right in every other pose, 1.24 times in the rest.",
+            "The spread is 0.75 times the correct one in every other pose, 1.24 times in the rest.",
             _mixed_poses,
         ),
         Fault(
             "depth-modes",
-            "The truth is 3 sd before or behind the mean, the model as far from it in any direction.",
+            "The truth is 3 sd in front of or behind the mean, the model at the same distance in any direction.",
             _depth_modes,
         ),
-        Fault("ignored-image", "The model draws from the prior, whatever it sees.", _ignored_image),
+        Fault("ignored-image", "The model draws from the prior, whatever the keypoints.", _ignored_image),
     )
 }
 """The faults of the table in ``docs/toy.md``, by name, in its order."""
 
 
-def named_fault(name: str) -> Fault:
+def find_fault(name: str) -> Fault:
     """Find a fault by its name.
 
     Parameters
@@ -332,8 +332,8 @@ def named_fault(name: str) -> Fault:
 
     Examples
     --------
-    >>> named_fault("spread-1.5").says
-    'Every hypothesis lies 1.5 times as far from the mean as it should.'
+    >>> find_fault("spread-1.5").description
+    'All hypotheses are 1.5 times as far from the mean as they should be.'
     """
     if name in FAULTS:
         return FAULTS[name]

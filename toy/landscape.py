@@ -1,9 +1,8 @@
-r"""Where do minMPJPE and the ECE have their minima over the mean and the spread of a Gaussian?
+r"""minMPJPE and ECE over the mean and the spread of a one-dimensional Gaussian: the paper's Figure 1d.
 
-The paper's Figure 1d: hypotheses ``N(μ, σ²)`` of a one-dimensional truth ``N(0, 4²)``. minMPJPE finds the mean
-and misses the spread; the ECE has a valley, one spread for every mean; the lowest minMPJPE along the valley is the
-truth. Both surfaces are exact: minMPJPE by quadrature (:mod:`toy.best_of`), the ECE in closed form
-(:mod:`toy.curves`).
+Hypotheses ``N(μ, σ²)`` of a truth ``N(0, 4²)``. The minimum of minMPJPE is at the correct mean and a wrong spread; the
+ECE has a valley, with one spread for every mean; the lowest minMPJPE along the valley is at the truth. Both surfaces
+are exact: minMPJPE by quadrature (:mod:`toy.best_of`), the ECE in closed form (:mod:`toy.curves`).
 
 Conventions: rows are spreads, columns are means; every length is in the truth's unit.
 """
@@ -26,7 +25,7 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Landscape:
-    """Two surfaces over the mean and the spread, and the path between them.
+    """minMPJPE and ECE over mean and spread, and the valley of the ECE.
 
     Attributes
     ----------
@@ -37,11 +36,11 @@ class Landscape:
     min_mpjpe, ece : ndarray, shape (B, A)
         Expected minMPJPE, in the truth's unit, and ECE.
     valley : ndarray, shape (A,)
-        For each mean, the spread whose ECE is least.
+        For each mean, the spread with the lowest ECE.
     valley_ece, valley_min_mpjpe : ndarray, shape (A,)
         The ECE and the minMPJPE there.
     truth_mu, truth_sigma : float
-        Where the truth is.
+        Mean and standard deviation of the truth.
     """
 
     mu: Floats
@@ -62,7 +61,7 @@ class Landscape:
 
     @property
     def lowest_in_valley(self) -> tuple[float, float]:
-        """The mean and spread with the lowest minMPJPE among those of least ECE."""
+        """The mean and spread with the lowest minMPJPE along the valley of the ECE."""
         column = self.valley_min_mpjpe.argmin()
         return float(self.mu[column]), float(self.valley[column])
 
@@ -72,7 +71,7 @@ def _ece(mu: float, sigma: float, truth_mu: float, truth_sigma: float) -> float:
 
 
 def valley_spread(mu: float, *, truth_mu: float = 0.0, truth_sigma: float = 4.0) -> float:
-    r"""Give the spread that calibrates hypotheses with a given mean best.
+    r"""Return the spread that minimises the ECE of hypotheses with a given mean.
 
     .. math:: σ(μ) = \arg\min_σ \mathrm{ECE}(μ, σ)
 
@@ -86,11 +85,11 @@ def valley_spread(mu: float, *, truth_mu: float = 0.0, truth_sigma: float = 4.0)
     Returns
     -------
     float
-        The spread, at least ``truth_sigma``: a wrong mean has to be paid for with width.
+        The spread, at least ``truth_sigma``: a wrong mean needs a larger spread.
 
     Notes
     -----
-    Differs from the published code: it reads the valley off a grid of simulated values.
+    Differs from the published code: there the valley is taken from a grid of simulated values.
 
     References
     ----------
@@ -101,14 +100,14 @@ def valley_spread(mu: float, *, truth_mu: float = 0.0, truth_sigma: float = 4.0)
     >>> round(valley_spread(0.0), 4)
     4.0
     """
-    far = abs(mu - truth_mu)
-    found = optimize.minimize_scalar(
+    offset = abs(mu - truth_mu)
+    optimum = optimize.minimize_scalar(
         lambda sigma: _ece(mu, sigma, truth_mu, truth_sigma),
-        bounds=(0.9 * truth_sigma, truth_sigma + 2 * far + 0.1 * truth_sigma),
+        bounds=(0.9 * truth_sigma, truth_sigma + 2 * offset + 0.1 * truth_sigma),
         method="bounded",
         options={"xatol": 1e-8 * truth_sigma},
     )
-    return float(found.x)
+    return float(optimum.x)
 
 
 def landscape(
@@ -135,7 +134,7 @@ def landscape(
     truth_mu, truth_sigma : float
         Mean and standard deviation of the truth.
     rows : callable
-        Goes through the spreads, of which each takes a moment; a progress bar, say.
+        Wraps the iteration over spreads, for a progress bar.
 
     Returns
     -------
@@ -149,7 +148,7 @@ def landscape(
 
     Notes
     -----
-    Differs from the published code: it draws 10,000 truths and averages 200 draws of hypotheses, at 101 levels.
+    Differs from the published code: there 10,000 truths and 200 draws of hypotheses are averaged, at 101 levels.
 
     References
     ----------

@@ -1,10 +1,10 @@
-r"""Does minMPJPE keep the mean?
+r"""The mean that minimises the expected squared minMPJPE: the paper's supplement A.2.
 
-The paper's supplement A.2: in one dimension, with hypotheses ``μ + σ z_i`` and ``z*`` the ``z_i`` nearest to the
-truth, the derivative of the expected squared minMPJPE vanishes where ``E[x] − μ = σ E[z*]`` (the supplement drops
-the σ). The paper simulates E[z*] and finds it close to a scaled sigmoid of ``E[x] − μ``, so that the root is at
-the mean. Here E[z*] is a quadrature, the sigmoid is fitted to it, and the root is found: at the mean for a
-Gaussian truth, where symmetry puts it, and beside the mean for a skewed one.
+In one dimension, with hypotheses ``μ + σ z_i`` and ``z*`` the ``z_i`` nearest to the truth, the derivative of the
+expected squared minMPJPE vanishes where ``E[x] − μ = σ E[z*]`` (the supplement omits the σ). The paper simulates E[z*]
+and approximates it by a scaled sigmoid of ``E[x] − μ``, so that the root is at the mean. Here E[z*] is computed by
+quadrature, the sigmoid is fitted to it, and the root is solved for: it is at the mean for a Gaussian truth, by
+symmetry, and away from the mean for a skewed one.
 
 Conventions: the offset is ``E[x] − μ``; lengths share the data's unit, z has none.
 """
@@ -39,7 +39,7 @@ def _density(z: Floats) -> Floats:
 
 
 def nearest_z(u: npt.ArrayLike, *, N: int) -> Floats:
-    r"""Give the expected value of that one of N standard normals which is nearest to u.
+    r"""Return the expected value of the one of N standard normals that is nearest to u.
 
     .. math:: E[z^*|u] = N ∫_0^∞ \big((u+t) φ(u+t) + (u−t) φ(u−t)\big) \big(1 − Φ(u+t) + Φ(u−t)\big)^{N−1} dt
 
@@ -70,7 +70,7 @@ def nearest_z(u: npt.ArrayLike, *, N: int) -> Floats:
 
     Examples
     --------
-    Far away, the nearest of two is the larger, whose mean is 1/√π.
+    For large u, the nearest of two is the larger, whose mean is 1/√π.
 
     >>> round(float(nearest_z(30.0, N=2)), 6), round(np.pi**-0.5, 6)
     (0.56419, 0.56419)
@@ -81,12 +81,12 @@ def nearest_z(u: npt.ArrayLike, *, N: int) -> Floats:
     t, weights = nearest_points(u**2, N=max(N - 1, 1), D=1, nodes=96)
     above, below = u[..., None] + t, u[..., None] - t
     farther = special.ndtr(-above) + special.ndtr(below)
-    here = above * _density(above) + below * _density(below)
-    return np.asarray(np.sum(weights * N * here * farther ** (N - 1), axis=-1))
+    nearest = above * _density(above) + below * _density(below)
+    return np.asarray(np.sum(weights * N * nearest * farther ** (N - 1), axis=-1))
 
 
 def expected_z(offset: npt.ArrayLike, *, sigma: float, truth_sigma: float, N: int) -> Floats:
-    r"""Give E[z*] for a Gaussian truth whose mean lies ``offset`` above the hypotheses'.
+    r"""Return E[z*] for a Gaussian truth whose mean lies ``offset`` above the hypotheses'.
 
     .. math:: E[z^*] = ∫ E\left[z^* \,\middle|\, \frac{a + σ^* v}{σ}\right] φ(v)\, dv
 
@@ -132,16 +132,16 @@ def expected_z(offset: npt.ArrayLike, *, sigma: float, truth_sigma: float, N: in
 def simulated_z(
     offset: float, *, sigma: float, truth_sigma: float, N: int, poses: int, rng: np.random.Generator
 ) -> tuple[float, float]:
-    """Draw truths and hypotheses, and average the z of the nearest.
+    """Simulate truths and hypotheses, and average the z of the nearest.
 
     Parameters
     ----------
     offset, sigma, truth_sigma, N
         As in :func:`expected_z`.
     poses : int
-        Number of independent truths, each with hypotheses of its own.
+        Number of independent truths, each with its own hypotheses.
     rng : numpy.random.Generator
-        Where the draws come from.
+        The source of randomness.
 
     Returns
     -------
@@ -162,12 +162,12 @@ def simulated_z(
     truth = offset + truth_sigma * rng.standard_normal(poses)
     z = rng.standard_normal((N, poses))
     nearest = np.abs(truth - sigma * z).argmin(axis=0)
-    chosen = z[nearest, np.arange(poses)]
-    return float(chosen.mean()), float(chosen.std(ddof=1) / math.sqrt(poses))
+    nearest_values = z[nearest, np.arange(poses)]
+    return float(nearest_values.mean()), float(nearest_values.std(ddof=1) / math.sqrt(poses))
 
 
 def largest_of(N: int) -> float:
-    r"""Give the expected largest of N standard normals, which E[z*] tends to far from the truth.
+    r"""Return the expected maximum of N standard normals, the limit of E[z*] for large offsets.
 
     .. math:: N ∫ z φ(z) Φ(z)^{N−1} dz
 
@@ -183,7 +183,7 @@ def largest_of(N: int) -> float:
 
     Notes
     -----
-    Differs from the published code: not in it. It is the exact limit of the paper's C(σ, N), and σ is not in it.
+    Differs from the published code: not in it. It is the exact limit of the paper's C(σ, N), and does not depend on σ.
 
     Examples
     --------
@@ -196,14 +196,14 @@ def largest_of(N: int) -> float:
 
 @dataclass(frozen=True)
 class SigmoidFit:
-    """A scaled sigmoid through E[z*], and how far it is off.
+    """A scaled sigmoid fitted to E[z*], and its errors.
 
     Attributes
     ----------
     scale, slope : float
         C and k of ``C (2 S(k a) − 1)`` with S(t) = 1/(1 + exp(−t)); k is per unit of the offset a.
     largest_error, rms_error : float
-        Over the offsets that were fitted, in the unit of z, which is none.
+        Over the offsets of the fit; without a unit, as z.
     """
 
     scale: float
@@ -235,7 +235,7 @@ def fit_sigmoid(offset: npt.ArrayLike, z: npt.ArrayLike) -> SigmoidFit:
 
     Notes
     -----
-    The paper writes S·C. A sigmoid between 0 and 1 can't be odd, as E[z*] is, so S is taken from −1 to 1.
+    The paper writes S·C. A sigmoid between 0 and 1 can't be odd, as E[z*] is, so S is rescaled to −1 to 1.
 
     Differs from the published code: not in it.
 
@@ -258,7 +258,7 @@ def fit_sigmoid(offset: npt.ArrayLike, z: npt.ArrayLike) -> SigmoidFit:
 
 
 def expected_z_skewed(offset: npt.ArrayLike, *, sigma: float, N: int) -> Floats:
-    r"""Give E[z*] for an exponential truth of deviation 1 whose mean lies ``offset`` above the hypotheses'.
+    r"""Return E[z*] for an exponential truth of deviation 1 whose mean lies ``offset`` above the hypotheses'.
 
     .. math:: E[z^*] = ∫_0^∞ E\left[z^* \,\middle|\, \frac{a + e − 1}{σ}\right] e^{−e}\, de
 
@@ -296,7 +296,7 @@ def expected_z_skewed(offset: npt.ArrayLike, *, sigma: float, N: int) -> Floats:
 
 
 def best_offset_skewed(*, sigma: float, N: int) -> float:
-    r"""Give the offset that minimises the squared minMPJPE of an exponential truth of deviation 1.
+    r"""Return the offset that minimises the squared minMPJPE of an exponential truth of deviation 1.
 
     .. math:: a = σ\, E[z^*]
 
@@ -310,8 +310,8 @@ def best_offset_skewed(*, sigma: float, N: int) -> float:
     Returns
     -------
     float
-        E[x] − μ at the minimum, in units of the truth's standard deviation. 0 means that the mean is kept, as
-        with N = 1; below 0, that the hypotheses have moved into the long tail.
+        E[x] − μ at the minimum, in units of the truth's standard deviation. 0: the mean is correct, as with N = 1;
+        below 0: the hypotheses are shifted towards the long tail.
 
     Raises
     ------
@@ -320,7 +320,7 @@ def best_offset_skewed(*, sigma: float, N: int) -> float:
 
     Notes
     -----
-    Differs from the published code: not in it. The supplement's argument holds for symmetric truths alone.
+    Differs from the published code: not in it. The supplement's argument holds for symmetric truths only.
 
     References
     ----------

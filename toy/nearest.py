@@ -1,8 +1,8 @@
-"""How far from a fixed point is the nearest of N Gaussian hypotheses?
+"""Expected distance from a fixed point to the nearest of N Gaussian hypotheses, by quadrature.
 
-The inner half of every best-of-N expectation: a one-dimensional integral over the distance t, with points where
-the nearest hypothesis may be and none where it can't. :mod:`toy.best_of` averages it over a Gaussian truth,
-:mod:`toy.mean` takes the hypothesis itself where this takes its distance.
+The inner integral of every best-of-N expectation: one-dimensional over the distance t, restricted to the distances
+that the nearest hypothesis may have. :mod:`toy.best_of` averages it over a Gaussian truth, :mod:`toy.mean` uses the
+same points for the nearest hypothesis itself.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ TAIL = 25.0
 
 
 def check(N: int, D: int, **lengths: float) -> None:
-    """Refuse fewer than one hypothesis or coordinate, and what is no length.
+    """Check numbers of hypotheses and coordinates, and lengths.
 
     Raises
     ------
     PoseDataError
-        Naming what was given.
+        Where N or D is below 1, or a length is negative or not finite.
     """
     if N < 1 or D < 1:
         raise PoseDataError(f"N = {N} hypotheses of D = {D} coordinates; expected at least 1 of each.")
@@ -40,7 +40,7 @@ def check(N: int, D: int, **lengths: float) -> None:
 
 
 def gauss_legendre(low: npt.ArrayLike, high: npt.ArrayLike, nodes: int = NODES) -> tuple[Floats, Floats]:
-    """Give the points and weights that integrate a smooth function from ``low`` to ``high``.
+    """Return the points and weights of Gauss-Legendre quadrature from ``low`` to ``high``.
 
     .. math:: ∫_{low}^{high} f(x) dx ≈ Σ_i w_i f(x_i)
 
@@ -49,7 +49,7 @@ def gauss_legendre(low: npt.ArrayLike, high: npt.ArrayLike, nodes: int = NODES) 
     low, high : array_like, shape (...)
         Ends of the interval, or of many intervals at once.
     nodes : int
-        How many points; exact for polynomials of degree ``2 nodes − 1``.
+        Number of points; exact for polynomials of degree ``2 nodes − 1``.
 
     Returns
     -------
@@ -73,19 +73,19 @@ def gauss_legendre(low: npt.ArrayLike, high: npt.ArrayLike, nodes: int = NODES) 
 
 
 def _least_distance(noncentrality: Floats, N: int, D: int) -> Floats:
-    """Where the nearest of N hypotheses is not to be found: below, with probability exp(-25)."""
+    """Return a lower bound of the distance of the nearest of N hypotheses, exceeded with probability 1 - exp(-25)."""
     return np.maximum(0, np.sqrt(D + noncentrality - 1) - math.sqrt(2 * (TAIL + math.log(N))))
 
 
 def nearest_points(noncentrality: Floats, *, N: int, D: int, nodes: int = NODES) -> tuple[Floats, Floats]:
-    r"""Give the quadrature points over the distances t at which the nearest of N hypotheses may be.
+    r"""Return quadrature points and weights over the distance t of the nearest of N hypotheses.
 
     .. math:: \sqrt{D + λ - 1} - \sqrt{2 (25 + \ln N)} ≤ t ≤ \sqrt{D + λ} + \sqrt{50 / N}
 
     Parameters
     ----------
     noncentrality : ndarray, shape (...)
-        λ = ‖x − μ‖²/σ² of the point x that the hypotheses are near to.
+        λ = ‖x − μ‖²/σ² of the fixed point x.
     N : int
         Number of hypotheses.
     D : int
@@ -100,9 +100,10 @@ def nearest_points(noncentrality: Floats, *, N: int, D: int, nodes: int = NODES)
 
     Notes
     -----
-    The norm of a Gaussian vector of unit variances leaves its mean by more than t with a probability below
-    exp(−t²/2) on either side, and its mean lies between √(D + λ − 1) and √(D + λ): outside these bounds the
-    integrand is 0 or 1 to within 1.4e-11. The points are squares, so that they crowd where the nearest of many is.
+    The norm of a Gaussian vector of unit variances deviates from its mean by more than t with a probability below
+    exp(−t²/2) on either side, and its mean is between √(D + λ − 1) and √(D + λ): outside these bounds the integrand
+    is 0 or 1 to within 1.4e-11. The points are squares, so that they are denser at small distances, where the nearest
+    of many hypotheses is.
 
     Differs from the published code: not in it.
 
@@ -119,7 +120,7 @@ def nearest_points(noncentrality: Floats, *, N: int, D: int, nodes: int = NODES)
 
 
 def expected_nearest(radius: npt.ArrayLike, *, sigma: float, N: int, D: int, nodes: int = NODES) -> Floats:
-    r"""Give the expected distance from a fixed point to the nearest of N Gaussian hypotheses.
+    r"""Return the expected distance from a fixed point to the nearest of N Gaussian hypotheses.
 
     .. math:: σ ∫_0^∞ \left(1 − F_{D,\, r²/σ²}(t²)\right)^N dt
 
@@ -128,9 +129,9 @@ def expected_nearest(radius: npt.ArrayLike, *, sigma: float, N: int, D: int, nod
     Parameters
     ----------
     radius : array_like, shape (...)
-        Distance r of the point from the hypotheses' centre, in the unit of ``sigma``.
+        Distance r of the point from the hypotheses' mean, in the unit of ``sigma``.
     sigma : float
-        Standard deviation of each coordinate of a hypothesis; 0 puts every hypothesis at the centre.
+        Standard deviation of each coordinate of a hypothesis; with 0 all hypotheses are at the mean.
     N : int
         Number of hypotheses.
     D : int
@@ -141,7 +142,7 @@ def expected_nearest(radius: npt.ArrayLike, *, sigma: float, N: int, D: int, nod
     Returns
     -------
     ndarray, shape (...)
-        Expected distance, in the unit of ``sigma``. Lower is better; 0 is the least.
+        Expected distance, in the unit of ``sigma``. Lower is better; 0 is best.
 
     Raises
     ------
@@ -150,7 +151,7 @@ def expected_nearest(radius: npt.ArrayLike, *, sigma: float, N: int, D: int, nod
 
     Notes
     -----
-    Differs from the published code: it draws hypotheses.
+    Differs from the published code: there it is simulated.
 
     References
     ----------
@@ -158,7 +159,7 @@ def expected_nearest(radius: npt.ArrayLike, *, sigma: float, N: int, D: int, nod
 
     Examples
     --------
-    One hypothesis in one dimension, seen from its centre: the mean of |z| is √(2/π).
+    One hypothesis in one dimension, from its mean: the mean of |z| is √(2/π).
 
     >>> round(float(expected_nearest(0.0, sigma=1, N=1, D=1)), 6), round((2 / np.pi) ** 0.5, 6)
     (0.797885, 0.797885)

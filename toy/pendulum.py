@@ -1,8 +1,8 @@
-r"""Where are the three moving nodes of a triple pendulum?
+r"""Simulation of triple pendulums, the data of the paper's zero-shot experiment (supplement B.2, Figure 4).
 
-The data of the paper's zero-shot experiment (supplement B.2, Figure 4): nodes in a chain of rigid massless rods,
-the zeroth fixed, hanging and pushed off with random velocities, seen with noise at 25 times. The equations of
-motion are solved in the rods' angles from the downward vertical, so that rods keep their length exactly:
+Nodes in a chain of rigid massless rods, the first fixed, released from the hanging position with random velocities and
+observed with noise at 25 times. The equations of motion are solved in the rods' angles from the downward vertical, so
+that rods keep their length exactly:
 
 .. math::
 
@@ -35,18 +35,18 @@ ROD = 1.0
 
 @dataclass(frozen=True)
 class Pendulums:
-    """P pendulums at T times, and what was seen of them.
+    """P pendulums at T times, and their observations.
 
     Attributes
     ----------
     time : ndarray, shape (T,)
         s, from 0.
     positions : ndarray, shape (P, T, n + 1, 2)
-        Of all nodes, the fixed one first, m.
+        Positions of all nodes, the fixed one first, m.
     observed : ndarray, shape (P, T, n, 2)
-        The moving nodes with noise, m: the paper's c.
+        Positions of the moving nodes with noise, m: the paper's c.
     energy : ndarray, shape (P, T)
-        Kinetic and potential, J; 0 for a pendulum that hangs at rest.
+        Kinetic and potential energy, J; 0 for a pendulum that hangs at rest.
     """
 
     time: Floats
@@ -56,24 +56,24 @@ class Pendulums:
 
     @property
     def energy_drift(self) -> Floats:
-        """The largest departure of each pendulum's energy from its first value, as a share of it, (P,)."""
+        """The largest relative deviation of each pendulum's energy from its first value, (P,)."""
         return np.asarray(np.abs(self.energy / self.energy[:, :1] - 1).max(axis=1))
 
 
 def _chain_masses(n: int) -> Floats:
-    """How many unit masses hang below both rods, (n, n)."""
+    """Return the number of unit masses below both rods, (n, n)."""
     rods = np.arange(1, n + 1)
     return n + 1.0 - np.maximum(rods[:, None], rods)
 
 
 def _positions(angle: Floats) -> Floats:
-    """Positions of all nodes, (…, n + 1, 2), from the rods' angles (…, n)."""
+    """Compute the positions of all nodes, (…, n + 1, 2), from the rods' angles (…, n)."""
     steps = ROD * np.stack([np.sin(angle), -np.cos(angle)], axis=-1)
     return np.concatenate([np.zeros_like(steps[..., :1, :]), np.cumsum(steps, axis=-2)], axis=-2)
 
 
 def energy(angle: Floats, velocity: Floats) -> Floats:
-    r"""Give the energy of pendulums.
+    r"""Compute the energy of pendulums.
 
     .. math:: \tfrac12 Σ_i ‖v_i‖² + g Σ_i (y_i + i\, l)
 
@@ -93,27 +93,27 @@ def energy(angle: Floats, velocity: Floats) -> Floats:
 
     Examples
     --------
-    Two rods held out level: the nodes are 1 m and 2 m above where they would hang.
+    Two horizontal rods: the nodes are 1 m and 2 m above their positions at rest.
 
     >>> round(float(energy(np.full(2, np.pi / 2), np.zeros(2))), 6)
     29.43
     """
     n = angle.shape[-1]
-    swing = np.stack([np.cos(angle), np.sin(angle)], axis=-1) * velocity[..., None]
-    kinetic = (np.cumsum(ROD * swing, axis=-2) ** 2).sum(axis=(-1, -2)) / 2
+    relative_velocity = ROD * np.stack([np.cos(angle), np.sin(angle)], axis=-1) * velocity[..., None]
+    kinetic = (np.cumsum(relative_velocity, axis=-2) ** 2).sum(axis=(-1, -2)) / 2
     height = _positions(angle)[..., 1:, 1] + ROD * np.arange(1, n + 1)
     return np.asarray(kinetic + GRAVITY * height.sum(axis=-1))
 
 
 def motion(angle: npt.ArrayLike, velocity: npt.ArrayLike, time: npt.ArrayLike) -> tuple[Floats, Floats]:
-    """Solve the equations of motion of P pendulums together.
+    """Solve the equations of motion of P pendulums.
 
     Parameters
     ----------
     angle, velocity : array_like, shape (P, n)
         Of the rods at the first time, rad from the downward vertical and rad/s.
     time : array_like, shape (T,)
-        When to report, s, rising.
+        Times of the solution, s, increasing.
 
     Returns
     -------
@@ -123,17 +123,17 @@ def motion(angle: npt.ArrayLike, velocity: npt.ArrayLike, time: npt.ArrayLike) -
     Raises
     ------
     PoseDataError
-        Where the solver gives up.
+        Where the solver fails.
 
     Notes
     -----
     Dormand and Prince's method of order 8 with a relative tolerance of 1e-10.
 
-    Differs from the published code: that lets a rigid-body engine step capsules with stiff springs between them.
+    Differs from the published code: there a rigid-body engine simulates capsules with stiff springs between them.
 
     Examples
     --------
-    >>> angle, _ = motion([[0.0, 0.0]], [[0.0, 0.0]], [0.0, 1.0])  # hangs at rest
+    >>> angle, _ = motion([[0.0, 0.0]], [[0.0, 0.0]], [0.0, 1.0])  # at rest
     >>> float(np.abs(angle).max())
     0.0
     """
@@ -141,22 +141,22 @@ def motion(angle: npt.ArrayLike, velocity: npt.ArrayLike, time: npt.ArrayLike) -
 
     start = np.stack([np.asarray(angle, float), np.asarray(velocity, float)])
     masses = _chain_masses(start.shape[-1])
-    pull = GRAVITY / ROD * np.diag(masses)
+    gravity = GRAVITY / ROD * np.diag(masses)
 
     def derivative(_: float, state: Floats) -> Floats:
         theta, omega = state.reshape(start.shape)
-        between = theta[:, :, None] - theta[:, None, :]
-        swing = ((masses * np.sin(between)) @ omega[..., None] ** 2)[..., 0]
-        push = -swing - pull * np.sin(theta)
-        acceleration = np.linalg.solve(masses * np.cos(between), push[..., None])[..., 0]
+        difference = theta[:, :, None] - theta[:, None, :]
+        centrifugal = ((masses * np.sin(difference)) @ omega[..., None] ** 2)[..., 0]
+        torque = -centrifugal - gravity * np.sin(theta)
+        acceleration = np.linalg.solve(masses * np.cos(difference), torque[..., None])[..., 0]
         return np.concatenate([omega, acceleration], axis=None)
 
     time = np.asarray(time, float)
     ends = (time[0], time[-1])
-    solved = solve_ivp(derivative, ends, start.ravel(), method="DOP853", t_eval=time, rtol=1e-10, atol=1e-10)
-    if not solved.success:
-        raise PoseDataError(f"pendulum: {solved.message} Start it with smaller velocities.")
-    theta, omega = np.moveaxis(solved.y.reshape(*start.shape, time.size), -1, 2)
+    solution = solve_ivp(derivative, ends, start.ravel(), method="DOP853", t_eval=time, rtol=1e-10, atol=1e-10)
+    if not solution.success:
+        raise PoseDataError(f"pendulum: {solution.message} Start it with smaller velocities.")
+    theta, omega = np.moveaxis(solution.y.reshape(*start.shape, time.size), -1, 2)
     return theta, omega
 
 
@@ -170,25 +170,25 @@ def simulate(
     noise_sigma: float = 5e-2,
     timestep: float = 0.02,
 ) -> Pendulums:
-    """Release pendulums that hang at rest, each with velocities of its own.
+    """Simulate pendulums that are released from the hanging position with random velocities.
 
     Parameters
     ----------
     rng : numpy.random.Generator
-        Where velocities and noise come from.
+        The source of velocities and noise.
     pendulums, timesteps, nodes : int
         P, T and n.
     velocity_sigma : float
-        Standard deviation of each node's first, horizontal velocity, m/s.
+        Standard deviation of each node's initial, horizontal velocity, m/s.
     noise_sigma : float
         Standard deviation of the observations per coordinate, m.
     timestep : float
-        s.
+        Time between two observations, s.
 
     Returns
     -------
     Pendulums
-        The first time is that of the release.
+        Positions and observations; the first time is that of the release.
 
     Raises
     ------
@@ -197,8 +197,8 @@ def simulate(
 
     Notes
     -----
-    The paper writes N(0, 10) and N(0, 5e-2). Both second numbers are taken as standard deviations, in m/s and m:
-    that is how the released script uses them, which also takes 25 frames of 0.02 s.
+    The paper writes N(0, 10) and N(0, 5e-2). Both second numbers are read as standard deviations, in m/s and m, as in
+    the released script, which also uses 25 frames of 0.02 s.
 
     Differs from the published code: there the noise is on the positions that a model is trained to predict, and
     the context is exact; here, as in the paper's text, the context is noisy.

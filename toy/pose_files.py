@@ -1,7 +1,7 @@
-"""Which files does ``posecal evaluate`` read from the pose world?
+"""Files of the pose world for ``posecal evaluate``.
 
 ``hyps.npz`` and ``gt.npz``: uncompressed archives of plain arrays, each with its axes, unit, joint names and frame
-ids, so that nothing has to be said on the command line. Lengths are float32 millimetres in the camera frame.
+ids, so that no options are needed on the command line. Lengths are float32 millimetres in the camera frame.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ __all__ = ["make_folder", "write_case"]
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder, in a folder that is there; do nothing where it is there itself.
+    """Create a folder in an existing one; do nothing where it exists.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ def make_folder(path: Path) -> None:
     Raises
     ------
     PoseFileError
-        Where it can't be made.
+        Where it can't be created.
     """
     try:
         path.mkdir(exist_ok=True)
@@ -39,16 +39,16 @@ def make_folder(path: Path) -> None:
 
 
 def write_case(folder: Path, case: Case, fault: Fault, N: int) -> tuple[npt.NDArray[np.float32], ...]:
-    """Draw hypotheses with one fault and write them beside their truth.
+    """Draw hypotheses with one fault and write them and their truth.
 
     Parameters
     ----------
     folder : Path
-        Where ``hyps.npz`` and ``gt.npz`` go; made where it is not there.
+        Folder of ``hyps.npz`` and ``gt.npz``; created if it does not exist.
     case : Case
         A scene and its exact posterior.
     fault : Fault
-        What is wrong with the hypotheses.
+        The fault of the hypotheses.
     N : int
         Number of hypotheses.
 
@@ -62,13 +62,13 @@ def write_case(folder: Path, case: Case, fault: Fault, N: int) -> tuple[npt.NDAr
     Raises
     ------
     PoseFileError
-        Where the folder can't be made or written to.
+        Where the folder can't be created or written to.
 
     Notes
     -----
-    ``gt.npz`` also holds ``sequence``; ``action``, which is ``open`` where a sequence shows every keypoint and
-    ``occluded`` where it does not; ``occluded`` (M, K), the joints without a keypoint; and ``keypoints_2d``
-    (M, K, V), mm, NaN where there is none.
+    ``gt.npz`` also holds ``sequence``; ``action``, which is ``open`` where every keypoint of a sequence is observed and
+    ``occluded`` otherwise; ``occluded`` (M, K), the joints without a keypoint; and ``keypoints_2d`` (M, K, V), mm, NaN
+    where there is none.
     """
     make_folder(folder)
     hypotheses, truth = (drawn.astype(np.float32) for drawn in fault.apply(case, N))

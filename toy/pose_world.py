@@ -1,9 +1,9 @@
-r"""A world of poses in which the right answer is known.
+r"""A Gaussian model of poses and keypoints with an exact posterior.
 
-Joints hang on a kinematic tree, ``x_k = x_parent(k) + b_k + ε_k`` with Gaussian ``ε_k``, so the pose is jointly
-Gaussian. A camera sees keypoints ``c_k = V x_k + η_k`` with Gaussian noise, of any subset of the joints. The
-posterior of the pose given any subset is Gaussian, with exact samples, density and marginals: the oracle for
-metrics (a perfect sampler has an ECE of 0) and for estimators (how many nats above the true posterior).
+Joints form a kinematic tree, ``x_k = x_parent(k) + b_k + ε_k`` with Gaussian ``ε_k``, so the pose is jointly Gaussian.
+A camera observes keypoints ``c_k = V x_k + η_k`` with Gaussian noise, of any subset of the joints. The posterior of the
+pose given any subset is Gaussian, with exact samples, density and marginals: the oracle for metrics (a perfect sampler
+has an ECE of 0) and for estimators (by how many nats they exceed the true posterior's negative log density).
 
 Conventions: camera frame, x to the right, y down, z away from the camera, in mm, the hip at the origin. By default
 the view is orthographic: the keypoint of a joint is its (x, y) in mm. A Hip among the joints stays at the origin;
@@ -33,18 +33,18 @@ _TO_CAMERA = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # rest poses: x to 
 
 @dataclass(frozen=True)
 class Scene:
-    """Truths, and what the camera saw of them.
+    """True poses and their keypoints.
 
     Attributes
     ----------
     truth : ndarray, shape (M, K, 3)
         Poses, mm.
     keypoints : ndarray, shape (M, K, V)
-        What the camera saw, mm; NaN where a joint is hidden.
+        Keypoints, mm; NaN where a joint is hidden.
     observed : ndarray of bool, shape (M, K)
-        The joints whose keypoint is there.
+        The joints with an observed keypoint.
     sequence, frame : ndarray of int, shape (M,)
-        Which sequence a pose belongs to, and its place in it.
+        Index of a pose's sequence, and of its frame in it.
     """
 
     truth: Floats
@@ -63,20 +63,21 @@ class PoseWorld:
     joints : tuple of str
         K names.
     parents : tuple of int
-        The index of each joint's parent, -1 for a joint that hangs on the origin.
+        The index of each joint's parent, -1 for a joint whose parent is the origin.
     bones : ndarray, shape (K, 3)
         Mean offset of each joint from its parent, mm.
     bone_covariance : ndarray, shape (K, 3, 3)
-        Covariance of that offset, mm²; 0 for a joint that does not move against its parent.
+        Covariance of that offset, mm²; 0 for a joint that does not move relative to its parent.
     keypoint_sigma : float
         Standard deviation of a keypoint's noise per coordinate, above 0, mm.
     view : ndarray, shape (V, 3)
-        What a keypoint shows of a joint; by default its x and y.
+        Projection matrix from a joint to its keypoint; by default onto x and y.
 
     Examples
     --------
-    A joint 100 mm from the origin that strays by 3 mm, and a camera whose noise is 4 mm. The keypoint's weight is
-    3² / (3² + 4²) = 0.36, so a keypoint 25 mm to the right of the mean moves the posterior by 9 mm; depth stays.
+    A joint 100 mm from the origin with a standard deviation of 3 mm, and keypoints with noise of 4 mm. The keypoint's
+    weight is 3² / (3² + 4²) = 0.36, so a keypoint 25 mm to the right of the mean shifts the posterior by 9 mm; depth
+    is unchanged.
 
     >>> world = PoseWorld(("Spine",), (-1,), np.array([[0, -100.0, 0]]), 9 * np.eye(3)[None], keypoint_sigma=4)
     >>> posterior = world.posterior([[[25, -100]]], [[True]])
@@ -104,10 +105,10 @@ class PoseWorld:
             raise PoseDataError(f"keypoint_sigma: {self.keypoint_sigma} mm; expected more than 0.")
         if not self.moves.any():
             raise PoseDataError(f"world: none of {K} joints moves; expected at least 1.")
-        flat = self.moves & (np.linalg.eigvalsh(self.bone_covariance)[:, 0] <= 0)
-        if flat.any():
+        singular = self.moves & (np.linalg.eigvalsh(self.bone_covariance)[:, 0] <= 0)
+        if singular.any():
             raise PoseDataError(
-                f"bone of {self.joints[flat.argmax()]}: its covariance is singular; expected a positive definite "
+                f"bone of {self.joints[singular.argmax()]}: its covariance is singular; expected a positive definite "
                 "one, or 0 for every bone from the origin to it."
             )
 
@@ -120,27 +121,28 @@ class PoseWorld:
         along: float = 0.05,
         keypoint_sigma: float = 10.0,
     ) -> PoseWorld:
-        """Make a standing person who faces the camera.
+        """Build the world of a standing person who faces the camera.
 
         Parameters
         ----------
         joints : str or tuple of str
-            A joint set or joints of posecal's human tree.
+            A joint set or joints of posecal's human skeleton.
         across, along : float
-            Standard deviation of a bone's end across and along the bone, as a share of its length: limbs swing
-            more than they stretch.
+            Standard deviation of a bone's end across and along the bone, relative to its length: directions vary
+            more than lengths.
         keypoint_sigma : float
             Standard deviation of a keypoint's noise per coordinate, mm.
 
         Returns
         -------
         PoseWorld
-            K joints. Bones that lean tie depth to the image, so that keypoints tell a little of it.
+            K joints. In oblique bones depth and image coordinates are correlated, so that keypoints carry some
+            information on depth.
 
         Raises
         ------
         PoseDataError
-            Where a joint is not on the human tree.
+            Where a joint is not in the human skeleton.
 
         Notes
         -----
@@ -151,7 +153,7 @@ class PoseWorld:
         rest = skeleton.rest_pose @ _TO_CAMERA.T
         bones = np.array([rest[k] - (rest[p] if p >= 0 else 0) for k, p in enumerate(skeleton.parents)])
         length = np.linalg.norm(bones, axis=-1)[:, None, None]
-        lengthwise = bones[:, :, None] * bones[:, None, :]  # length² times the projection on the bone
+        lengthwise = bones[:, :, None] * bones[:, None, :]  # length² times the projection onto the bone
         covariance = across**2 * (length**2 * np.eye(3) - lengthwise) + along**2 * lengthwise
         return cls(names, skeleton.parents, bones, covariance, keypoint_sigma)
 
@@ -159,19 +161,19 @@ class PoseWorld:
     def independent_joints(
         cls, joints: str | tuple[str, ...] = "h36m-16", *, sigma: float = 30.0, prior_ratio: float = 3.78
     ) -> PoseWorld:
-        """Make the plainest world: given the keypoints, every joint strays alike in every direction by itself.
+        """Build the world of independent joints, each with the same isotropic posterior given the keypoints.
 
-        Joints hang on the origin, not on each other, and the camera sees depth as well. This is the world in which
-        the faults of :mod:`toy.faults` show their textbook numbers.
+        The parent of every joint is the origin, and the camera observes depth as well. In this world the faults of
+        :mod:`toy.faults` have closed forms.
 
         Parameters
         ----------
         joints : str or tuple of str
-            A joint set or joints of posecal's human tree; a Hip would move like the others, so leave it out.
+            A joint set or joints of posecal's human skeleton; a Hip would move like the others, so leave it out.
         sigma : float
             Standard deviation of each coordinate given the keypoints, mm.
         prior_ratio : float
-            How many times wider it is without keypoints, above 1.
+            Ratio of the prior's standard deviation to it, above 1.
 
         Returns
         -------
@@ -181,7 +183,7 @@ class PoseWorld:
         Raises
         ------
         PoseDataError
-            Where a joint is not on the human tree, ``sigma`` is not above 0, or ``prior_ratio`` not above 1.
+            Where a joint is not in the human skeleton, ``sigma`` is not above 0, or ``prior_ratio`` not above 1.
 
         Notes
         -----
@@ -198,13 +200,13 @@ class PoseWorld:
 
     @cached_property
     def moves(self) -> Bools:
-        """Which joints move, (K,): all but those whose whole path from the origin is rigid."""
+        """The joints that move, (K,): all but those whose path from the origin is rigid."""
         rigid = ~self.bone_covariance.any(axis=(1, 2))
         return np.asarray((self._path & ~rigid).any(axis=1))
 
     @cached_property
     def _path(self) -> Bools:
-        """Which joints (columns) lie between the origin and each joint (rows), itself included."""
+        """The joints (columns) on the path from the origin to each joint (rows), itself included."""
         path = np.eye(len(self.joints), dtype=bool)
         for k in range(len(self.joints)):
             ancestor, steps = self.parents[k], 0
@@ -222,7 +224,7 @@ class PoseWorld:
 
     @cached_property
     def covariance(self) -> Floats:
-        """The covariance of the R joints that move, (3R, 3R) in mm², before any keypoint is seen."""
+        """The prior covariance of the R joints that move, (3R, 3R) in mm²."""
         path = self._path[self.moves].astype(float)
         R = len(path)
         return np.asarray(np.einsum("kj,lj,jab->kalb", path, path, self.bone_covariance).reshape(3 * R, 3 * R))
@@ -240,20 +242,20 @@ class PoseWorld:
 
         .. math:: ε_t = ρ ε_{t−1} + \sqrt{1 − ρ²}\, ξ_t
 
-        for the bones and for the keypoints' noise alike, so that the truth's deviation from the posterior mean is
-        an AR(1) process with the same ρ, as the errors of a model on video are.
+        for the bones and for the keypoints' noise, so that the truth's deviation from the posterior mean is an AR(1)
+        process with the same ρ, similar to the errors of a model on video.
 
         Parameters
         ----------
         rng : numpy.random.Generator
-            Where the draws come from.
+            The source of randomness.
         sequences, frames : int
-            How many sequences, and frames in each; M is their product.
+            Number of sequences, and of frames in each; M is their product.
         correlation : float
-            ρ between consecutive frames; 0 makes all frames independent.
+            ρ between consecutive frames; with 0 all frames are independent.
         hidden : float
-            Share of keypoints that are missing from every other sequence, the same ones throughout a sequence. The
-            sequences between show every keypoint.
+            Share of keypoints that are missing in every other sequence, the same ones in all its frames. In the other
+            sequences every keypoint is observed.
 
         Returns
         -------
@@ -280,12 +282,12 @@ class PoseWorld:
             noise[t] = correlation * noise[t - 1] + math.sqrt(1 - correlation**2) * noise[t]
         noise = noise.swapaxes(0, 1).reshape(sequences * frames, K, 3 + V)
         values, vectors = np.linalg.eigh(self.bone_covariance)
-        spread = vectors * np.sqrt(np.maximum(values, 0))[:, None, :]
-        offsets = self.bones + np.einsum("kab,mkb->mka", spread, noise[..., :3])
+        factor = vectors * np.sqrt(np.maximum(values, 0))[:, None, :]
+        offsets = self.bones + np.einsum("kab,mkb->mka", factor, noise[..., :3])
         truth = np.einsum("kj,mja->mka", self._path.astype(float), offsets)
-        gone = rng.random((sequences, K)) < hidden
-        gone[::2] = False
-        observed = ~np.repeat(gone, frames, axis=0)
+        missing = rng.random((sequences, K)) < hidden
+        missing[::2] = False
+        observed = ~np.repeat(missing, frames, axis=0)
         keypoints = truth @ self.view.T + self.keypoint_sigma * noise[..., 3:]
         return Scene(
             truth=truth,
@@ -296,16 +298,16 @@ class PoseWorld:
         )
 
     def posterior(self, keypoints: npt.ArrayLike, observed: npt.ArrayLike) -> Posterior:
-        r"""Give the exact law of the poses given their keypoints.
+        r"""Compute the exact posterior of the poses given their keypoints.
 
         .. math:: Σ_{post} = Σ − G H Σ, \quad m_{post} = m + G (c − H m), \quad G = Σ H^T (H Σ H^T + τ² I)^{-1}
 
         Parameters
         ----------
         keypoints : array_like, shape (M, K, V)
-            mm. The value of a keypoint that is not observed is never read.
+            mm. Values of keypoints that are not observed are not read.
         observed : array_like of bool, shape (M, K)
-            The joints whose keypoint is there; none at all gives the prior.
+            The joints with an observed keypoint; without any the posterior is the prior.
 
         Returns
         -------
@@ -315,7 +317,7 @@ class PoseWorld:
         Raises
         ------
         PoseDataError
-            Where the shapes don't belong to this world, or an observed keypoint is not finite.
+            Where the shapes don't fit this world, or an observed keypoint is not finite.
 
         Notes
         -----
@@ -329,33 +331,33 @@ class PoseWorld:
             )
         if not np.isfinite(keypoints[observed]).all():
             raise PoseDataError("keypoints: some are not finite; expected numbers where a joint is observed.")
-        seen_patterns, pattern = np.unique(observed, axis=0, return_inverse=True)
+        masks, pattern = np.unique(observed, axis=0, return_inverse=True)
         mean = np.broadcast_to(self.mean, (len(observed), K, 3)).copy()
         covariances = []
-        for index, seen in enumerate(seen_patterns):
+        for index, mask in enumerate(masks):
             poses = np.flatnonzero(pattern == index)
-            gain, covariance = self._condition(seen[self.moves])
-            known = np.flatnonzero(seen & self.moves)
-            surprise = keypoints[np.ix_(poses, known)] - (self.mean @ self.view.T)[known]
-            update = surprise.reshape(len(poses), -1) @ gain.T
+            gain, covariance = self._condition(mask[self.moves])
+            joints = np.flatnonzero(mask & self.moves)
+            innovation = keypoints[np.ix_(poses, joints)] - (self.mean @ self.view.T)[joints]
+            update = innovation.reshape(len(poses), -1) @ gain.T
             mean[np.ix_(poses, np.flatnonzero(self.moves))] += update.reshape(len(poses), -1, 3)
             covariances.append(covariance)
         return Posterior(mean, np.array(covariances), pattern.reshape(-1), self.moves)
 
-    def _condition(self, seen: Bools) -> tuple[Floats, Floats]:
-        """Gain (3R, V·seen) and posterior covariance (3R, 3R) for one pattern of the moving joints."""
-        shows = np.kron(np.eye(len(seen))[seen], self.view)
-        if not seen.any():
-            return np.zeros((3 * len(seen), 0)), self.covariance
-        noise = self.keypoint_sigma**2 * np.eye(len(shows))
-        sees = shows @ self.covariance
-        gain = np.linalg.solve(sees @ shows.T + noise, sees).T.astype(float)
-        rest = np.eye(3 * len(seen)) - gain @ shows
-        covariance = rest @ self.covariance @ rest.T + gain @ noise @ gain.T  # Joseph's form stays positive
+    def _condition(self, observed: Bools) -> tuple[Floats, Floats]:
+        """Compute the gain (3R, V·observed) and the posterior covariance (3R, 3R) for one pattern of moving joints."""
+        H = np.kron(np.eye(len(observed))[observed], self.view)
+        if not observed.any():
+            return np.zeros((3 * len(observed), 0)), self.covariance
+        noise = self.keypoint_sigma**2 * np.eye(len(H))
+        H_covariance = H @ self.covariance
+        gain = np.linalg.solve(H_covariance @ H.T + noise, H_covariance).T.astype(float)
+        residual = np.eye(3 * len(observed)) - gain @ H
+        covariance = residual @ self.covariance @ residual.T + gain @ noise @ gain.T  # Joseph form: stays positive
         return gain, (covariance + covariance.T) / 2
 
     def prior(self, poses: int) -> Posterior:
-        """Give the law of the poses when nothing is seen.
+        """Return the prior of the poses, without any observed keypoint.
 
         Parameters
         ----------
@@ -365,11 +367,11 @@ class PoseWorld:
         Returns
         -------
         Posterior
-            M times the same law.
+            M times the same distribution.
 
         Notes
         -----
         Differs from the published code: not in it.
         """
-        nothing = np.zeros((poses, len(self.joints)), bool)
-        return self.posterior(np.full((*nothing.shape, len(self.view)), np.nan), nothing)
+        observed = np.zeros((poses, len(self.joints)), bool)
+        return self.posterior(np.full((*observed.shape, len(self.view)), np.nan), observed)

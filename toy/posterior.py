@@ -1,7 +1,7 @@
 r"""Samples, density and marginals of poses that are jointly Gaussian.
 
-What :mod:`toy.pose_world` gives as the exact posterior, behind the same two calls as a trained estimator's:
-``sample`` and ``log_prob``.
+The exact posterior of :mod:`toy.pose_world`, with the interface of a trained estimator's distribution: ``sample`` and
+``log_prob``.
 
 Conventions: mm; a pose of K joints, of which R move; densities and covariances are over those.
 """
@@ -25,16 +25,16 @@ Bools = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Posterior:
-    """The exact law of M poses given their keypoints.
+    """The exact posterior of M poses given their keypoints.
 
-    Poses that show the same joints share a covariance, so there is one for each pattern of observed joints.
+    Poses with the same observed joints share a covariance, so there is one for each pattern of observed joints.
 
     Attributes
     ----------
     mean : ndarray, shape (M, K, 3)
         Expected poses, mm.
     covariance : ndarray, shape (P, 3R, 3R)
-        Of the R joints that move, for each pattern, mm².
+        Covariance of the R joints that move, for each pattern, mm².
     pattern : ndarray of int, shape (M,)
         The pattern of each pose.
     moves : ndarray of bool, shape (K,)
@@ -44,8 +44,8 @@ class Posterior:
     --------
     One joint, 3 mm of standard deviation in each coordinate: the density at its mean is (3 √(2π))⁻³ per mm³.
 
-    >>> law = Posterior(np.zeros((1, 1, 3)), 9 * np.eye(3)[None], np.array([0]), np.array([True]))
-    >>> round(float(law.log_prob(np.zeros((1, 1, 3)))[0]), 4), round(-3 * math.log(3 * math.sqrt(2 * math.pi)), 4)
+    >>> normal = Posterior(np.zeros((1, 1, 3)), 9 * np.eye(3)[None], np.array([0]), np.array([True]))
+    >>> round(float(normal.log_prob(np.zeros((1, 1, 3)))[0]), 4), round(-3 * math.log(3 * math.sqrt(2 * math.pi)), 4)
     (-6.0527, -6.0527)
     """
 
@@ -66,7 +66,7 @@ class Posterior:
         N : int
             Number of hypotheses.
         rng : numpy.random.Generator
-            Where the draws come from.
+            The source of randomness.
 
         Returns
         -------
@@ -86,7 +86,7 @@ class Posterior:
         return drawn
 
     def log_prob(self, truth: npt.ArrayLike) -> Floats:
-        r"""Give the log density of poses.
+        r"""Compute the log density of poses.
 
         .. math:: −\tfrac12 \left(‖L^{-1}(y − m)‖² + 3R \ln 2π\right) − \ln\det L, \quad L L^T = Σ
 
@@ -106,7 +106,7 @@ class Posterior:
         """
         truth = np.asarray(truth, float)
         if truth.shape != self.mean.shape:
-            raise PoseDataError(f"truth {truth.shape}; expected {self.mean.shape} as the posterior's poses.")
+            raise PoseDataError(f"truth {truth.shape}; expected {self.mean.shape}, the shape of the posterior's mean.")
         deviation = (truth - self.mean)[:, self.moves].reshape(len(truth), -1)
         density = np.empty(len(truth))
         for pattern, factor in enumerate(self._factor):
@@ -118,7 +118,7 @@ class Posterior:
 
     @cached_property
     def entropy(self) -> Floats:
-        r"""The differential entropy of each pose, (M,) nats: what −log_prob of a true pose is on average.
+        r"""The differential entropy of each pose, (M,) nats: the expected −log_prob of the true pose.
 
         .. math:: \tfrac12 \ln\det(2π e Σ)
         """
@@ -126,7 +126,7 @@ class Posterior:
         return np.asarray(log_determinant[self.pattern] / 2)
 
     def marginal(self, joint: int) -> tuple[Floats, Floats]:
-        """Give the law of one joint.
+        """Return the marginal distribution of one joint.
 
         Parameters
         ----------
@@ -148,15 +148,15 @@ class Posterior:
 
     @cached_property
     def joint_covariance(self) -> Floats:
-        """The covariance of each joint by itself in each pattern, (P, K, 3, 3) mm²; 0 for a joint that stays."""
+        """The marginal covariance of each joint in each pattern, (P, K, 3, 3) mm²; 0 for a joint that does not move."""
         P, R = len(self.covariance), int(self.moves.sum())
         blocks = np.einsum("prarb->prab", self.covariance.reshape(P, R, 3, R, 3))
-        every = np.zeros((P, len(self.moves), 3, 3))
-        every[:, self.moves] = blocks
-        return every
+        covariance = np.zeros((P, len(self.moves), 3, 3))
+        covariance[:, self.moves] = blocks
+        return covariance
 
     def expected_min_mpjpe(self, N: int, rng: np.random.Generator) -> tuple[float, float]:
-        r"""Estimate by simulation the minMPJPE that N hypotheses of this very law reach.
+        r"""Estimate by simulation the minMPJPE of N hypotheses of this posterior.
 
         .. math:: \frac1M Σ_m \min_n \frac1K Σ_k ‖x_{nmk} − y_{mk}‖, \quad x_{nm}, y_m ∼ N(m_m, Σ_m)
 
@@ -165,7 +165,7 @@ class Posterior:
         N : int
             Number of hypotheses.
         rng : numpy.random.Generator
-            Where the draws come from.
+            The source of randomness.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""How long will it take? A progress bar around a loop, on stderr, on a terminal only."""
+"""Progress bar around a loop, on stderr, on a terminal only."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ import sys
 from collections.abc import Iterable, Sequence
 from typing import TypeVar
 
-__all__ = ["bar"]
+__all__ = ["progress_bar"]
 
 T = TypeVar("T")
 
 
-def bar(items: Sequence[T], label: str) -> Iterable[T]:
-    """Give every item, and show how far one has come.
+def progress_bar(items: Sequence[T], label: str) -> Iterable[T]:
+    """Iterate over items with a progress bar.
 
     Parameters
     ----------
     items : sequence
-        What to loop over.
+        The items of the loop.
     label : str
-        What is being done.
+        The text beside the bar.
 
     Returns
     -------
@@ -28,7 +28,7 @@ def bar(items: Sequence[T], label: str) -> Iterable[T]:
 
     Examples
     --------
-    >>> list(bar([1, 2], "counting"))
+    >>> list(progress_bar([1, 2], "counting"))
     [1, 2]
     """
     if not sys.stderr.isatty():

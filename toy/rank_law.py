@@ -1,9 +1,9 @@
-"""How biased are the paper's and the reference's calibration curves at finite N?
+"""Bias of the paper's and the reference's calibration curves at finite N.
 
-For a perfect sampler of a three-dimensional isotropic Gaussian, the chance that the truth lies inside the q-ball
-of its hypotheses, by simulation of the hypotheses and exact integration over the truth: given the hypotheses, the
-truth's distance from their centre follows a noncentral χ law with three degrees of freedom, in closed form. The
-result is the table ``posecal/calibration/finite_n.json``.
+For a perfect sampler of a three-dimensional isotropic Gaussian, the probability that the truth is inside the q-ball of
+its hypotheses, by simulation of the hypotheses and exact integration over the truth: given the hypotheses, the truth's
+distance from their centre has a noncentral χ distribution with three degrees of freedom, in closed form. The result is
+the table ``posecal/calibration/finite_n.json``.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from scipy.special import erf
 
 from posecal.calibration import LEVELS
 from posecal.data.arrays import FloatArray
-from toy.progress import bar
+from toy.progress import progress_bar
 
 SIZES = (*range(2, 21), 22, 25, 28, 32, 36, 40, 45, 50, 56, 64, 80, 100, 128, 160, 200, 256, 400, 700, 1000)
-"""The N that are tabulated."""
+"""The N of the table."""
 
 RANKS = 40
-"""Above this N the paper's law is stored at so many shares instead of at every rank."""
+"""Above this N the paper's distribution of ranks is stored at this many shares instead of at every rank."""
 
 
-def within(radius: FloatArray, offset: FloatArray) -> FloatArray:
-    """Chance that a standard Gaussian point in 3D lies within a radius of a centre that is offset from its mean.
+def probability_within(radius: FloatArray, offset: FloatArray) -> FloatArray:
+    """Compute the probability that a standard Gaussian point in 3D is within a radius of an offset centre.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def within(radius: FloatArray, offset: FloatArray) -> FloatArray:
     Returns
     -------
     array (..., T)
-        Chances.
+        Probabilities.
     """
     a = offset[..., None]
     near, far = (radius - a) / np.sqrt(2), (radius + a) / np.sqrt(2)
@@ -48,21 +48,21 @@ def within(radius: FloatArray, offset: FloatArray) -> FloatArray:
 
 
 def bias(n_hypotheses: int, draws: int, seed: int = 0) -> dict[str, FloatArray]:
-    """Bias of the paper's law at its ranks and of the reference's curve at its levels.
+    """Compute the bias of the paper's distribution of ranks and of the reference's curve at its levels.
 
     Parameters
     ----------
     n_hypotheses : int
         N.
     draws : int
-        Sets of hypotheses drawn.
+        Number of sets of hypotheses.
     seed : int
-        Of the generator.
+        Random seed.
 
     Returns
     -------
     dict
-        ``paper``: G(r) - (r+1)/(N+1) at equally spaced shares (r+1)/(N+1), where G(r) is the chance that at most
+        ``paper``: G(r) - (r+1)/(N+1) at equally spaced shares (r+1)/(N+1), where G(r) is the probability that at most
         r hypotheses are nearer than the truth; ``reference``: ω(q) - q at the 21 levels.
     """
     random = np.random.default_rng([seed, n_hypotheses])
@@ -78,7 +78,7 @@ def bias(n_hypotheses: int, draws: int, seed: int = 0) -> dict[str, FloatArray]:
             distances = np.sort(np.linalg.norm(points - centre[..., None], axis=1), axis=-1)
             if name == "reference":
                 distances = np.quantile(distances, LEVELS, axis=-1).T
-            totals[name] += within(distances, np.linalg.norm(centre, axis=1)).sum(axis=0)
+            totals[name] += probability_within(distances, np.linalg.norm(centre, axis=1)).sum(axis=0)
         done += batch
     paper = totals["paper"] / draws - ranks
     if n_hypotheses > RANKS:
@@ -88,19 +88,19 @@ def bias(n_hypotheses: int, draws: int, seed: int = 0) -> dict[str, FloatArray]:
 
 
 def write_table(path: Path, draws: int = 400_000, seed: int = 0) -> None:
-    """Write the table of biases for all :data:`SIZES`, whole or not at all.
+    """Write the table of biases for all :data:`SIZES`, atomically.
 
     Parameters
     ----------
     path : Path
-        Where to.
+        Output file.
     draws : int
-        Sets of hypotheses for each N.
+        Number of sets of hypotheses for each N.
     seed : int
-        Of the generator.
+        Random seed.
     """
     table: dict[str, dict[str, list[float]]] = {"paper": {}, "reference": {}}
-    for n in bar(SIZES, "ranks"):
+    for n in progress_bar(SIZES, "ranks"):
         for name, row in bias(n, draws, seed).items():
             table[name][str(n)] = [round(float(value), 6) for value in row]
     note = f"bias of a perfect sampler, isotropic Gaussian in 3D; python -m toy rank-law, {draws} draws, seed {seed}"

@@ -1,8 +1,8 @@
-"""How do the toy figures look?
+"""Colours and settings of the toy figures.
 
-In the colours of :mod:`posecal.plot`, which are the paper's in kind: pink is overconfident, blue is underconfident;
-here gold is the truth or the oracle. They stay apart for colour-blind readers. Text is as small as a paper's column
-allows.
+The colours are those of :mod:`posecal.plot`, similar to the paper's: pink is overconfident, blue is underconfident;
+here gold is the truth or the oracle. They can be distinguished by colour-blind readers. Text sizes fit a paper's
+column.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ DEPTH = LinearSegmentedColormap.from_list("depth", ["#123A5E", "#5B8DB8", "#F4F1
 
 
 def style() -> AbstractContextManager[None]:
-    """Give the settings that all figures share, for a ``with``."""
+    """Return a context manager with the settings of all figures."""
     settings: Any = {
         "font.size": 8,
         "axes.titlesize": 8,

@@ -1,4 +1,4 @@
-"""How are the numbers behind a figure printed? Plain aligned text."""
+"""Formatting of numbers as aligned text."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ __all__ = ["check", "table"]
 
 
 def table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str | float]]) -> str:
-    """Align cells in columns: numbers to the right, words to the left.
+    """Format a table: numbers aligned to the right, text to the left.
 
     Parameters
     ----------
     title : str
-        What the table shows.
+        Title of the table.
     heads : sequence of str
-        What stands above each column.
+        Column heads.
     rows : iterable of sequences
-        Words as they are, numbers to four digits.
+        Text unchanged, numbers with four digits.
 
     Returns
     -------
     str
-        Several lines.
+        Title, heads and rows, a line each.
 
     Examples
     --------
@@ -33,11 +33,11 @@ def table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str | float]
       right    12  used
     """
     lines = [list(heads), *([c if isinstance(c, str) else f"{c:.4g}" for c in row] for row in rows)]
-    columns = [_aligned(column) for column in zip(*lines, strict=True)]
+    columns = [_align(column) for column in zip(*lines, strict=True)]
     return "\n".join([title, *(f"  {'  '.join(line)}".rstrip() for line in zip(*columns, strict=True))])
 
 
-def _aligned(cells: Sequence[str]) -> list[str]:
+def _align(cells: Sequence[str]) -> list[str]:
     width = max(map(len, cells))
     if all(_is_number(cell) for cell in cells[1:]):
         return [cell.rjust(width) for cell in cells]
@@ -52,13 +52,13 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def check(what: str, exact: float, simulated: tuple[float, float]) -> str:
-    """Put a simulated value beside the exact one.
+def check(quantity: str, exact: float, simulated: tuple[float, float]) -> str:
+    """Format the comparison of a simulated value with the exact one.
 
     Parameters
     ----------
-    what : str
-        The quantity.
+    quantity : str
+        Name of the quantity.
     exact : float
         Its exact value.
     simulated : tuple of float
@@ -67,7 +67,7 @@ def check(what: str, exact: float, simulated: tuple[float, float]) -> str:
     Returns
     -------
     str
-        One line, with how many standard errors lie between the two.
+        One line, with the difference in standard errors.
 
     Examples
     --------
@@ -75,5 +75,5 @@ def check(what: str, exact: float, simulated: tuple[float, float]) -> str:
     'check: minMPJPE: exact 3, simulated 3.02 ± 0.01 (+2.0 standard errors)'
     """
     mean, error = simulated
-    away = f"{(mean - exact) / error:+.1f} standard errors"
-    return f"check: {what}: exact {exact:.6g}, simulated {mean:.6g} ± {error:.1g} ({away})"
+    difference = f"{(mean - exact) / error:+.1f} standard errors"
+    return f"check: {quantity}: exact {exact:.6g}, simulated {mean:.6g} ± {error:.1g} ({difference})"

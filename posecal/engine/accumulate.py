@@ -61,7 +61,7 @@ def _measure_block(
     for statistic in () if len(bad) or len(bad_of_reference) else statistics:
         values = block.share(("statistic", statistic.name), partial(statistic.compute, block))  # skills ask again
         if statistic.per_pose:
-            per_pose[statistic.name] = np.asarray(values, dtype=np.float32)
+            per_pose[statistic.name] = np.asarray(values, dtype=np.float64)
             continue
         values = np.asarray(values, dtype=np.float64)
         axes = 2 if statistic.per_joint else 1

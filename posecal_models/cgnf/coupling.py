@@ -1,12 +1,12 @@
-"""How is one coordinate of every joint moved, given the other two? What the blocks of the flow learn.
+"""Affine coupling blocks with message-passing conditioners, and their folded weights.
 
 A block is an ActNorm and an affine coupling whose shift and scale come from two message-passing layers. For given
 keypoints everything is multiplied out that does not depend on the pose, in an arithmetic order that gives the same
 numbers with fewer operations:
 
 - the ActNorms are absorbed into the maps that read the coordinates;
-- the first layer's update and the second layer's maps are one matrix, because nothing stands between them;
-- the second layer's update is linear, so it is applied before the sum over the bones, which then has 2 features, not H.
+- the first layer's update and the second layer's maps are one matrix, because there is no activation between them;
+- the second layer's update is linear, so it is applied before the sum over edges, which then has 2 features, not H.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ class FoldedCouplings(NamedTuple):
     Attributes
     ----------
     first, second, pool : Tensor
-        Of :class:`posecal_models.cgnf.passes.Blocks`.
-    hear_first, hear_second : Tensor
-        The maps of :class:`posecal_models.cgnf.hearing.Voices`.
+        Of :class:`posecal_models.cgnf.passes.BlockWeights`.
+    context_first, context_second : Tensor
+        The maps of :class:`posecal_models.cgnf.context_messages.ContextMaps`.
     root, root_offset : Tensor
-        What a root at the origin adds, of the same.
-    behind_scale, behind_shift : Tensor
+        The messages of a root at the origin, of the same.
+    pending_scale, pending_shift : Tensor
         (L + 1, D) each: the ActNorms that a coordinate has yet to pass in each block, and after all blocks.
     log_determinant : Tensor
         Log of the volume change of all ActNorms at one node, nats; a scalar.
@@ -44,12 +44,12 @@ class FoldedCouplings(NamedTuple):
     first: Tensor
     second: Tensor
     pool: Tensor
-    hear_first: Tensor
-    hear_second: Tensor
+    context_first: Tensor
+    context_second: Tensor
     root: Tensor
     root_offset: Tensor
-    behind_scale: Tensor
-    behind_shift: Tensor
+    pending_scale: Tensor
+    pending_shift: Tensor
     log_determinant: Tensor
 
 
@@ -73,8 +73,8 @@ class Couplings(nn.Module):
 
     Notes
     -----
-    The second layer's update starts at zero, so that an untrained flow is the identity but for its ActNorms; with an
-    exponential scale and PyTorch's own start, training diverged within ten steps.
+    The second layer's update is initialised with zeros, so that an untrained flow is the identity but for its ActNorms;
+    with an exponential scale and PyTorch's own initialisation, training diverged within ten steps.
 
     Differs from the published code: none with ``backward_weights=False``; the paper's text has a map for each
     direction.
@@ -85,8 +85,8 @@ class Couplings(nn.Module):
     arXiv:1807.03039.
     """
 
-    kept: Tensor
-    """The D - 1 coordinates that each block reads, (L, D - 1), integer."""
+    identity_coordinates: Tensor
+    """The D - 1 coordinates that each block reads and leaves as they are, (L, D - 1), integer."""
 
     def __init__(
         self,
@@ -123,10 +123,10 @@ class Couplings(nn.Module):
             last=True,
             backward_weights=backward_weights,
         )
-        moved = torch.arange(blocks) % dimensions
-        every = torch.arange(dimensions).expand(blocks, -1)
-        kept = every[every != moved[:, None]].view(blocks, dimensions - 1)
-        self.register_buffer("kept", kept, persistent=False)
+        transformed = torch.arange(blocks) % dimensions
+        coordinates = torch.arange(dimensions).expand(blocks, -1)
+        identity = coordinates[coordinates != transformed[:, None]].view(blocks, dimensions - 1)
+        self.register_buffer("identity_coordinates", identity, persistent=False)
         nn.init.zeros_(self.second.pool.weight)
         nn.init.zeros_(self.second.pool.bias)
 
@@ -135,8 +135,8 @@ class Couplings(nn.Module):
         """Features of a message with one that carries biases, filled up to a multiple of 8."""
         return 8 * math.ceil((self.second.pool.weight.shape[-1] + 1) / 8)
 
-    def folded(self, blocks: int | None = None) -> FoldedCouplings:
-        """Multiply out the weights that poses and keypoints have nothing to do with.
+    def fold(self, blocks: int | None = None) -> FoldedCouplings:
+        """Multiply out all weights that do not depend on poses and keypoints.
 
         Parameters
         ----------
@@ -146,41 +146,42 @@ class Couplings(nn.Module):
         Returns
         -------
         FoldedCouplings
-            The blocks, less what the keypoints say.
+            The blocks, without the keypoints' messages.
         """
         log_scale, shift = self.actnorm_log_scale[:blocks], self.actnorm_shift[:blocks]
-        behind_scale, behind_shift = _behind(log_scale, shift)
-        dimensions, kept = log_scale.shape[1], self.kept[:blocks]
+        pending_scale, pending_shift = _pending_actnorms(log_scale, shift)
+        dimensions, identity = log_scale.shape[1], self.identity_coordinates[:blocks]
 
         weights, biases = (stacked[:blocks] for stacked in self.first.weights_and_biases())
-        read = weights * behind_scale[:-1].gather(1, kept)[:, None, None]
-        biases = biases + (weights @ behind_shift[:-1].gather(1, kept)[:, None, :, None]).squeeze(-1)
-        first = weights.new_zeros(*biases.shape, dimensions).scatter(3, kept[:, None, None].expand_as(read), read)
+        scaled = weights * pending_scale[:-1].gather(1, identity)[:, None, None]
+        biases = biases + (weights @ pending_shift[:-1].gather(1, identity)[:, None, :, None]).squeeze(-1)
+        columns = identity[:, None, None].expand_as(scaled)
+        first = weights.new_zeros(*biases.shape, dimensions).scatter(3, columns, scaled)
 
         update = self.first.pool
         weights, second_biases = (stacked[:blocks] for stacked in self.second.weights_and_biases())
         second_biases = (weights @ update.bias[:blocks, None, :, None]).squeeze(-1) + second_biases
         second = torch.cat([weights @ update.weight[:blocks, None], second_biases[..., None]], dim=-1).mT
-        more = self.width - second.shape[-1]
-        carrier = first.new_zeros(*biases.shape[:2], dimensions + 1, more)
-        carrier[:, 0, -1, 0] = 1  # said once by every node to itself
-        to_nodes = self.first.from_context.carrying(self.width)[:blocks]
-        on = self.first.onward()[0].carrying(self.width, on=True)[:blocks]
-        root, root_offset = self.told_by_root(log_scale.new_zeros(1, dimensions), blocks)
+        padding = self.width - second.shape[-1]
+        carrier = first.new_zeros(*biases.shape[:2], dimensions + 1, padding)
+        carrier[:, 0, -1, 0] = 1  # in the self messages only: once for every node
+        to_nodes = self.first.from_context.homogeneous(self.width)[:blocks]
+        to_features = self.first.next_maps()[0].homogeneous(self.width, carry=True)[:blocks]
+        root, root_offset = self.root_messages(log_scale.new_zeros(1, dimensions), blocks)
         return FoldedCouplings(
             first=torch.cat([torch.cat([first, biases[..., None]], dim=-1).mT, carrier], dim=-1),
-            second=pad(second, (0, more, 0, more - 1)),
-            pool=pad(self.second.pool.weight[:blocks], (0, more)),
-            hear_first=torch.stack([to_nodes, on]),
-            hear_second=pad(self.second.from_context.carrying(self.width)[:blocks], (0, 0, 0, more - 1)),
+            second=pad(second, (0, padding, 0, padding - 1)),
+            pool=pad(self.second.pool.weight[:blocks], (0, padding)),
+            context_first=torch.stack([to_nodes, to_features]),
+            context_second=pad(self.second.from_context.homogeneous(self.width)[:blocks], (0, 0, 0, padding - 1)),
             root=root,
             root_offset=root_offset,
-            behind_scale=behind_scale,
-            behind_shift=behind_shift,
+            pending_scale=pending_scale,
+            pending_shift=pending_shift,
             log_determinant=log_scale.sum(),
         )
 
-    def told_by_root(self, root: Tensor, blocks: int | None = None) -> tuple[Tensor, Tensor]:
+    def root_messages(self, root: Tensor, blocks: int | None = None) -> tuple[Tensor, Tensor]:
         """Compute what the root adds after each layer.
 
         Parameters
@@ -193,28 +194,29 @@ class Couplings(nn.Module):
         Returns
         -------
         root, root_offset : Tensor
-            Of :class:`posecal_models.cgnf.hearing.Voices`; the second with the biases of the second layer's update.
+            Of :class:`posecal_models.cgnf.context_messages.ContextMaps`; the second with the biases of the second
+            layer's update.
         """
         first = pad(self.first.from_root(root), (0, self.width - self.first.from_root.bias.shape[1]))
-        second = self.second.from_root(self.first.onward()[1](root)) @ self.second.pool.weight.mT
-        near = self.first.next_to_root[:, None, None]
-        offset = near * second[:, None] + self.second.pool.bias[:, None, None]
-        return (near * first[:, None])[:blocks].unsqueeze(3), offset[:blocks].movedim(3, 1).unsqueeze(4)
+        second = self.second.from_root(self.first.next_maps()[1](root)) @ self.second.pool.weight.mT
+        receivers = self.first.next_to_root[:, None, None]
+        offset = receivers * second[:, None] + self.second.pool.bias[:, None, None]
+        return (receivers * first[:, None])[:blocks].unsqueeze(3), offset[:blocks].movedim(3, 1).unsqueeze(4)
 
 
-def _behind(log_scale: Tensor, shift: Tensor) -> tuple[Tensor, Tensor]:
-    """Give the ActNorms that each coordinate has yet to pass when it reaches a block, that block's own included.
+def _pending_actnorms(log_scale: Tensor, shift: Tensor) -> tuple[Tensor, Tensor]:
+    """Compose the ActNorms that each coordinate has yet to pass when it reaches a block, that block's own included.
 
-    Coordinates pass their ActNorms when a block moves them. Row l is for block l, the last row for after all blocks:
-    scale and shift, (L + 1, D) each, of (L, D) log scales and shifts.
+    The ActNorms of a coordinate are applied when a block transforms it. Row l is for block l, the last row for after
+    all blocks: scale and shift, (L + 1, D) each, of (L, D) log scales and shifts.
     """
     blocks, dimensions = log_scale.shape
-    passed = torch.cat([log_scale, log_scale.new_zeros(1, dimensions)]).cumsum(0)
+    cumulative = torch.cat([log_scale, log_scale.new_zeros(1, dimensions)]).cumsum(0)
     block = torch.arange(blocks + 1, device=shift.device)[:, None, None]
     actnorm = torch.arange(blocks, device=shift.device)[:, None]
     coordinate = torch.arange(dimensions, device=shift.device)
-    last_moved = block - 1 - (block - 1 - coordinate) % dimensions
-    waiting = (actnorm <= block) & (actnorm > last_moved)
-    log_scales = torch.where(waiting, log_scale, 0).sum(1)
-    since = torch.where(waiting, passed[:, None] - passed[:-1], 0).exp()
-    return log_scales.exp(), torch.where(waiting, since * shift, 0).sum(1)
+    last_transform = block - 1 - (block - 1 - coordinate) % dimensions
+    pending = (actnorm <= block) & (actnorm > last_transform)
+    log_scales = torch.where(pending, log_scale, 0).sum(1)
+    later_scales = torch.where(pending, cumulative[:, None] - cumulative[:-1], 0).exp()
+    return log_scales.exp(), torch.where(pending, later_scales * shift, 0).sum(1)

@@ -1,4 +1,4 @@
-"""What does a detected keypoint mean for the joints? The embedding of 2D keypoints by two graph convolutions."""
+"""Embedding of 2D keypoints by two graph convolutions."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ class ContextEmbedding(nn.Module):
 
     Notes
     -----
-    Differs from the published code: what is stored in the place of a missing keypoint is never read (theirs multiplies
-    it by zero, so that a stored NaN spreads).
+    Differs from the published code: the value stored for a missing keypoint is never read (there it is multiplied by
+    zero, so that a NaN propagates).
 
     References
     ----------
@@ -60,12 +60,12 @@ class ContextEmbedding(nn.Module):
         Returns
         -------
         Tensor
-            (P, K, context), unitless. Rows of missing keypoints mean nothing.
+            (P, K, context), unitless. Rows of missing keypoints are arbitrary.
         """
-        known = torch.where(observed[..., None], keypoints, 0)
-        present = observed.to(known.dtype)
-        adjacency = self.adjacency * present[:, :, None] * present[:, None, :]
+        features = torch.where(observed[..., None], keypoints, 0)
+        mask = observed.to(features.dtype)
+        adjacency = self.adjacency * mask[:, :, None] * mask[:, None, :]
         adjacency = adjacency / adjacency.sum(dim=-1, keepdim=True).clamp(min=1)
-        hidden = torch.relu(self.first_neighbours(adjacency @ known) + self.first_own(known))
+        hidden = torch.relu(self.first_neighbours(adjacency @ features) + self.first_own(features))
         embedded: Tensor = self.second_neighbours(adjacency @ hidden) + self.second_own(hidden)
         return embedded

@@ -1,7 +1,7 @@
-"""Which latent belongs to a pose, and how dense is it there? The whole flow, L blocks between pose and latent.
+"""The conditional graph normalizing flow: L coupling blocks between poses and latents.
 
 Everything here is unitless: standardised poses (P, n, K, D) on one side, standard normal latents of the same shape on
-the other. Millimetres and pixels come in at :mod:`posecal_models.cgnf.model`.
+the other. Millimetres and pixels are converted in :mod:`posecal_models.cgnf.model`.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from posecal_models.cgnf.buffers import MessageGraph, Workspace
+from posecal_models.cgnf.context_messages import ContextMaps, NodeIndex
 from posecal_models.cgnf.coupling import Couplings, FoldedCouplings
 from posecal_models.cgnf.embedding import ContextEmbedding
-from posecal_models.cgnf.hearing import Seats, Voices
-from posecal_models.cgnf.passes import Blocks, Path, Scale, latents_of, poses_of
-from posecal_models.cgnf.rooms import Bones, Workspace
+from posecal_models.cgnf.passes import BlockWeights, PassInputs, Scale, forward_pass, inverse_pass
 from posecal_models.graph import PoseGraph
 
-__all__ = ["SIZES", "Evidence", "FlowSize", "GraphFlow", "ReadyFlow"]
+__all__ = ["SIZES", "ConditionedFlow", "EmbeddedContext", "FlowSize", "GraphFlow"]
 
 
 @dataclass(frozen=True)
 class FlowSize:
-    """How large a flow is: L blocks, H hidden features, C context features, E hidden features of the embedding."""
+    """Size of a flow: L blocks, H hidden features, C context features, E hidden features of the embedding."""
 
     blocks: int
     hidden: int
@@ -40,77 +40,77 @@ SIZES = {
     "large": FlowSize(blocks=10, hidden=200, context=10, embedding=128),
     "xlarge": FlowSize(blocks=14, hidden=262, context=68, embedding=177),
 }
-"""The paper's three sizes, and a tiny one for trying things out."""
+"""The paper's three sizes, and a tiny one for quick trials."""
 
 
-class Evidence(NamedTuple):
-    """What is known of P poses beforehand: the embedded keypoints that were observed, and the root.
+class EmbeddedContext(NamedTuple):
+    """The context of P poses: the embedded keypoints that were observed, and the root.
 
     Attributes
     ----------
     keypoints : Tensor or None
         Features of R keypoints with a 1 at the end, (R, C + 1), zeros where one was not observed; None where none was.
-    seats : Seats or None
-        Which node of which pose each of them speaks to.
+    node_index : NodeIndex or None
+        Target node and pose of each of them.
     root : Tensor or None
         Features of the root, (P, D); None where it is the origin, as of root-relative poses.
     """
 
     keypoints: Tensor | None
-    seats: Seats | None
+    node_index: NodeIndex | None
     root: Tensor | None
 
-    def of_poses(self, poses: slice) -> Evidence:
-        """Take what is known of some poses.
+    def select(self, poses: slice) -> EmbeddedContext:
+        """Select the context of some poses.
 
         Parameters
         ----------
         poses : slice
-            p poses that stand together.
+            p consecutive poses.
 
         Returns
         -------
-        Evidence
+        EmbeddedContext
             Of p poses.
         """
         root = None if self.root is None else self.root[poses]
-        if self.keypoints is None or self.seats is None:
-            return Evidence(None, None, root)
-        rows, seats = self.seats.of_poses(poses)
-        return Evidence(self.keypoints[rows], seats, root)
+        if self.keypoints is None or self.node_index is None:
+            return EmbeddedContext(None, None, root)
+        rows, node_index = self.node_index.select(poses)
+        return EmbeddedContext(self.keypoints[rows], node_index, root)
 
 
-class ReadyFlow(NamedTuple):
+class ConditionedFlow(NamedTuple):
     """The flow for given keypoints: a map between poses and latents.
 
     Attributes
     ----------
     folded : FoldedCouplings
         The L blocks with their weights multiplied out.
-    voices : Voices
-        What speaks to the poses.
-    seats : Seats or None
-        Where the keypoints speak.
-    bones : Bones
-        Who speaks to whom, in the flow's own order of the nodes.
+    context : ContextMaps
+        Keypoints and root with the maps of their messages.
+    node_index : NodeIndex or None
+        Targets of the keypoints.
+    graph : MessageGraph
+        Senders and receivers of messages, in the flow's own order of the nodes.
     order : Tensor
-        Which node of a pose is which of the flow's, (K,), and back, (K,): (2, K), integer.
+        The flow's order of a pose's nodes, (K,), and its inverse, (K,): (2, K), integer.
     scale : str
-        How an unconstrained scale becomes a positive one.
+        The function from the unconstrained to the positive scale.
     workspace : Workspace or None
-        Memory for activations that is used again and again.
+        Memory for activations, reused by every pass.
     """
 
     folded: FoldedCouplings
-    voices: Voices
-    seats: Seats | None
-    bones: Bones
+    context: ContextMaps
+    node_index: NodeIndex | None
+    graph: MessageGraph
     order: Tensor
     scale: Scale
     workspace: Workspace | None = None
 
     def forward(self, poses: Tensor) -> tuple[Tensor, Tensor]:
-        """Give the latents of poses.
+        """Transform poses into latents.
 
         Parameters
         ----------
@@ -124,13 +124,13 @@ class ReadyFlow(NamedTuple):
         log_determinant : Tensor
             (P, n, K): log of the volume change at each node, nats.
         """
-        coordinates, log_stretch = latents_of(self._coordinates(poses), self._path())
-        latents = self._poses(coordinates) * self.folded.behind_scale[-1] + self.folded.behind_shift[-1]
-        log_determinant = log_stretch[self.order[1]] + self.folded.log_determinant
+        coordinates, log_scale = forward_pass(self._coordinates(poses), self._pass_inputs())
+        latents = self._poses(coordinates) * self.folded.pending_scale[-1] + self.folded.pending_shift[-1]
+        log_determinant = log_scale[self.order[1]] + self.folded.log_determinant
         return latents, log_determinant.permute(1, 2, 0)
 
     def inverse(self, latents: Tensor) -> Tensor:
-        """Give the poses of latents.
+        """Transform latents into poses.
 
         Parameters
         ----------
@@ -142,11 +142,11 @@ class ReadyFlow(NamedTuple):
         Tensor
             (P, n, K, D), standardised poses, unitless.
         """
-        latents = (latents - self.folded.behind_shift[-1]) / self.folded.behind_scale[-1]
-        return self._poses(poses_of(self._coordinates(latents), self._path()))
+        latents = (latents - self.folded.pending_shift[-1]) / self.folded.pending_scale[-1]
+        return self._poses(inverse_pass(self._coordinates(latents), self._pass_inputs()))
 
     def log_prob_per_node(self, poses: Tensor) -> Tensor:
-        """Give each node's share of the log density; they sum to the log density of the pose.
+        """Compute each node's term of the log density; the terms sum to the log density of the pose.
 
         Parameters
         ----------
@@ -162,13 +162,13 @@ class ReadyFlow(NamedTuple):
         dimensions = latents.shape[-1]
         return log_determinant - 0.5 * (latents.square().sum(-1) + dimensions * math.log(2 * math.pi))
 
-    def _path(self) -> Path:
+    def _pass_inputs(self) -> PassInputs:
         folded = self.folded
-        moved = torch.arange(len(folded.pool), device=folded.pool.device) % folded.behind_scale.shape[1]
-        both = (folded.behind_scale, folded.behind_shift)
-        behind = (behind[:-1].gather(1, moved[:, None]).squeeze(1) for behind in both)
-        blocks = Blocks(folded.first, folded.second, folded.pool, *behind)
-        return Path(blocks, self.voices, self.seats, self.bones, self.scale, self.workspace)
+        transformed = torch.arange(len(folded.pool), device=folded.pool.device) % folded.pending_scale.shape[1]
+        actnorms = (folded.pending_scale, folded.pending_shift)
+        pending = (actnorm[:-1].gather(1, transformed[:, None]).squeeze(1) for actnorm in actnorms)
+        blocks = BlockWeights(folded.first, folded.second, folded.pool, *pending)
+        return PassInputs(blocks, self.context, self.node_index, self.graph, self.scale, self.workspace)
 
     def _coordinates(self, poses: Tensor) -> Tensor:
         """Turn (P, n, K, D) into (D + 1, K, P, n), the last row ones."""
@@ -200,8 +200,8 @@ class GraphFlow(nn.Module):
 
     Notes
     -----
-    Differs from the published code: none with ``scale="sigmoid"`` and ``backward_weights=False``, less the parameters
-    that it never uses. The defaults are the paper's text; docs/models.md measures all four combinations.
+    Differs from the published code: none with ``scale="sigmoid"`` and ``backward_weights=False``, without the
+    parameters that are unused there. The defaults are the paper's text; docs/models.md measures all four combinations.
 
     References
     ----------
@@ -240,8 +240,8 @@ class GraphFlow(nn.Module):
             backward_weights=backward_weights,
         )
 
-    def evidence(self, keypoints: Tensor, observed: Tensor, root: Tensor | None = None) -> Evidence:
-        """Embed what was observed.
+    def embed(self, keypoints: Tensor, observed: Tensor, root: Tensor | None = None) -> EmbeddedContext:
+        """Embed the observed keypoints.
 
         Parameters
         ----------
@@ -254,80 +254,81 @@ class GraphFlow(nn.Module):
 
         Returns
         -------
-        Evidence
+        EmbeddedContext
             The keypoints' features and the root's.
         """
         features = torch.cat([self.embedding(keypoints, observed), torch.ones_like(keypoints[..., :1])], dim=-1)
         features = features[:, self.order[0]].flatten(0, 1)
-        seen = observed[:, self.order[0]].flatten()
+        mask = observed[:, self.order[0]].flatten()
         nodes = observed.shape[1]
-        rows = torch.arange(len(seen), device=seen.device)
-        starts: Sequence[int] = range(0, len(seen) + 1, nodes)
-        if _chooses_rows(seen.device):
-            rows, starts = rows[seen], [0, *observed.sum(1).cumsum(0).tolist()]
+        rows = torch.arange(len(mask), device=mask.device)
+        starts: Sequence[int] = range(0, len(mask) + 1, nodes)
+        if _drops_missing_rows(mask.device):
+            rows, starts = rows[mask], [0, *observed.sum(1).cumsum(0).tolist()]
             features = features[rows]
         else:
-            features = features * seen[:, None]
-        return Evidence(features, Seats(rows // nodes, rows % nodes, starts), root)
+            features = features * mask[:, None]
+        return EmbeddedContext(features, NodeIndex(rows // nodes, rows % nodes, starts), root)
 
-    def no_evidence(self) -> Evidence:
-        """Give what is known of a pose of which nothing was observed: that its root is the origin."""
-        return Evidence(None, None, None)
+    def empty_context(self) -> EmbeddedContext:
+        """Return the context without keypoints, with the root at the origin: that of the prior."""
+        return EmbeddedContext(None, None, None)
 
-    def ready(
+    def condition(
         self,
-        evidence: Evidence,
+        context: EmbeddedContext,
         *,
         folded: FoldedCouplings | None = None,
         blocks: int | None = None,
         workspace: Workspace | None = None,
-    ) -> ReadyFlow:
-        """Compute what the weights alone decide, and bring the keypoints in.
+    ) -> ConditionedFlow:
+        """Fold the weights and condition the flow on keypoints.
 
         Parameters
         ----------
-        evidence : Evidence
-            From :meth:`evidence` or :meth:`no_evidence`.
+        context : EmbeddedContext
+            From :meth:`embed` or :meth:`empty_context`.
         folded : FoldedCouplings, optional
-            The multiplied weights, where they are at hand.
+            The folded weights, where they were computed before.
         blocks : int, optional
             Only the first blocks; all of them where not given.
         workspace : Workspace, optional
-            Memory to use again and again. Gradients of one pass must then be taken before the next one begins.
+            Memory to reuse. Gradients of one pass must then be taken before the next one begins.
 
         Returns
         -------
-        ReadyFlow
+        ConditionedFlow
             The map between poses and latents.
         """
-        folded = self.couplings.folded(blocks) if folded is None else folded
-        nobody = folded.hear_first.new_empty(0, folded.hear_first.shape[2])
+        folded = self.couplings.fold(blocks) if folded is None else folded
         root = folded.root, folded.root_offset
-        if evidence.root is not None:
-            root = self.couplings.told_by_root(evidence.root, blocks)
-        keypoints = nobody if evidence.keypoints is None else evidence.keypoints
-        voices = Voices(keypoints, folded.hear_first, folded.hear_second, folded.pool, *root)
-        bones = Bones.of(self.couplings.first.spans, self.couplings.first.relations)
-        return ReadyFlow(folded, voices, evidence.seats, bones, self.order, self.scale, workspace)
+        if context.root is not None:
+            root = self.couplings.root_messages(context.root, blocks)
+        keypoints = context.keypoints
+        if keypoints is None:
+            keypoints = folded.context_first.new_empty(0, folded.context_first.shape[2])
+        maps = ContextMaps(keypoints, folded.context_first, folded.context_second, folded.pool, *root)
+        graph = MessageGraph.of(self.couplings.first.spans, self.couplings.first.aggregation)
+        return ConditionedFlow(folded, maps, context.node_index, graph, self.order, self.scale, workspace)
 
     @torch.no_grad()
-    def initialise_actnorm(self, poses: Tensor, evidence: Evidence) -> None:
+    def initialise_actnorm(self, poses: Tensor, context: EmbeddedContext) -> None:
         """Set every ActNorm from a first batch, block after block, to give coordinates mean 0 and deviation 1.
 
         Parameters
         ----------
         poses : Tensor
             (P, n, K, D), standardised, unitless.
-        evidence : Evidence
+        context : EmbeddedContext
             Their keypoints.
         """
         for block in range(len(self.couplings.actnorm_shift)):
-            reaching, _ = self.ready(evidence, blocks=block).forward(poses)
-            spread, mean = torch.std_mean(reaching, dim=(0, 1, 2))
-            self.couplings.actnorm_log_scale[block] = -torch.log(spread)
-            self.couplings.actnorm_shift[block] = -mean / spread
+            inputs, _ = self.condition(context, blocks=block).forward(poses)
+            deviation, mean = torch.std_mean(inputs, dim=(0, 1, 2))
+            self.couplings.actnorm_log_scale[block] = -torch.log(deviation)
+            self.couplings.actnorm_shift[block] = -mean / deviation
 
 
-def _chooses_rows(device: torch.device) -> bool:
-    """Whether missing keypoints are left out: a GPU would have to wait for their number."""
+def _drops_missing_rows(device: torch.device) -> bool:
+    """Whether rows of missing keypoints are dropped: on a GPU their number would need a synchronisation."""
     return device.type == "cpu"

@@ -1,7 +1,7 @@
-"""What do a joint's neighbours tell it? The learned maps of one message-passing layer.
+"""Learned maps of one message-passing layer between the joints of a pose.
 
-Every message is ReLU(W h + b). The weights of all L blocks of a flow lie in one tensor, the block first, so that what
-is computed from weights alone is computed for all blocks at once.
+Every message is ReLU(W h + b). The weights of all L blocks of a flow are stacked in one tensor, the block first, so
+that whatever depends on weights alone is computed for all blocks at once.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Linears(nn.Module):
 
     Notes
     -----
-    Drawn uniformly within 1/sqrt(features), as :class:`torch.nn.Linear` does.
+    Initialised uniformly within 1/sqrt(features), as :class:`torch.nn.Linear`.
 
     Examples
     --------
@@ -59,14 +59,14 @@ class Linears(nn.Module):
         """
         return torch.relu(features @ self.weight.mT + self.bias[:, None])
 
-    def carrying(self, width: int, *, on: bool = False) -> Tensor:
-        """Write weights and biases in one, for features that end with a 1.
+    def homogeneous(self, width: int, *, carry: bool = False) -> Tensor:
+        """Return weights and biases as one matrix, for features that end with a 1.
 
         Parameters
         ----------
         width : int
             Features after the maps: more than ``features_out``, filled up with zeros.
-        on : bool
+        carry : bool
             Whether the first of these is 1 instead, to carry the next biases.
 
         Returns
@@ -75,7 +75,7 @@ class Linears(nn.Module):
             (L, features + 1, width).
         """
         maps = pad(torch.cat([self.weight.mT, self.bias[:, None]], dim=1), (0, width - self.bias.shape[1]))
-        if not on:
+        if not carry:
             return maps
         carrier = torch.zeros_like(maps[0])
         carrier[-1, self.bias.shape[1]] = 1
@@ -101,7 +101,7 @@ class MessagePassing(nn.Module):
     context, root : int
         Features of an observed keypoint and of the root.
     last : bool
-        Whether no layer follows, so that context and root need not be carried on.
+        Whether no layer follows, so that context and root need no features in a next one.
     backward_weights : bool
         Whether messages from child to parent have their own map, or share that of messages from parent to child.
 
@@ -120,13 +120,14 @@ class MessagePassing(nn.Module):
     >>> layer = MessagePassing(
     ...     human36m_graph(), 10, 2, 8, 8, context=4, root=3, last=False, backward_weights=False
     ... )
-    >>> layer.relations.shape  # 16 nodes speak to themselves and 16 to their neighbours
+    >>> layer.aggregation.shape  # 16 self messages and 16 along the edges
     torch.Size([16, 32])
     """
 
-    relations: Tensor
-    """What every message adds up to: (K, S), for the S messages that nodes say, :attr:`spans` after one another."""
+    aggregation: Tensor
+    """(K, S): sums S messages at the K nodes that receive them; messages are ordered as in :attr:`spans`."""
     next_to_root: Tensor
+    """(K,): 1 for the nodes whose parent is the root, 0 for the others."""
 
     def __init__(
         self,
@@ -152,18 +153,18 @@ class MessagePassing(nn.Module):
         self.pool = Linears(blocks, hidden, features_out)
         order = list(graph.order)
         down = torch.from_numpy(graph.from_parent[order][:, order]).to(torch.get_default_dtype())
-        whole = (0, len(order))
+        all_nodes = (0, len(order))
         to_child, to_parent = graph.spans
-        along = [(down, to_child), (down.T, to_parent)] if backward_weights else [(down + down.T, whole)]
-        self.spans: tuple[tuple[int, int], ...] = (whole, *(span for _, span in along))
-        matrices = [torch.eye(len(order)), *(matrix[:, slice(*span)] for matrix, span in along)]
-        self.register_buffer("relations", torch.cat(matrices, dim=1), persistent=False)
+        edges = [(down, to_child), (down.T, to_parent)] if backward_weights else [(down + down.T, all_nodes)]
+        self.spans: tuple[tuple[int, int], ...] = (all_nodes, *(span for _, span in edges))
+        matrices = [torch.eye(len(order)), *(matrix[:, slice(*span)] for matrix, span in edges)]
+        self.register_buffer("aggregation", torch.cat(matrices, dim=1), persistent=False)
         next_to_root = torch.zeros(len(order))
         next_to_root[: len(graph.next_to_root)] = 1
         self.register_buffer("next_to_root", next_to_root, persistent=False)
 
-    def onward(self) -> tuple[Linears, Linears]:
-        """Give the maps that carry keypoints and root on to the next layer.
+    def next_maps(self) -> tuple[Linears, Linears]:
+        """Return the maps from keypoints and root to their features in the next layer.
 
         Returns
         -------
@@ -176,7 +177,7 @@ class MessagePassing(nn.Module):
             Where no layer follows.
         """
         if self.next_context is None or self.next_root is None:
-            raise RuntimeError("the last layer carries nothing on")
+            raise RuntimeError("the last layer has no maps to a next one")
         return self.next_context, self.next_root
 
     def weights_and_biases(self) -> tuple[Tensor, Tensor]:
@@ -185,7 +186,7 @@ class MessagePassing(nn.Module):
         Returns
         -------
         weights, biases : Tensor
-            (L, maps, H, features) and (L, maps, H), in the order of :attr:`relations`.
+            (L, maps, H, features) and (L, maps, H), in the order of :attr:`spans`.
         """
         maps = [self.from_self, self.from_parent, *([] if self.from_child is None else [self.from_child])]
         return torch.stack([m.weight for m in maps], dim=1), torch.stack([m.bias for m in maps], dim=1)

@@ -1,4 +1,4 @@
-"""Which poses fit these keypoints? The cGNF as an estimator: pixels in, a distribution in millimetres out."""
+"""The cGNF as an estimator: from keypoints in pixels to a distribution of poses in millimetres."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from posecal.errors import PoseDataError
-from posecal_models.cgnf.flow import Evidence, FlowSize, GraphFlow, ReadyFlow
+from posecal_models.cgnf.flow import ConditionedFlow, EmbeddedContext, FlowSize, GraphFlow
 from posecal_models.cgnf.passes import Scale
 from posecal_models.contract import Context, check_keypoints, check_truth
 from posecal_models.data.standardizer import Origin, Standardizer
@@ -16,19 +16,19 @@ __all__ = ["CGNF", "FlowDistribution"]
 
 
 class FlowDistribution:
-    """The poses that a cGNF finds plausible, given the keypoints of M poses.
+    """The distribution of poses given the keypoints of M poses.
 
     Parameters
     ----------
-    flow : ReadyFlow
+    flow : ConditionedFlow
         The flow for these keypoints.
     standardizer : Standardizer
-        Between its units and mm.
+        The conversion between its units and mm.
     poses : int
         M.
     """
 
-    def __init__(self, flow: ReadyFlow, standardizer: Standardizer, poses: int) -> None:
+    def __init__(self, flow: ConditionedFlow, standardizer: Standardizer, poses: int) -> None:
         self._flow = flow
         self._standardizer = standardizer
         self._poses = poses
@@ -55,7 +55,7 @@ class FlowDistribution:
         return self._standardizer.millimetres(self._flow.inverse(latents * temperature)).transpose(0, 1)
 
     def log_prob(self, truth: Tensor) -> Tensor:
-        r"""Give the log density of poses.
+        r"""Compute the log density of poses.
 
         .. math:: \log p(x \mid c) = \sum_v \log \mathcal N(f(x, c)_v; 0, I) + \log |\det \nabla_x f| - K D \log s
 
@@ -76,15 +76,15 @@ class FlowDistribution:
 
         Notes
         -----
-        Differs from the published code: it averages over the nodes, in its own units of length; the log density of a
-        pose is their sum.
+        Differs from the published code: there the nodes' terms are averaged, in other units of length; the log density
+        of a pose is their sum.
         """
         check_truth(truth, self._poses, *self._standardizer.pose_mean.shape)
         poses = self._standardizer.poses(truth)[:, None]
         return self._flow.log_prob_per_node(poses).sum((1, 2)) - self._standardizer.log_determinant
 
     def mode(self) -> Tensor:
-        """Give the pose of the latent 0, (M, K, 3), mm: the paper's single best pose."""
+        """Return the pose of the latent 0, (M, K, 3), mm: the paper's single best pose."""
         mean = self._standardizer.pose_mean
         return self._standardizer.millimetres(self._flow.inverse(mean.new_zeros(self._poses, 1, *mean.shape)))[:, 0]
 
@@ -109,10 +109,10 @@ class CGNF(nn.Module):
 
     Notes
     -----
-    Keypoint i is evidence of joint i; a keypoint that is not observed changes nothing, whatever is stored for it.
-    Nothing observed gives the prior.
+    Keypoint i sends its messages to joint i; a keypoint that is not observed changes nothing, whatever is stored for
+    it. Without observed keypoints the distribution is the prior.
 
-    Differs from the published code: joints are joined by name, and parameters that it never uses are not here.
+    Differs from the published code: joints are joined by name, and there are no unused parameters.
 
     References
     ----------
@@ -155,7 +155,7 @@ class CGNF(nn.Module):
         return (self.graph.root, *self.joints) if self.standardizer.origin == "root" else self.joints
 
     def forward(self, context: Context) -> FlowDistribution:
-        """Give the distribution of the poses with these keypoints.
+        """Return the distribution of the poses with these keypoints.
 
         Parameters
         ----------
@@ -172,10 +172,10 @@ class CGNF(nn.Module):
         PoseDataError
             As :meth:`check`.
         """
-        return FlowDistribution(self.flow.ready(self.evidence(context)), self.standardizer, len(context))
+        return FlowDistribution(self.flow.condition(self.embed(context)), self.standardizer, len(context))
 
-    def evidence(self, context: Context) -> Evidence:
-        """Embed what was observed.
+    def embed(self, context: Context) -> EmbeddedContext:
+        """Embed the observed keypoints.
 
         Parameters
         ----------
@@ -184,7 +184,7 @@ class CGNF(nn.Module):
 
         Returns
         -------
-        Evidence
+        EmbeddedContext
             Of M poses.
 
         Raises
@@ -196,10 +196,10 @@ class CGNF(nn.Module):
         keypoints, observed = self.standardizer.keypoints(context), context.observed
         if self.standardizer.origin == "root":
             keypoints, observed = keypoints[:, 1:], observed[:, 1:]
-        return self.flow.evidence(keypoints, observed)
+        return self.flow.embed(keypoints, observed)
 
     def check(self, context: Context) -> None:
-        """Refuse keypoints that it can't read.
+        """Raise an error for keypoints that don't fit this estimator.
 
         Parameters
         ----------
@@ -209,30 +209,31 @@ class CGNF(nn.Module):
         Raises
         ------
         PoseDataError
-            Where there are more or fewer, or where they are read relative to the root's and that is not finite (on a
-            GPU that is not looked at: looking would wait for it).
+            Where there are more or fewer, or where they are read relative to the root's and that is not finite (not
+            checked on a GPU, where it would need a synchronisation).
         """
         check_keypoints(context, self.keypoints)
         if self.standardizer.origin != "root" or context.observed.device.type != "cpu":
             return
-        lost = context.observed.any(1) & ~context.keypoints[:, 0].isfinite().all(-1)
-        if lost.any():
+        no_root = context.observed.any(1) & ~context.keypoints[:, 0].isfinite().all(-1)
+        if no_root.any():
             raise PoseDataError(
-                f"keypoints: no {self.graph.root} in {int(lost.sum()):,} of {len(context):,} images, and the others "
-                "are read relative to it. Give it, or use weights that were trained without."
+                f"keypoints: no {self.graph.root} in {int(no_root.sum()):,} of {len(context):,} images, and the "
+                "others are read relative to it; expected it in every image. Give it, or use weights that were "
+                "trained without."
             )
 
     def prior(self, poses: int = 1) -> FlowDistribution:
-        """Give the distribution of poses of which nothing was observed.
+        """Return the distribution of poses without any observed keypoint.
 
         Parameters
         ----------
         poses : int
-            M, how many times.
+            M, the number of poses.
 
         Returns
         -------
         FlowDistribution
             Of M poses, all alike.
         """
-        return FlowDistribution(self.flow.ready(self.flow.no_evidence()), self.standardizer, poses)
+        return FlowDistribution(self.flow.condition(self.flow.empty_context()), self.standardizer, poses)

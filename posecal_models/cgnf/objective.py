@@ -1,9 +1,9 @@
-r"""What is a cGNF trained to do? Its losses, and their gradients in pieces that stay in the processor's cache.
+r"""Training losses of the cGNF, with gradients in pieces that fit the processor's cache.
 
 .. math:: L = \tfrac12 \left( L_{prior} + L_{post} \right) + \lambda L_{sample}
 
 All terms are means over the batch: negative log densities in nats per pose (standardised), and the error of the mode in
-mm. A pose may stand in a batch with several sets of observed keypoints; its prior is then computed once.
+mm. A batch may hold a pose with several sets of observed keypoints; its prior is then computed once.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ import torch
 from torch import Tensor
 
 from posecal.errors import PoseDataError
+from posecal_models.cgnf.buffers import Workspace
 from posecal_models.cgnf.model import CGNF
-from posecal_models.cgnf.rooms import Workspace
 from posecal_models.contract import Context
 
 __all__ = ["FlowObjective", "mode_error"]
@@ -26,7 +26,7 @@ SampleLoss = Literal["joints", "pairs"]
 
 
 def mode_error(mode: Tensor, truth: Tensor, *, kind: SampleLoss = "joints") -> Tensor:
-    r"""Give the distance of a single pose from the truth.
+    r"""Compute the mean joint error of a single pose.
 
     .. math:: \frac1K \sum_k \lVert \hat x_k - x_k \rVert
 
@@ -44,7 +44,7 @@ def mode_error(mode: Tensor, truth: Tensor, *, kind: SampleLoss = "joints") -> T
 
     Notes
     -----
-    Differs from the published code: it takes ``pairs``, which is about 0.78 of the mean joint error.
+    Differs from the published code: ``pairs`` is used there, about 0.78 of the mean joint error.
 
     Examples
     --------
@@ -53,10 +53,10 @@ def mode_error(mode: Tensor, truth: Tensor, *, kind: SampleLoss = "joints") -> T
     >>> mode_error(torch.tensor([[3.0, 0, 4], [0, 0, 0]]), torch.zeros(2, 3), kind="pairs")  # (3 + 4 + 0) / 3
     tensor(2.3333)
     """
-    apart = mode - truth
+    difference = mode - truth
     if kind == "pairs":
-        apart = apart.flatten(-2).view(*apart.shape[:-2], -1, 2)
-    return torch.mean(torch.linalg.vector_norm(apart, dim=-1), dim=-1)
+        difference = difference.flatten(-2).view(*difference.shape[:-2], -1, 2)
+    return torch.mean(torch.linalg.vector_norm(difference, dim=-1), dim=-1)
 
 
 class FlowObjective:
@@ -65,15 +65,15 @@ class FlowObjective:
     Parameters
     ----------
     estimator : CGNF
-        What is trained.
+        The estimator to train.
     sample_weight : float
         λ, the weight of the mode's error, per mm. 0: the mode is not computed.
     per_node : bool
-        Whether log densities are divided by K, as the released code does, which changes what λ and clipping mean.
+        Whether log densities are divided by K, as in the released code, which changes the meaning of λ and clipping.
     sample_loss : str
         See :func:`mode_error`.
     graphs_at_once : int, optional
-        How many poses go through the flow together. A number that suits the processor where not given.
+        Number of poses in one pass through the flow; chosen for the processor where not given.
 
     Raises
     ------
@@ -97,7 +97,7 @@ class FlowObjective:
         self.per_node = per_node
         self.sample_loss: SampleLoss = sample_loss
         self.graphs_at_once = graphs_at_once
-        self._there, self._back = Workspace(), Workspace()
+        self._workspace, self._mode_workspace = Workspace(), Workspace()
 
     def initialise(self, context: Context, truth: Tensor) -> None:
         """Set the ActNorms from a first batch.
@@ -110,8 +110,7 @@ class FlowObjective:
             (M, K, 3), mm.
         """
         flow, standardizer = self.estimator.flow, self.estimator.standardizer
-        evidence = self.estimator.evidence(context)
-        flow.initialise_actnorm(standardizer.poses(truth)[:, None], evidence)
+        flow.initialise_actnorm(standardizer.poses(truth)[:, None], self.estimator.embed(context))
 
     def backward(
         self,
@@ -128,9 +127,9 @@ class FlowObjective:
         context : Context
             Keypoints of M graphs, pixels.
         truth : Tensor
-            (M, K, 3), mm. Graphs of one pose stand together.
+            (M, K, 3), mm. Graphs of one pose are consecutive.
         generator : torch.Generator, optional
-            Not needed: nothing is drawn.
+            Not used: nothing is random.
         graphs_per_pose : int
             How many consecutive graphs have the same truth.
 
@@ -147,17 +146,17 @@ class FlowObjective:
         losses = {name: poses.new_zeros(()) for name in ("loss", "prior", "posterior")}
         if self.sample_weight:
             losses["mode"] = poses.new_zeros(())
-        cut = _Cut()
-        folded = cut.off(flow.couplings.folded())
-        evidence = cut.off(self.estimator.evidence(context))
+        detached = _DetachedTensors()
+        folded = detached.detach(flow.couplings.fold())
+        embedded = detached.detach(self.estimator.embed(context))
         for part in self._pieces(len(poses)):
             share = len(poses[part]) / len(poses)
-            ready = flow.ready(evidence.of_poses(part), folded=folded, workspace=self._there)
-            nats = -ready.log_prob_per_node(poses[part]).sum((1, 2)).mean()
+            conditioned = flow.condition(embedded.select(part), folded=folded, workspace=self._workspace)
+            nats = -conditioned.log_prob_per_node(poses[part]).sum((1, 2)).mean()
             loss = half * nats
             if self.sample_weight:
-                back = ready._replace(workspace=self._back)
-                mode = standardizer.millimetres(back.inverse(torch.zeros_like(poses[part])))[:, 0]
+                inverse = conditioned._replace(workspace=self._mode_workspace).inverse
+                mode = standardizer.millimetres(inverse(torch.zeros_like(poses[part])))[:, 0]
                 error = mode_error(mode, truth[part], kind=self.sample_loss).mean()
                 loss = loss + self.sample_weight * error
                 losses["mode"] += share * error.detach()
@@ -167,12 +166,12 @@ class FlowObjective:
         distinct = poses[::graphs_per_pose]
         for part in self._pieces(len(distinct)):
             share = len(distinct[part]) / len(distinct)
-            ready = flow.ready(flow.no_evidence(), folded=folded, workspace=self._there)
-            nats = -ready.log_prob_per_node(distinct[part]).sum((1, 2)).mean()
+            prior = flow.condition(flow.empty_context(), folded=folded, workspace=self._workspace)
+            nats = -prior.log_prob_per_node(distinct[part]).sum((1, 2)).mean()
             torch.autograd.backward(share * half * nats)
             losses["prior"] += share * nats.detach()
             losses["loss"] += share * half * nats.detach()
-        cut.backward()
+        detached.backward()
         return losses
 
     @torch.no_grad()
@@ -188,53 +187,54 @@ class FlowObjective:
         truth : Tensor
             (M, K, 3), mm.
         generator : torch.Generator, optional
-            Not needed: nothing is drawn.
+            Not used: nothing is random.
 
         Returns
         -------
         dict of str to Tensor
-            As :meth:`backward` gives them.
+            As from :meth:`backward`.
         """
         del generator
         flow, standardizer = self.estimator.flow, self.estimator.standardizer
         poses = standardizer.poses(truth)[:, None]
         half = 0.5 / (poses.shape[2] if self.per_node else 1)
-        ready = flow.ready(self.estimator.evidence(context))
-        posterior = -ready.log_prob_per_node(poses).sum((1, 2)).mean()
-        prior = -flow.ready(flow.no_evidence(), folded=ready.folded).log_prob_per_node(poses).sum((1, 2)).mean()
+        conditioned = flow.condition(self.estimator.embed(context))
+        unconditioned = flow.condition(flow.empty_context(), folded=conditioned.folded)
+        posterior = -conditioned.log_prob_per_node(poses).sum((1, 2)).mean()
+        prior = -unconditioned.log_prob_per_node(poses).sum((1, 2)).mean()
         losses = {"loss": half * (posterior + prior), "prior": prior, "posterior": posterior}
         if self.sample_weight:
-            mode = standardizer.millimetres(ready.inverse(torch.zeros_like(poses)))[:, 0]
+            mode = standardizer.millimetres(conditioned.inverse(torch.zeros_like(poses)))[:, 0]
             losses["mode"] = mode_error(mode, truth, kind=self.sample_loss).mean()
             losses["loss"] = losses["loss"] + self.sample_weight * losses["mode"]
         return losses
 
     def _pieces(self, poses: int) -> list[slice]:
-        """Cut a batch into pieces whose activations stay in a processor's cache; a GPU takes all poses at once."""
+        """Split a batch into pieces whose activations fit the processor's cache; a GPU takes all poses at once."""
         on_cpu = next(self.estimator.parameters()).device.type == "cpu"
         count = math.ceil(poses / (self.graphs_at_once or (64 if on_cpu else poses)))
         ends = [poses * i // count for i in range(count + 1)]
         return [slice(start, end) for start, end in pairwise(ends)]
 
 
-class _Cut:
-    """Leaves that collect gradients in the place of what was computed from the weights, to pass them on together."""
+class _DetachedTensors:
+    """Detached copies of tensors, whose gradients of many pieces are accumulated and propagated in one pass."""
 
     def __init__(self) -> None:
         self._leaves: dict[int, tuple[Tensor, Tensor]] = {}
 
-    def off(self, whole: Any) -> Any:
-        """Give a tensor, or a tuple that holds tensors, with leaves in their place."""
-        if isinstance(whole, Tensor):
-            if not whole.requires_grad:
-                return whole
-            return self._leaves.setdefault(id(whole), (whole, whole.detach().requires_grad_()))[1]
-        if not isinstance(whole, tuple):
-            return whole
-        parts = (self.off(part) for part in whole)
-        return type(whole)(*parts) if hasattr(whole, "_fields") else type(whole)(parts)
+    def detach(self, value: Any) -> Any:
+        """Return a tensor, or a tuple that holds tensors, with detached leaves in their place."""
+        if isinstance(value, Tensor):
+            if not value.requires_grad:
+                return value
+            return self._leaves.setdefault(id(value), (value, value.detach().requires_grad_()))[1]
+        if not isinstance(value, tuple):
+            return value
+        parts = (self.detach(part) for part in value)
+        return type(value)(*parts) if hasattr(value, "_fields") else type(value)(parts)
 
     def backward(self) -> None:
-        """Pass the collected gradients on to the weights."""
-        known = [(whole, leaf.grad) for whole, leaf in self._leaves.values() if leaf.grad is not None]
-        torch.autograd.backward([whole for whole, _ in known], [gradient for _, gradient in known])
+        """Propagate the accumulated gradients to the weights."""
+        pairs = [(tensor, leaf.grad) for tensor, leaf in self._leaves.values() if leaf.grad is not None]
+        torch.autograd.backward([tensor for tensor, _ in pairs], [gradient for _, gradient in pairs])

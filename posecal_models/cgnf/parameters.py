@@ -1,4 +1,4 @@
-"""Where are the parameters of the published model sizes? What of them lives, and what nothing ever uses."""
+"""Parameter counts of the published model sizes: used, without gradient, and unused."""
 
 from __future__ import annotations
 
@@ -13,35 +13,35 @@ PUBLISHED = {"small": 852_546, "large": 3_301_546, "xlarge": 8_318_741}
 
 
 class ParameterTable(NamedTuple):
-    """The published count, taken apart.
+    """The published parameter count, by use.
 
     Attributes
     ----------
-    live : int
+    used : int
         Parameters that the density depends on.
     times_zero : int
         Weights that multiply the root's features, which are always 0: their gradient is 0.
     backward : int
         The map of messages from child to parent, which the released code never uses.
     last_updates : int
-        The second layer's maps of context and root, whose output nothing reads.
+        The second layer's maps of context and root, whose output is never read.
     """
 
-    live: int
+    used: int
     times_zero: int
     backward: int
     last_updates: int
 
     @property
     def published(self) -> int:
-        """All of them, as the paper counts."""
+        """Their sum, the paper's number."""
         return sum(self)
 
 
 def parameter_table(
     size: FlowSize, *, dimensions: int = 3, nodes: int = 16, keypoint_features: int = 2
 ) -> ParameterTable:
-    """Count the parameters of the released code by what they do.
+    """Count the parameters of the released code by use.
 
     Parameters
     ----------
@@ -57,8 +57,8 @@ def parameter_table(
 
     Notes
     -----
-    Differs from the published code: its state dict of version 0.2.0 holds two attention maps a layer more, which
-    nothing uses either and which the published numbers don't count.
+    Differs from the published code: its state dict of version 0.2.0 holds two more attention maps a layer, which are
+    unused too and which the published numbers don't count.
 
     Examples
     --------
@@ -67,18 +67,18 @@ def parameter_table(
     852546
     """
     blocks, hidden, context, embedding = size.blocks, size.hidden, size.context, size.embedding
-    kept = dimensions - 1
+    coordinates = dimensions - 1
 
     def map_of(features: int, features_out: int) -> int:
         return features * features_out + features_out
 
-    first = 3 * map_of(kept, hidden) + 2 * map_of(context, hidden) + 2 * map_of(dimensions, hidden)
+    first = 3 * map_of(coordinates, hidden) + 2 * map_of(context, hidden) + 2 * map_of(dimensions, hidden)
     second = 7 * map_of(hidden, hidden)
     updates = map_of(hidden, hidden) + map_of(hidden, 2)
     embedded = nodes**2 + 2 * keypoint_features * embedding + embedding + 2 * embedding * context + context
-    whole = blocks * (first + second + updates + 2 * dimensions) + embedded
+    total = blocks * (first + second + updates + 2 * dimensions) + embedded
 
     times_zero = blocks * 2 * dimensions * hidden
-    backward = blocks * (map_of(kept, hidden) + map_of(hidden, hidden))
+    backward = blocks * (map_of(coordinates, hidden) + map_of(hidden, hidden))
     last_updates = blocks * 2 * map_of(hidden, hidden)
-    return ParameterTable(whole - times_zero - backward - last_updates, times_zero, backward, last_updates)
+    return ParameterTable(total - times_zero - backward - last_updates, times_zero, backward, last_updates)

@@ -1,6 +1,6 @@
-"""Which tensor of a published checkpoint is which of ours? Names and shapes of propose 0.2.0, read as data.
+"""Conversion of published cGNF checkpoints: tensor names of propose 0.2.0 and their counterparts here.
 
-Only names are known here: no code of that project is in posecal.
+Only the names are used; no code of that project is in posecal.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _ACTNORM = re.compile(r"_transform\._transforms\.(\d+)\.(log_scale|shift)$")
 
 
 def from_released(state: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-    """Translate a published state dict into ours, and list what it holds in vain.
+    """Convert a published state dict, and list its unused parameters.
 
     Parameters
     ----------
@@ -48,9 +48,9 @@ def from_released(state: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], dict[
 
     Returns
     -------
-    live : dict of str to Tensor
+    used : dict of str to Tensor
         Tensors by the names of :class:`posecal_models.cgnf.flow.GraphFlow` with the ``released`` options.
-    dead : dict of str to Tensor
+    unused : dict of str to Tensor
         Parameters that no output depends on, by their published names.
 
     Raises
@@ -60,19 +60,19 @@ def from_released(state: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], dict[
 
     Notes
     -----
-    Differs from the published code: dead are the map of messages from child to parent, the second layer's maps of
+    Differs from the published code: unused are the map of messages from child to parent, the second layer's maps of
     context and root, and the attention of both layers.
 
     Examples
     --------
     >>> import torch
-    >>> live, dead = from_released({"_embedding_net.adj": torch.ones(2, 2), "_extra.attention.bias": torch.ones(1)})
+    >>> used, unused = from_released({"_embedding_net.adj": torch.ones(2, 2), "_extra.attention.bias": torch.ones(1)})
     Traceback (most recent call last):
     posecal.errors.PoseDataError: checkpoint: 1 tensor is not part of a cGNF (_extra.attention.bias)...
     """
     stacks: dict[str, dict[int, Tensor]] = {}
-    live: dict[str, Tensor] = {}
-    dead: dict[str, Tensor] = {}
+    used: dict[str, Tensor] = {}
+    unused: dict[str, Tensor] = {}
     unknown: list[str] = []
     for name, tensor in state.items():
         if _BUFFER.search(name):
@@ -81,14 +81,14 @@ def from_released(state: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], dict[
             stacks.setdefault(f"couplings.actnorm_{match[2]}", {})[int(match[1]) // 2] = tensor
         elif match := _NET.match(name):
             block, layer = int(match[1]) // 2, int(match[2])
-            ours = _LAYER.get(match[3])
-            if ours is None or (layer == 1 and ours.startswith("next_")):
-                dead[name] = tensor
+            map_name = _LAYER.get(match[3])
+            if map_name is None or (layer == 1 and map_name.startswith("next_")):
+                unused[name] = tensor
             else:
-                name = f"couplings.{('first', 'second')[layer]}.{ours}.{match[4]}"
+                name = f"couplings.{('first', 'second')[layer]}.{map_name}.{match[4]}"
                 stacks.setdefault(name, {})[block] = tensor
-        elif name.startswith("_embedding_net.") and (ours := _EMBEDDING.get(name.split(".", 1)[1])):
-            live[f"embedding.{ours}"] = tensor
+        elif name.startswith("_embedding_net.") and (parameter := _EMBEDDING.get(name.split(".", 1)[1])):
+            used[f"embedding.{parameter}"] = tensor
         else:
             unknown.append(name)
     if unknown:
@@ -96,5 +96,5 @@ def from_released(state: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], dict[
             f"checkpoint: {len(unknown)} tensor{'s are' if len(unknown) > 1 else ' is'} not part of a cGNF "
             f"({first_few(unknown)}); expected the state_dict of propose 0.2.0's cGNF."
         )
-    live |= {name: torch.stack([blocks[i] for i in sorted(blocks)]) for name, blocks in stacks.items()}
-    return live, dead
+    used |= {name: torch.stack([blocks[i] for i in sorted(blocks)]) for name, blocks in stacks.items()}
+    return used, unused

@@ -1,1 +1,1 @@
-"""Poses and keypoints: where they come from, and how they become what an estimator reads."""
+"""Poses and keypoints: file formats, virtual cameras and detectors, training batches."""

@@ -1,4 +1,4 @@
-"""What would a 2D detector report? Keypoints with noise: small where a joint is seen, wild where it is hidden."""
+"""Noise model of a 2D keypoint detector: Gaussian for visible keypoints, heavy-tailed for hidden ones."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ __all__ = ["Detector"]
 class Detector:
     r"""A noise model of a keypoint detector.
 
-    .. math:: c = \pi(x) + \sigma \varepsilon, \qquad \varepsilon \sim \mathcal N(0, I) \text{ if seen, }
+    .. math:: c = \pi(x) + \sigma \varepsilon, \qquad \varepsilon \sim \mathcal N(0, I) \text{ if visible, }
               t_\nu \text{ in 2D, scaled to variance 1, if hidden}
 
     Attributes
     ----------
     sigma : float
-        Standard deviation of a seen keypoint in each direction, pixels.
+        Standard deviation of a visible keypoint in each direction, pixels.
     hidden_sigma : float
         Standard deviation of a hidden keypoint in each direction, pixels. Its tails are heavy.
     hidden_share : float
-        How many of all keypoints are hidden, each on its own.
+        Probability of a keypoint to be hidden, independently of the others.
     degrees_of_freedom : int
         ν of the hidden keypoints' noise, at least 3.
     threshold : float
-        Keypoints whose reported σ is above this count as missing, pixels.
+        Keypoints with a larger σ count as missing, pixels.
 
     Raises
     ------
@@ -59,8 +59,9 @@ class Detector:
 
     def __post_init__(self) -> None:
         check_limits(self, "detector")
-        seen = self.sigma <= self.threshold and self.hidden_share < 1
-        if not seen and not (self.hidden_sigma <= self.threshold and self.hidden_share > 0):
+        visible_count = self.sigma <= self.threshold and self.hidden_share < 1
+        hidden_count = self.hidden_sigma <= self.threshold and self.hidden_share > 0
+        if not visible_count and not hidden_count:
             raise PoseDataError(
                 f"detector.threshold: {self.threshold:g} pixels; with sigma {self.sigma:g}, hidden_sigma "
                 f"{self.hidden_sigma:g} and hidden_share {self.hidden_share:g} every keypoint counts as missing. "
@@ -68,20 +69,20 @@ class Detector:
             )
 
     def detect(self, keypoints: Tensor, generator: torch.Generator) -> Context:
-        """Report keypoints with noise.
+        """Simulate the detection of keypoints.
 
         Parameters
         ----------
         keypoints : Tensor
-            (M, K, 2), pixels: where the joints are in the image; NaN where nobody knows, which is never observed.
+            (M, K, 2), pixels: exact projections of the joints; NaN where unknown, which is never observed.
         generator : torch.Generator
             The source of randomness.
 
         Returns
         -------
         Context
-            Noisy keypoints, their σ, and which of them count as observed. Hidden keypoints keep their noisy place,
-            for estimators that use every keypoint.
+            Noisy keypoints, their σ, and which of them count as observed. Hidden keypoints have noisy values too, for
+            estimators that use every keypoint.
         """
         if keypoints.ndim != 3:
             raise PoseDataError(f"keypoints {tuple(keypoints.shape)}: expected (M, K, 2).")
@@ -90,21 +91,21 @@ class Detector:
         noise = torch.randn(shape, generator=generator, device=device)
         degrees = self.degrees_of_freedom
         chi_squared = torch.randn((*shape[:2], 1, degrees), generator=generator, device=device).square().sum(-1)
-        heavy = noise * torch.sqrt((degrees - 2) / chi_squared)
+        heavy_tailed = noise * torch.sqrt((degrees - 2) / chi_squared)
         sigma = torch.where(hidden, self.hidden_sigma, self.sigma)
-        reported = keypoints + sigma[..., None] * torch.where(hidden[..., None], heavy, noise).to(keypoints.dtype)
+        noisy = keypoints + sigma[..., None] * torch.where(hidden[..., None], heavy_tailed, noise).to(keypoints.dtype)
         observed = (sigma <= self.threshold) & keypoints.isfinite().all(-1)
-        return Context(reported, observed, sigma.to(keypoints.dtype))
+        return Context(noisy, observed, sigma.to(keypoints.dtype))
 
-    def seen(self, data: LiftingSet, *, seed: int = 0) -> LiftingSet:
-        """Detect the keypoints of a whole data set once.
+    def detect_set(self, data: LiftingSet, *, seed: int = 0) -> LiftingSet:
+        """Simulate the detection of all keypoints of a data set.
 
         Parameters
         ----------
         data : LiftingSet
             With exact keypoints.
         seed : int
-            Of the noise.
+            Seed of the noise.
 
         Returns
         -------

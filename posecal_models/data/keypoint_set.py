@@ -1,6 +1,6 @@
-"""Which keypoints were seen in which image? What an estimator is asked with, where nobody knows the poses.
+"""2D keypoints of images without poses, the input of sampling.
 
-Keypoints are in pixels, x to the right, y down; they are joined to an estimator's by name.
+Keypoints are in pixels, x to the right, y down; they are joined to those of an estimator by name.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from posecal.data.skeleton import canonical_name
 from posecal.errors import PoseDataError, PoseFileError, first_few, raise_all
-from posecal_models.data.npz import Members, flags_of, joint_names, labels, read_npz, real_numbers
+from posecal_models.data.npz import Members, boolean_array, joint_names, numeric_array, read_npz, text_array
 
 __all__ = ["Flags", "Floats", "KeypointSet", "Text"]
 
@@ -34,11 +34,11 @@ class KeypointSet:
     keypoints : ndarray
         (M, J, 2), pixels.
     observed : ndarray
-        (M, J), bool.
+        (M, J), bool: which keypoints were detected.
     sigma : ndarray
-        (M, J), pixels.
+        (M, J), pixels: the detector's standard deviation.
     frame_id : ndarray of str
-        (M,).
+        (M,) names of the images.
     """
 
     joints: tuple[str, ...]
@@ -54,32 +54,32 @@ class KeypointSet:
         Parameters
         ----------
         path : str or Path
-            With ``keypoints_2d`` (M, J, 2) in pixels and ``keypoint_joints`` or ``joints``. Which are observed comes
-            from ``keypoints_observed``; else from ``occluded``, whose columns are the ``joints``; else every finite one
-            is.
+            With ``keypoints_2d`` (M, J, 2) in pixels and ``keypoint_joints`` or ``joints``. Observed are those of
+            ``keypoints_observed``; else all but those of ``occluded``, whose columns are the ``joints``; else all that
+            are finite.
 
         Returns
         -------
         KeypointSet
-            What it holds.
+            The keypoints of the file.
 
         Raises
         ------
         PoseFileError, PoseDataError
-            Where the file can't be read or lacks something.
+            Where the file can't be read or lacks a member.
         """
-        return cls.of_members(read_npz(path, required=("keypoints_2d",)), path)
+        return cls.from_members(read_npz(path, required=("keypoints_2d",)), path)
 
     @classmethod
-    def of_members(cls, members: Members, path: str | Path) -> KeypointSet:
-        """Take keypoints out of the members of a file that was read."""
-        keypoints = real_numbers(members["keypoints_2d"], f"{path}: keypoints_2d").astype(np.float32)
-        named = members.get("keypoint_joints", members.get("joints"))
-        if named is None:
+    def from_members(cls, members: Members, path: str | Path) -> KeypointSet:
+        """Build from the members of an ``.npz``."""
+        keypoints = numeric_array(members["keypoints_2d"], f"{path}: keypoints_2d").astype(np.float32)
+        name_member = members.get("keypoint_joints", members.get("joints"))
+        if name_member is None:
             raise PoseFileError(
                 f"{path}: lacks keypoint_joints; expected the names of the {keypoints.shape[1:2]} keypoints."
             )
-        names = joint_names(named, f"{path}: names of the keypoints")
+        names = joint_names(name_member, f"{path}: names of the keypoints")
         if keypoints.ndim != 3 or keypoints.shape[1:] != (len(names), 2):
             raise PoseDataError(
                 f"{path}: keypoints_2d {keypoints.shape}; expected (M, {len(names)}, 2), one row for each of "
@@ -87,9 +87,9 @@ class KeypointSet:
             )
         observed: Flags = np.asarray(np.isfinite(keypoints).all(-1))
         if "keypoints_observed" in members:
-            observed = flags_of(members["keypoints_observed"], f"{path}: keypoints_observed")
+            observed = boolean_array(members["keypoints_observed"], f"{path}: keypoints_observed")
         elif "occluded" in members and "joints" in members:
-            hidden = flags_of(members["occluded"], f"{path}: occluded")
+            hidden = boolean_array(members["occluded"], f"{path}: occluded")
             hidden_joints = joint_names(members["joints"], f"{path}: joints")
             column = {canonical_name(name): k for k, name in enumerate(hidden_joints)}
             if hidden.shape != (len(keypoints), len(column)):
@@ -97,10 +97,12 @@ class KeypointSet:
             for j, name in enumerate(names):
                 if canonical_name(name) in column:
                     observed[:, j] &= ~hidden[:, column[canonical_name(name)]]
-        sigma = real_numbers(
+        sigma = numeric_array(
             members.get("keypoints_sigma", np.zeros(keypoints.shape[:2])), f"{path}: keypoints_sigma"
         ).astype(np.float32)
-        frame_id = labels(members.get("frame_id", np.arange(len(keypoints))), f"{path}: frame_id", keypoints.shape[:1])
+        frame_id = text_array(
+            members.get("frame_id", np.arange(len(keypoints))), f"{path}: frame_id", keypoints.shape[:1]
+        )
         problems = [
             f"{path}: {name} {array.shape}; expected {shape}."
             for name, array, shape in (
@@ -115,49 +117,49 @@ class KeypointSet:
     def __len__(self) -> int:
         return len(self.keypoints)
 
-    def lacking(self, joints: Sequence[str]) -> list[str]:
-        """Name the keypoints that an estimator reads and that are not there.
+    def missing(self, joints: Sequence[str]) -> list[str]:
+        """Name the keypoints that an estimator reads and that this set lacks.
 
         Parameters
         ----------
         joints : sequence of str
-            The names wanted.
+            Names of the estimator's keypoints.
 
         Returns
         -------
         list of str
-            Those of them that would count as missing in every image.
+            Names of those that count as missing in every image.
         """
         known = {canonical_name(name) for name in self.joints}
         return [name for name in joints if canonical_name(name) not in known]
 
     def in_order_of(self, joints: Sequence[str]) -> KeypointSet:
-        """Bring the keypoints into an estimator's order, by name.
+        """Reorder the keypoints by name.
 
         Parameters
         ----------
         joints : sequence of str
-            The names wanted, in order.
+            The names, in the new order.
 
         Returns
         -------
         KeypointSet
-            With these keypoints; one that is not there is NaN and not observed.
+            With these keypoints; those that this set lacks are NaN and not observed.
 
         Raises
         ------
         PoseDataError
-            Where none is there.
+            Where the set has none of them.
         """
         index = {canonical_name(name): i for i, name in enumerate(self.joints)}
-        found = [index.get(canonical_name(name), -1) for name in joints]
-        there = np.array(found) >= 0
-        if not there.any():
+        columns = [index.get(canonical_name(name), -1) for name in joints]
+        available = np.array(columns) >= 0
+        if not available.any():
             raise PoseDataError(f"keypoints: none of {', '.join(joints)} is among {', '.join(self.joints)}.")
         return KeypointSet(
             tuple(joints),
-            np.where(there[:, None], self.keypoints[:, found], np.float32(np.nan)),
-            self.observed[:, found] & there,
-            np.where(there, self.sigma[:, found], np.float32(np.nan)),
+            np.where(available[:, None], self.keypoints[:, columns], np.float32(np.nan)),
+            self.observed[:, columns] & available,
+            np.where(available, self.sigma[:, columns], np.float32(np.nan)),
             self.frame_id,
         )

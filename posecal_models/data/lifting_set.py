@@ -1,4 +1,4 @@
-"""Which 3D poses belong to which 2D keypoints? The pairs that estimators are trained and judged on.
+"""Pairs of 3D poses and 2D keypoints, for training and evaluation.
 
 Poses are in millimetres, relative to the root, in the camera's frame: x to the right, y down, z away from the camera.
 Keypoints are in pixels, x to the right, y down. One row is one person in one image.
@@ -19,8 +19,8 @@ from posecal.data.units import millimetres_per
 from posecal.data.write import write_file
 from posecal.errors import PoseDataError, PoseFileError, raise_all
 from posecal_models.data.keypoint_set import Flags, Floats, KeypointSet, Text
-from posecal_models.data.npz import Members, flags_of, joint_names, labels, read_npz, stored_poses, word
-from posecal_models.data.sizes import check_millimetres
+from posecal_models.data.npz import Members, boolean_array, joint_names, pose_array, read_npz, text_array, text_value
+from posecal_models.data.unit_checks import check_millimetres
 
 __all__ = ["LiftingSet"]
 
@@ -32,7 +32,7 @@ class LiftingSet:
     Attributes
     ----------
     joints : tuple of str
-        K names of the poses' joints, the root left out.
+        K names of the poses' joints, without the root.
     poses : ndarray
         (M, K, 3), mm, relative to the root, camera frame.
     keypoint_joints : tuple of str
@@ -48,7 +48,7 @@ class LiftingSet:
     root : str
         The joint that poses are relative to.
     occluded : ndarray or None
-        (M, K), bool: joints that a file says were hidden; those without an observed keypoint where it says nothing.
+        (M, K), bool: hidden joints as declared by a file; where None, those without an observed keypoint.
 
     Raises
     ------
@@ -94,35 +94,35 @@ class LiftingSet:
 
     @property
     def images(self) -> KeypointSet:
-        """What an estimator is asked with: the keypoints without the poses."""
+        """The keypoints without the poses, the input of sampling."""
         return KeypointSet(self.keypoint_joints, self.keypoints, self.observed, self.sigma, self.frame_id)
 
     def take(self, rows: npt.NDArray[np.bool_] | npt.NDArray[np.intp] | slice) -> LiftingSet:
-        """Take some of the poses.
+        """Select poses.
 
         Parameters
         ----------
         rows : ndarray or slice
-            Which, as a mask, as indices or as a slice.
+            A mask, indices or a slice.
 
         Returns
         -------
         LiftingSet
-            Those poses.
+            The selected poses.
         """
-        parts = {f.name: getattr(self, f.name) for f in fields(self)}
-        taken: dict[str, Any] = {name: part[rows] for name, part in parts.items() if isinstance(part, np.ndarray)}
-        return replace(self, **taken)
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        arrays: dict[str, Any] = {name: value[rows] for name, value in values.items() if isinstance(value, np.ndarray)}
+        return replace(self, **arrays)
 
     def in_order_of(
         self, joints: Sequence[str] | None = None, keypoint_joints: Sequence[str] | None = None
     ) -> LiftingSet:
-        """Bring joints and keypoints into an estimator's order, by name.
+        """Reorder joints and keypoints by name.
 
         Parameters
         ----------
         joints, keypoint_joints : sequence of str, optional
-            The names wanted, in order; as they are where not given. A keypoint that is not there counts as missing.
+            The names, in the new order; unchanged where not given. Keypoints that the set lacks count as missing.
 
         Returns
         -------
@@ -132,33 +132,33 @@ class LiftingSet:
         Raises
         ------
         PoseDataError
-            Where a joint is not there.
+            Where the set lacks a joint.
         """
         result = self
         if joints is not None:
             columns = _columns(self.joints, joints, "joints")
-            hidden = None if self.occluded is None else self.occluded[:, columns]
-            result = replace(result, joints=tuple(joints), poses=self.poses[:, columns], occluded=hidden)
+            occluded = None if self.occluded is None else self.occluded[:, columns]
+            result = replace(result, joints=tuple(joints), poses=self.poses[:, columns], occluded=occluded)
         if keypoint_joints is not None:
-            seen = self.images.in_order_of(keypoint_joints)
+            images = self.images.in_order_of(keypoint_joints)
             result = replace(
                 result,
-                keypoint_joints=seen.joints,
-                keypoints=seen.keypoints,
-                observed=seen.observed,
-                sigma=seen.sigma,
+                keypoint_joints=images.joints,
+                keypoints=images.keypoints,
+                observed=images.observed,
+                sigma=images.sigma,
             )
         return result
 
     def save(self, path: str | Path) -> None:
         """Write an ``.npz`` that is ground truth for ``posecal evaluate`` and input of ``posecal-models sample``.
 
-        The root comes first, at 0; keypoints are in the joints' order, NaN and not observed where there is none.
+        The root comes first, at 0; keypoints are in the joints' order, NaN and not observed where missing.
 
         Parameters
         ----------
         path : str or Path
-            Where to. The file appears whole or not at all.
+            Output file, written atomically.
 
         Raises
         ------
@@ -166,16 +166,17 @@ class LiftingSet:
             Where it can't be written.
         """
         joints = (self.root, *self.joints)
-        seen = self.in_order_of(keypoint_joints=joints)
+        ordered = self.in_order_of(keypoint_joints=joints)
+        occluded = ~ordered.observed[:, 1:] if self.occluded is None else self.occluded
         members = {
-            "truth": np.pad(seen.poses, ((0, 0), (1, 0), (0, 0))),
+            "truth": np.pad(ordered.poses, ((0, 0), (1, 0), (0, 0))),
             "axes": np.array("MKD"),
             "unit": np.array("mm"),
             "joints": np.array(joints),
-            "occluded": np.pad(~seen.observed[:, 1:] if self.occluded is None else self.occluded, ((0, 0), (1, 0))),
-            "keypoints_2d": seen.keypoints,
-            "keypoints_sigma": seen.sigma,
-            "keypoints_observed": seen.observed,
+            "occluded": np.pad(occluded, ((0, 0), (1, 0))),
+            "keypoints_2d": ordered.keypoints,
+            "keypoints_sigma": ordered.sigma,
+            "keypoints_observed": ordered.observed,
             **{name: getattr(self, name) for name in ("frame_id", "sequence", "subject", "action", "camera")},
         }
         write_file(path, lambda file: np.savez(file, **members))
@@ -187,9 +188,9 @@ class LiftingSet:
         Parameters
         ----------
         path : str or Path
-            An ``.npz`` with ``truth`` (or ``gt``) and ``joints`` beside the members of :meth:`KeypointSet.load`.
-            ``axes`` is its layout, MKD where the file doesn't say, and ``unit`` its unit, mm where it doesn't. Labels
-            are used where they are there. Poses without a hip are taken only where ``root_relative`` is true.
+            An ``.npz`` with ``truth`` (or ``gt``) and ``joints`` besides the members of :meth:`KeypointSet.load`.
+            Optional members: ``axes``, the layout, default MKD; ``unit``, default mm; labels. Poses without a hip need
+            ``root_relative = True``.
 
         Returns
         -------
@@ -199,15 +200,15 @@ class LiftingSet:
         Raises
         ------
         PoseFileError, PoseDataError
-            Where the file can't be read or lacks something, or where its poses look like metres in what should be mm.
+            Where the file can't be read or lacks a member, or its poses look like metres where mm are expected.
         """
         members = read_npz(path, required=("keypoints_2d", "joints"))
         name = "truth" if "truth" in members else "gt"
         if name not in members:
             raise PoseFileError(f"{path}: lacks truth; it holds {', '.join(sorted(members))}.")
         joints = joint_names(members["joints"], f"{path}: joints")
-        seen = KeypointSet.of_members(members, path)
-        truth = stored_poses(members, name, joints, path) * millimetres_per(word(members, "unit", path, "mm"))
+        images = KeypointSet.from_members(members, path)
+        truth = pose_array(members, name, joints, path) * millimetres_per(text_value(members, "unit", path, "mm"))
         check_millimetres(truth, f"{path}: {name}", "Store unit = 'm' in it.")
         root = next((k for k, name in enumerate(joints) if canonical_name(name) == "Hip"), None)
         if root is not None:
@@ -217,43 +218,43 @@ class LiftingSet:
                 f"{path}: no joint Hip among {', '.join(joints)}: the poses can't be made relative to it. Store the "
                 "hip too, or poses relative to it with a member root_relative = True."
             )
-        many = (len(truth),)
-        told = {
-            label: labels(members[label], f"{path}: {label}", many) if label in members else np.full(many, "")
-            for label in ("sequence", "subject", "action", "camera")
+        shape = (len(truth),)
+        labels = {
+            name: text_array(members[name], f"{path}: {name}", shape) if name in members else np.full(shape, "")
+            for name in ("sequence", "subject", "action", "camera")
         }
         pairs = cls(
             joints=tuple(name for k, name in enumerate(joints) if k != root),
             poses=truth.astype(np.float32),
-            keypoint_joints=seen.joints,
-            keypoints=seen.keypoints,
-            observed=seen.observed,
-            sigma=seen.sigma,
-            frame_id=seen.frame_id,
-            sequence=told["sequence"],
-            subject=told["subject"],
-            action=told["action"],
-            camera=told["camera"],
+            keypoint_joints=images.joints,
+            keypoints=images.keypoints,
+            observed=images.observed,
+            sigma=images.sigma,
+            frame_id=images.frame_id,
+            sequence=labels["sequence"],
+            subject=labels["subject"],
+            action=labels["action"],
+            camera=labels["camera"],
         )
         if "occluded" not in members:
             return pairs
-        hidden = flags_of(members["occluded"], f"{path}: occluded")
-        if hidden.shape != (len(truth), len(joints)):
-            raise PoseDataError(f"{path}: occluded {hidden.shape}; expected {(len(truth), len(joints))}.")
-        hidden = hidden if root is None else np.delete(hidden, root, axis=1)
-        told_by_keypoints = np.array_equal(hidden, ~pairs.in_order_of(keypoint_joints=pairs.joints).observed)
-        return pairs if told_by_keypoints else replace(pairs, occluded=hidden)
+        occluded = boolean_array(members["occluded"], f"{path}: occluded")
+        if occluded.shape != (len(truth), len(joints)):
+            raise PoseDataError(f"{path}: occluded {occluded.shape}; expected {(len(truth), len(joints))}.")
+        occluded = occluded if root is None else np.delete(occluded, root, axis=1)
+        follows_keypoints = np.array_equal(occluded, ~pairs.in_order_of(keypoint_joints=pairs.joints).observed)
+        return pairs if follows_keypoints else replace(pairs, occluded=occluded)
 
 
-def _columns(have: Sequence[str], want: Sequence[str], which: str) -> list[int]:
-    index = {canonical_name(name): i for i, name in enumerate(have)}
-    missing = [name for name in want if canonical_name(name) not in index]
+def _columns(available: Sequence[str], names: Sequence[str], which: str) -> list[int]:
+    index = {canonical_name(name): i for i, name in enumerate(available)}
+    missing = [name for name in names if canonical_name(name) not in index]
     if missing:
         raise PoseDataError(
-            f"{which}: {', '.join(missing)} missing among {', '.join(have)}; expected {', '.join(want)}."
+            f"{which}: {', '.join(missing)} missing among {', '.join(available)}; expected {', '.join(names)}."
         )
-    return [index[canonical_name(name)] for name in want]
+    return [index[canonical_name(name)] for name in names]
 
 
 def _is_true(members: Members, name: str) -> bool:
-    return name in members and members[name].size > 0 and bool(flags_of(members[name], name).all())
+    return name in members and members[name].size > 0 and bool(boolean_array(members[name], name).all())

@@ -1,4 +1,4 @@
-"""How are plain arrays read out of an ``.npz``? Never unpickled, and each looked at before it is used."""
+"""Readers of plain arrays in ``.npz`` files, without unpickling, and checks of their types and shapes."""
 
 from __future__ import annotations
 
@@ -22,53 +22,53 @@ from posecal.data.skeleton import canonical_name
 from posecal.errors import PoseDataError, PoseFileError, first_few
 
 __all__ = [
-    "BROKEN",
-    "flags_of",
-    "in_words",
+    "READ_ERRORS",
+    "boolean_array",
+    "describe_error",
     "joint_names",
-    "labels",
+    "numeric_array",
+    "pose_array",
     "read_npz",
-    "real_numbers",
-    "stored_poses",
-    "word",
+    "text_array",
+    "text_value",
 ]
 
 Members = Mapping[str, npt.NDArray[np.generic]]
 
-BROKEN = (
+READ_ERRORS = (
     *(OSError, EOFError, ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RuntimeError),
     *(MemoryError, SyntaxError, zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, tokenize.TokenError),
 )
-"""What the standard library and NumPy raise for a file that is not what its first bytes say."""
+"""Exceptions of the standard library and NumPy for damaged files."""
 
 
-def in_words(problem: BaseException) -> str:
-    """Give one line of words for something that :data:`BROKEN` lists.
+def describe_error(problem: BaseException) -> str:
+    """Describe one of :data:`READ_ERRORS` in one line.
 
     Parameters
     ----------
     problem : exception
-        What was raised.
+        The exception.
 
     Returns
     -------
     str
-        Its own words where it has any.
+        Its message, or a default where that is empty.
     """
     if isinstance(problem, MemoryError):
-        return "it asks for more memory than there is"
+        return "it needs more memory than there is"
     return " ".join(str(problem).split()) or "it is cut off or damaged"
 
 
 def read_npz(path: str | Path, *, required: Sequence[str] = ()) -> dict[str, npt.NDArray[np.generic]]:
-    """Read the members of an ``.npz`` file without ever unpickling.
+    """Read the members of an ``.npz`` file, without unpickling.
 
     Parameters
     ----------
     path : str or Path
         The file.
     required : sequence of str
-        Members that must be there.
+        Names of required members.
 
     Returns
     -------
@@ -83,7 +83,7 @@ def read_npz(path: str | Path, *, required: Sequence[str] = ()) -> dict[str, npt
     path = Path(path)
     try:
         with open(path, "rb") as stored, warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # NumPy's remark on files of Python 2, which are as good as any
+            warnings.simplefilter("ignore")  # NumPy warns of files of Python 2, which are read all the same
             file = np.load(stored, allow_pickle=False)
             if isinstance(file, np.ndarray):
                 raise PoseFileError(
@@ -94,31 +94,31 @@ def read_npz(path: str | Path, *, required: Sequence[str] = ()) -> dict[str, npt
                 members = {name: file[name] for name in file.files}
     except PoseFileError:
         raise
-    except BROKEN as problem:
-        what = f"can't be read as .npz ({in_words(problem)})" if path.exists() else "is not there"
+    except READ_ERRORS as problem:
+        what = f"can't be read as .npz ({describe_error(problem)})" if path.exists() else "is not there"
         raise PoseFileError(f"{path}: {what}; expected an .npz of plain arrays.") from problem
-    if foreign := [name for name, array in members.items() if not isinstance(array, np.ndarray)]:
-        raise PoseFileError(f"{path}: {foreign[0]} can't be read as .npy; expected an .npz of plain arrays.")
+    if others := [name for name, array in members.items() if not isinstance(array, np.ndarray)]:
+        raise PoseFileError(f"{path}: {others[0]} can't be read as .npy; expected an .npz of plain arrays.")
     missing = [name for name in required if name not in members]
     if missing:
         raise PoseFileError(f"{path}: lacks {', '.join(missing)}; it holds {', '.join(sorted(members)) or 'nothing'}.")
     return members
 
 
-def real_numbers(value: object, which: str) -> npt.NDArray[Any]:
-    """Give an array of real numbers.
+def numeric_array(value: object, which: str) -> npt.NDArray[Any]:
+    """Convert to an array of real numbers.
 
     Parameters
     ----------
     value : object
-        As it was stored: an array, or lists.
+        An array, or lists.
     which : str
-        How a message calls it.
+        Its name in messages.
 
     Returns
     -------
     ndarray
-        Of whole or real numbers, as stored.
+        Integers or floats, as stored.
 
     Raises
     ------
@@ -128,33 +128,35 @@ def real_numbers(value: object, which: str) -> npt.NDArray[Any]:
     try:
         array = np.asarray(value)
     except (ValueError, TypeError, RuntimeError) as problem:
-        raise PoseDataError(f"{which}: {in_words(problem)}; expected an array of real numbers.") from problem
+        raise PoseDataError(f"{which}: {describe_error(problem)}; expected an array of real numbers.") from problem
     if array.dtype.kind not in "fiu" and array.size:
         raise PoseDataError(f"{which}: dtype {array.dtype}; expected real numbers such as float32.")
     return array
 
 
-def labels(value: npt.NDArray[np.generic], which: str, shape: tuple[int, ...] | None = None) -> npt.NDArray[np.str_]:
-    """Give labels as text.
+def text_array(
+    value: npt.NDArray[np.generic], which: str, shape: tuple[int, ...] | None = None
+) -> npt.NDArray[np.str_]:
+    """Convert labels to text.
 
     Parameters
     ----------
     value : ndarray
         (M,), text, bytes or numbers.
     which : str
-        How a message calls it.
+        Its name in messages.
     shape : tuple of int, optional
-        What is expected; any one axis where it is not given.
+        The expected shape; (M,) with any M where not given.
 
     Returns
     -------
     ndarray of str
-        The same as text.
+        The labels.
 
     Raises
     ------
     PoseDataError
-        Where the shape is another, or something is no text.
+        Where the shape is wrong, or an element is no text.
     """
     if value.shape != shape if shape is not None else value.ndim != 1:
         raise PoseDataError(f"{which} {value.shape}; expected {shape or '(M,)'}, one for each.")
@@ -163,22 +165,22 @@ def labels(value: npt.NDArray[np.generic], which: str, shape: tuple[int, ...] | 
     try:
         text = np.char.decode(value.astype(np.bytes_), "utf-8") if value.dtype.kind == "S" else value.astype(np.str_)
         if text.dtype.itemsize and np.frombuffer(text.tobytes(), np.uint32).max(initial=0) > sys.maxunicode:
-            raise ValueError("it holds numbers that are no characters")
+            raise ValueError("it holds code points that are no characters")
         "".join(text.ravel().tolist()).encode()
     except ValueError as problem:
-        raise PoseDataError(f"{which}: {in_words(problem)}; expected text.") from problem
+        raise PoseDataError(f"{which}: {describe_error(problem)}; expected text.") from problem
     return text
 
 
-def flags_of(array: npt.NDArray[np.generic], which: str) -> npt.NDArray[np.bool_]:
-    """Give yes and no.
+def boolean_array(array: npt.NDArray[np.generic], which: str) -> npt.NDArray[np.bool_]:
+    """Convert to an array of booleans.
 
     Parameters
     ----------
     array : ndarray
-        Of any shape, stored as such or as 1 and 0.
+        Of any shape, bool, or 1 and 0.
     which : str
-        How a message calls it.
+        Its name in messages.
 
     Returns
     -------
@@ -196,72 +198,72 @@ def flags_of(array: npt.NDArray[np.generic], which: str) -> npt.NDArray[np.bool_
 
 
 def joint_names(value: npt.NDArray[np.generic], which: str) -> tuple[str, ...]:
-    """Give the names of joints.
+    """Convert to names of joints.
 
     Parameters
     ----------
     value : ndarray
         (K,), text.
     which : str
-        How a message calls it.
+        Its name in messages.
 
     Returns
     -------
     tuple of str
-        As they are spelled there.
+        Names as spelled in the file.
 
     Raises
     ------
     PoseDataError
-        Where it is no text, or a joint is named twice, whatever the spelling.
+        Where it is no text, or a joint is named twice, in any spelling.
     """
-    names = tuple(labels(value, which).tolist())
-    twice = [name for name, count in Counter(map(canonical_name, names)).items() if count > 1]
-    if twice:
-        raise PoseDataError(f"{which} name {first_few(twice)} more than once; expected each joint once.")
+    names = tuple(text_array(value, which).tolist())
+    repeated = [name for name, count in Counter(map(canonical_name, names)).items() if count > 1]
+    if repeated:
+        raise PoseDataError(f"{which} name {first_few(repeated)} more than once; expected each joint once.")
     return names
 
 
-def word(members: Members, name: str, path: str | Path, default: str) -> str:
-    """Give one word that a file declares.
+def text_value(members: Members, name: str, path: str | Path, default: str) -> str:
+    """Read a member that holds a single text.
 
     Parameters
     ----------
     members : mapping of str to ndarray
-        What was read.
+        Members of the file.
     name : str
-        Which.
+        Name of the member.
     path : str or Path
         The file, for messages.
     default : str
-        What it is where the file doesn't say.
+        The value where there is no such member.
 
     Returns
     -------
     str
-        The word.
+        The text.
 
     Raises
     ------
     PoseDataError
-        Where it is not one word.
+        Where the member has several values.
     """
     if name not in members:
         return default
     if members[name].size != 1:
         raise PoseDataError(f"{path}: {name} has {members[name].size} values; expected one word.")
-    return str(labels(members[name].ravel(), f"{path}: {name}")[0])
+    return str(text_array(members[name].ravel(), f"{path}: {name}")[0])
 
 
-def stored_poses(members: Members, name: str, joints: Sequence[str], path: str | Path) -> npt.NDArray[np.float64]:
-    """Give the poses of a file in the paper's layout, whatever layout its member ``axes`` declares.
+def pose_array(members: Members, name: str, joints: Sequence[str], path: str | Path) -> npt.NDArray[np.float64]:
+    """Read poses in the layout that the member ``axes`` declares.
 
     Parameters
     ----------
     members : mapping of str to ndarray
-        What was read.
+        Members of the file.
     name : str
-        Which of them holds poses.
+        Name of the member with the poses.
     joints : sequence of str
         K names.
     path : str or Path
@@ -275,19 +277,19 @@ def stored_poses(members: Members, name: str, joints: Sequence[str], path: str |
     Raises
     ------
     PoseDataError
-        Where the layout is none, or the shape does not fit it.
+        Where the layout is unknown, or the shape does not fit it.
     """
-    array = real_numbers(members[name], f"{path}: {name}")
-    axes = word(members, "axes", path, TRUTH)
+    array = numeric_array(members[name], f"{path}: {name}")
+    axes = text_value(members, "axes", path, TRUTH)
     try:
         layout = Layout(axes, TRUTH)
         shape = layout.shape(array.shape)
     except PoseDataError as problem:
         raise PoseDataError(f"{path}: {name}: {problem}") from None
     if shape[1:] != (len(joints), 3):
-        stored = "" if axes == TRUTH else f" in the layout {axes}, so (M, K, D) = {shape}"
+        in_layout = "" if axes == TRUTH else f" in the layout {axes}, so (M, K, D) = {shape}"
         raise PoseDataError(
-            f"{path}: {name} {array.shape}{stored}; expected (M, {len(joints)}, 3), a row for each of its joints."
+            f"{path}: {name} {array.shape}{in_layout}; expected (M, {len(joints)}, 3), a row for each of its joints."
         )
     if not shape[0]:
         return np.zeros(shape)

@@ -1,9 +1,9 @@
-"""How is a pickle read that somebody else made? With a reader that knows arrays, dictionaries, lists and text only.
+"""Safe reader of pickles that hold arrays, dictionaries, lists and text only.
 
-A pickle is a program: loading one from the network with :mod:`pickle` runs whatever it says. Here every name that it
-asks for is looked up in a short table, and nothing in that table is NumPy's own: what a pickle says of an array is only
-noted down. NumPy would believe it: a type whose fields are objects turns the bytes of a file into addresses. The arrays
-are built afterwards, of numbers and text alone, once their lengths agree.
+A pickle is a program: loading one from the network with :mod:`pickle` runs any code in it. Here every global that it
+refers to is looked up in a short allow-list, and nothing in that list is NumPy's own: the constructor calls of arrays
+are only recorded. NumPy would trust them: a dtype with object fields turns the bytes of a file into addresses. The
+arrays are built afterwards, of numbers and text alone, once their lengths are checked.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ import numpy.typing as npt
 from numpy.lib import format as npy
 
 from posecal.errors import PoseFileError
-from posecal_models.data.npz import BROKEN, in_words
+from posecal_models.data.npz import READ_ERRORS, describe_error
 
 __all__ = ["read_object_npz", "read_pickle"]
 
-_DEEPEST = 100
-"""How deep plain data may be nested."""
+_MAX_DEPTH = 100
+"""Maximum nesting depth of plain data."""
 
 
-class _Named:
-    """What stands for a name: it can be called, and not changed as a function could."""
+class _Callable:
+    """A replacement for an allowed global: it can be called, and has no attributes that a pickle could change."""
 
     __slots__ = ("_call",)
 
@@ -44,38 +44,38 @@ class _Named:
         return self._call(*arguments)
 
     def __setstate__(self, state: object) -> None:
-        raise pickle.UnpicklingError("changes the names that it asks for")
+        raise pickle.UnpicklingError("changes the state of a global")
 
 
 class _Dtype:
-    """What a pickle says of a type of numbers or text."""
+    """The recorded constructor call of a NumPy dtype of numbers or text."""
 
     def __init__(self, code: object, *_: object) -> None:
         if not (isinstance(code, str) and re.fullmatch(r"b1|[iu][1248]|f[248]|[SU]\d{1,9}|O[48]?", code)):
-            raise pickle.UnpicklingError(f"asks for the type {str(code)[:40]!r}")
+            raise pickle.UnpicklingError(f"asks for the dtype {str(code)[:40]!r}")
         self.code = code
         self.order = "="
 
     def __setstate__(self, state: object) -> None:
         if not (isinstance(state, tuple) and len(state) >= 5 and isinstance(state[1], str) and state[1] in set("<>=|")):
-            raise pickle.UnpicklingError(f"says too little of the type {self.code}")
+            raise pickle.UnpicklingError(f"has an invalid state of the dtype {self.code}")
         if any(part is not None for part in state[2:5]):
-            raise pickle.UnpicklingError(f"asks for records or subarrays, as the type {self.code}")
+            raise pickle.UnpicklingError(f"asks for records or subarrays, as the dtype {self.code}")
         self.order = state[1]
 
-    def built(self) -> np.dtype[np.generic]:
+    def build(self) -> np.dtype[np.generic]:
         return np.dtype(self.code if self.order == "|" else self.order + self.code)
 
 
 class _Scalar:
-    """What a pickle says of one number or word of NumPy."""
+    """The recorded constructor call of a NumPy scalar."""
 
     def __init__(self, dtype: object, content: object = b"") -> None:
         self.dtype, self.content = dtype, content
 
 
 class _Array:
-    """What a pickle says of an array."""
+    """The recorded constructor call and state of an array."""
 
     def __init__(self) -> None:
         self.shape: object = (0,)
@@ -86,151 +86,151 @@ class _Array:
 
     def __setstate__(self, state: object) -> None:
         if not (isinstance(state, tuple) and len(state) == 5):
-            raise pickle.UnpicklingError("says too little of an array")
+            raise pickle.UnpicklingError("has an invalid state of an array")
         _, self.shape, self.dtype, fortran, self.content = state
         self.order = "F" if fortran else "C"
 
 
 def _encode(text: str, encoding: str = "latin1") -> bytes:
-    """Turn text into bytes, as pickles of protocol 2 store the bytes of an array."""
+    """Encode text as bytes: pickles of protocol 2 store the bytes of an array as text."""
     if encoding != "latin1":
         raise pickle.UnpicklingError(f"asks for the codec {encoding}")
     return text.encode("latin1")
 
 
-def _no_bytes() -> bytes:
-    """Give what pickles of protocol 2 store for empty bytes."""
+def _empty_bytes() -> bytes:
+    """Return empty bytes: pickles of protocol 2 store them as this call."""
     return b""
 
 
-def _never(*_: object) -> None:
-    raise pickle.UnpicklingError("makes an array that it does not fill")
+def _refuse_call(*_: object) -> None:
+    raise pickle.UnpicklingError("makes an array without content")
 
 
-_NDARRAY = _Named(_never)
+_NDARRAY = _Callable(_refuse_call)
 
 
-def _begun(kind: object, *_: object) -> _Array:
-    """Begin an array, of which the pickle says more later."""
+def _reconstruct(kind: object, *_: object) -> _Array:
+    """Start an array, whose state follows in the pickle."""
     if kind is not _NDARRAY:
         raise pickle.UnpicklingError("asks for an array of another class")
     return _Array()
 
 
-def _of_buffer(content: object, dtype: object, shape: object, order: object, axes: object = None) -> _Array:
-    """Note an array that a pickle of protocol 5 says in one go."""
+def _from_buffer(content: object, dtype: object, shape: object, order: object, axes: object = None) -> _Array:
+    """Record an array of a pickle of protocol 5, which is a single call."""
     array = _Array()
     array.content, array.dtype, array.shape, array.order, array.axes = content, dtype, shape, order, axes
     return array
 
 
-_ADMITTED: dict[tuple[str, str], _Named] = {
-    ("_codecs", "encode"): _Named(_encode),
-    ("__builtin__", "bytes"): _Named(_no_bytes),
-    ("builtins", "bytes"): _Named(_no_bytes),
+_ALLOWED: dict[tuple[str, str], _Callable] = {
+    ("_codecs", "encode"): _Callable(_encode),
+    ("__builtin__", "bytes"): _Callable(_empty_bytes),
+    ("builtins", "bytes"): _Callable(_empty_bytes),
     ("numpy", "ndarray"): _NDARRAY,
-    ("numpy", "dtype"): _Named(_Dtype),
+    ("numpy", "dtype"): _Callable(_Dtype),
     **{
-        (f"numpy.{package}.multiarray", name): _Named(known)
+        (f"numpy.{package}.multiarray", name): _Callable(replacement)
         for package in ("core", "_core")
-        for name, known in (("_reconstruct", _begun), ("scalar", _Scalar))
+        for name, replacement in (("_reconstruct", _reconstruct), ("scalar", _Scalar))
     },
-    **{(f"numpy.{package}.numeric", "_frombuffer"): _Named(_of_buffer) for package in ("core", "_core")},
+    **{(f"numpy.{package}.numeric", "_frombuffer"): _Callable(_from_buffer) for package in ("core", "_core")},
 }
 
 
 class _PlainUnpickler(pickle._Unpickler):
-    """Python's own in Python: the one in C takes memory for any place that a pickle names, gigabytes for six bytes."""
+    """Unpickler with an allow-list, in Python: that in C allocates memory for any memo index, GBs for six bytes."""
 
     def find_class(self, module: str, name: str) -> Any:
         try:
-            return _ADMITTED[module, name]
+            return _ALLOWED[module, name]
         except KeyError:
             raise pickle.UnpicklingError(f"asks for {module}.{name}") from None
 
 
-# --- from what was said to what it is -------------------------------------------------------------------------
+# --- from recorded calls to arrays ----------------------------------------------------------------------------
 
 _ATOMS = (str, int, float, bytes, bool, type(None))
 _UNFINISHED = object()
 
 
-def _plain(value: Any, known: dict[int, Any], depth: int = 0) -> Any:
-    """Build the arrays within what was loaded, and refuse what is neither plain nor an array."""
+def _plain(value: Any, memo: dict[int, Any], depth: int = 0) -> Any:
+    """Build the arrays of a loaded value, and raise an error for anything that is neither plain nor an array."""
     kind = type(value)
     if kind in _ATOMS:
         return value
-    if depth > _DEEPEST:
-        raise pickle.UnpicklingError(f"is nested more than {_DEEPEST} deep")
-    if id(value) in known:
-        if known[id(value)] is _UNFINISHED:
-            raise pickle.UnpicklingError("holds something that holds itself")
-        return known[id(value)]
-    known[id(value)] = _UNFINISHED
-    found: Any
+    if depth > _MAX_DEPTH:
+        raise pickle.UnpicklingError(f"is nested more than {_MAX_DEPTH} deep")
+    if id(value) in memo:
+        if memo[id(value)] is _UNFINISHED:
+            raise pickle.UnpicklingError("holds an object that contains itself")
+        return memo[id(value)]
+    memo[id(value)] = _UNFINISHED
+    result: Any
     if kind is dict:
-        found = {_plain(key, known, depth + 1): _plain(held, known, depth + 1) for key, held in value.items()}
+        result = {_plain(key, memo, depth + 1): _plain(member, memo, depth + 1) for key, member in value.items()}
     elif kind is list:
-        found = [_plain(held, known, depth + 1) for held in value]
+        result = [_plain(element, memo, depth + 1) for element in value]
     elif kind is tuple:
-        found = tuple([_plain(held, known, depth + 1) for held in value])
+        result = tuple([_plain(element, memo, depth + 1) for element in value])
     elif kind is _Array:
-        found = _array(value, known, depth)
+        result = _array(value, memo, depth)
     elif kind is _Scalar:
-        found = _scalar(value)
+        result = _scalar(value)
     else:
         raise pickle.UnpicklingError(f"holds a {kind.__name__.lstrip('_').lower()}")
-    known[id(value)] = found
-    return found
+    memo[id(value)] = result
+    return result
 
 
-def _dtype(said: object) -> np.dtype[np.generic]:
-    if type(said) is not _Dtype:
-        raise pickle.UnpicklingError("asks for an array without a type")
-    return said.built()
+def _dtype(record: object) -> np.dtype[np.generic]:
+    if type(record) is not _Dtype:
+        raise pickle.UnpicklingError("asks for an array without a dtype")
+    return record.build()
 
 
-def _array(said: _Array, known: dict[int, Any], depth: int) -> npt.NDArray[Any]:
-    shape, order, axes = said.shape, said.order, said.axes
+def _array(record: _Array, memo: dict[int, Any], depth: int) -> npt.NDArray[Any]:
+    shape, order, axes = record.shape, record.order, record.axes
     if not (isinstance(shape, tuple) and all(type(length) is int and length >= 0 for length in shape)):
         raise pickle.UnpicklingError(f"asks for an array of shape {str(shape)[:40]}")
     if order not in ("C", "F", "K") or not (axes is None or isinstance(axes, tuple)):
         raise pickle.UnpicklingError(f"asks for an array in the order {str(order)[:40]}")
-    dtype, count = _dtype(said.dtype), math.prod(shape)
+    dtype, count = _dtype(record.dtype), math.prod(shape)
     if dtype.hasobject:
-        held = said.content
-        if not isinstance(held, list) or len(held) != count:
-            there = f"{len(held):,} objects" if isinstance(held, list) else type(held).__name__
-            raise pickle.UnpicklingError(f"has {there} for an array of {shape} objects")
+        content = record.content
+        if not isinstance(content, list) or len(content) != count:
+            actual = f"{len(content):,} objects" if isinstance(content, list) else type(content).__name__
+            raise pickle.UnpicklingError(f"has {actual} for an array of {shape} objects")
         objects = np.empty(count, object)
-        for index, item in enumerate(held):
-            objects[index] = _plain(item, known, depth + 1)
+        for index, element in enumerate(content):
+            objects[index] = _plain(element, memo, depth + 1)
         return objects.reshape(shape)
-    flat = _numbers(said.content, dtype, count, shape)
+    flat = _numbers(record.content, dtype, count, shape)
     if order == "K" and axes is not None:
         return flat.reshape(shape).transpose(axes)
     return flat.reshape(shape, order="F" if order == "F" else "C")
 
 
-def _scalar(said: _Scalar) -> Any:
-    dtype = _dtype(said.dtype)
+def _scalar(record: _Scalar) -> Any:
+    dtype = _dtype(record.dtype)
     if dtype.hasobject:
         raise pickle.UnpicklingError("asks for an object as a number")
-    if not dtype.itemsize and not said.content:
+    if not dtype.itemsize and not record.content:
         return dtype.type()
-    return _numbers(said.content, dtype, 1, ())[0]
+    return _numbers(record.content, dtype, 1, ())[0]
 
 
 def _numbers(content: object, dtype: np.dtype[np.generic], count: int, shape: tuple[int, ...]) -> npt.NDArray[Any]:
     if isinstance(content, str):
-        content = content.encode("latin1")  # Python 2 knew no bytes
+        content = content.encode("latin1")  # Python 2 has no bytes
     if not isinstance(content, bytes | bytearray) or len(content) != count * dtype.itemsize:
-        there = f"{len(content):,} bytes" if isinstance(content, bytes | bytearray) else type(content).__name__
-        raise pickle.UnpicklingError(f"has {there} for an array of {shape} {dtype}")
+        actual = f"{len(content):,} bytes" if isinstance(content, bytes | bytearray) else type(content).__name__
+        raise pickle.UnpicklingError(f"has {actual} for an array of {shape} {dtype}")
     if dtype.kind == "U":
-        letters = np.frombuffer(content, np.dtype(np.uint32).newbyteorder(dtype.byteorder))
-        if letters.max(initial=0) > sys.maxunicode:
-            raise pickle.UnpicklingError("has text with letters that are none")
+        code_points = np.frombuffer(content, np.dtype(np.uint32).newbyteorder(dtype.byteorder))
+        if code_points.max(initial=0) > sys.maxunicode:
+            raise pickle.UnpicklingError("has text with invalid code points")
     return np.frombuffer(content, dtype) if count else np.zeros(0, dtype)
 
 
@@ -240,10 +240,10 @@ def _numbers(content: object, dtype: np.dtype[np.generic], count: int, shape: tu
 def _load(file: io.BufferedIOBase, which: str) -> Any:
     try:
         return _plain(_PlainUnpickler(file, encoding="latin1").load(), {})
-    except (pickle.UnpicklingError, *BROKEN) as problem:
+    except (pickle.UnpicklingError, *READ_ERRORS) as problem:
         raise PoseFileError(
-            f"{which}: {in_words(problem)}; expected a pickle of plain arrays, dictionaries, lists "
-            "and text. It was not loaded: a pickle that asks for more can run programs."
+            f"{which}: {describe_error(problem)}; expected a pickle of plain arrays, dictionaries, lists "
+            "and text. It was not loaded: a pickle with anything else can run code."
         ) from problem
 
 
@@ -258,13 +258,13 @@ def read_pickle(path: str | Path) -> Any:
     Returns
     -------
     object
-        What it holds. Its arrays are of yes/no, whole and real numbers, text and bytes, or of such objects, and may be
+        Its content. Arrays are of booleans, integers, floats, text and bytes, or of objects of these, and may be
         read-only.
 
     Raises
     ------
     PoseFileError
-        Where the file can't be read, asks for anything else, or says of an array what its bytes don't bear out.
+        Where the file can't be read, holds anything else, or the content of an array does not fit its shape.
     """
     try:
         with open(path, "rb") as file:
@@ -276,7 +276,7 @@ def read_pickle(path: str | Path) -> Any:
 
 
 def read_object_npz(path: str | Path) -> dict[str, Any]:
-    """Read an ``.npz`` whose members may be pickled objects, without trusting the pickles.
+    """Read an ``.npz`` whose members may be pickled objects, with the safe reader.
 
     Parameters
     ----------
@@ -291,7 +291,7 @@ def read_object_npz(path: str | Path) -> dict[str, Any]:
     Raises
     ------
     PoseFileError
-        Where the file can't be read, or a pickle asks for more than plain data.
+        Where the file can't be read, or a pickle holds anything but plain data.
     """
     members: dict[str, Any] = {}
     try:
@@ -301,8 +301,8 @@ def read_object_npz(path: str | Path) -> dict[str, Any]:
                     members[name.removesuffix(".npy")] = _read_npy(io.BytesIO(file.read()), f"{path}: {name}")
     except PoseFileError:
         raise
-    except BROKEN as problem:
-        raise PoseFileError(f"{path}: can't be read as .npz ({in_words(problem)}).") from problem
+    except READ_ERRORS as problem:
+        raise PoseFileError(f"{path}: can't be read as .npz ({describe_error(problem)}).") from problem
     return members
 
 
@@ -310,7 +310,7 @@ def _read_npy(file: io.BytesIO, which: str) -> Any:
     version = npy.read_magic(file)
     read_header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # NumPy's remark on files of Python 2, which are as good as any
+        warnings.simplefilter("ignore")  # NumPy warns of files of Python 2, which are read all the same
         shape, _, dtype = read_header(file)
         if not dtype.hasobject:
             file.seek(0)

@@ -1,8 +1,8 @@
-"""How is ProHPE's Human3.6M read? One pickle of poses, HRNet keypoints and the Gaussians fitted to their heat maps.
+"""Reader of ProHPE's Human3.6M: a pickle of poses, HRNet keypoints and the Gaussians fitted to their heat maps.
 
-Subject to action to subaction to camera to a table with ``3d_gt`` (F, 51), all x, then y, then z of 17 joints in mm in
-the camera's frame; ``2d_hrnet`` (F, 32), all x, then y of MPII's 16 joints in pixels; ``gaussfit`` (F, 112): for each
-of these joints amplitude, x, y, sigma x, angle, sigma y and fit error; and ``imgpath``.
+It maps subject, action, subaction and camera, nested in this order, to a table with ``3d_gt`` (F, 51), all x, then y,
+then z of 17 joints in mm in the camera's frame; ``2d_hrnet`` (F, 32), all x, then y of MPII's 16 joints in pixels;
+``gaussfit`` (F, 112): for each of these joints amplitude, x, y, sigma x, angle, sigma y and fit error; and ``imgpath``.
 
 A keypoint counts as occluded where either sigma is above 5 pixels.
 """
@@ -18,35 +18,37 @@ import numpy.typing as npt
 from posecal.data.skeleton import joint_set
 from posecal.errors import PoseDataError, PoseFileError
 from posecal_models.data.lifting_set import LiftingSet
-from posecal_models.data.npz import real_numbers
+from posecal_models.data.npz import numeric_array
 from posecal_models.data.pickles import read_pickle
-from posecal_models.data.sizes import check_millimetres
+from posecal_models.data.unit_checks import check_millimetres
 
-__all__ = ["Joined", "read_prohpe"]
+__all__ = ["KeypointJoin", "read_prohpe"]
 
-Joined = Literal["by-name", "as-released"]
+KeypointJoin = Literal["by-name", "as-released"]
 
 _SIGMA_X, _SIGMA_Y = 3, 5
 _COLUMNS = {"3d_gt": 51, "2d_hrnet": 32, "gaussfit": 112}
 _KEYS = (*_COLUMNS, "imgpath")
 
 
-def read_prohpe(path: str | Path, *, every: int = 1, threshold: float = 5.0, joined: Joined = "by-name") -> LiftingSet:
-    """Read ProHPE's pickle, without running what it might say.
+def read_prohpe(
+    path: str | Path, *, every: int = 1, threshold: float = 5.0, join: KeypointJoin = "by-name"
+) -> LiftingSet:
+    """Read ProHPE's pickle, with the safe reader of :mod:`posecal_models.data.pickles`.
 
     Parameters
     ----------
     path : str or Path
         The merged pickle.
     every : int
-        Only every so manieth frame of each video.
+        Frame step: every n-th frame of each video is used.
     threshold : float
         Keypoints with a larger σ count as missing, pixels.
-    joined : str
-        ``by-name``: each keypoint and its flag belong to the joint of their name; what MPII lacks is missing.
-        ``as-released``: keypoints by name, but flags by position, as the published code has it: the flag of MPII's
-        joint i is taken for Human3.6M's joint i + 1, and Head counts as missing. That code takes Neck/Nose and Spine,
-        which MPII lacks, for observed; here they are missing, because no keypoint stands in the file.
+    join : str
+        ``by-name``: each keypoint and its flag belong to the joint of the same name; joints that MPII lacks are
+        missing. ``as-released``: keypoints by name, but flags by position, as in the published code: the flag of MPII's
+        joint i is used for Human3.6M's joint i + 1, and Head counts as missing. In that code Neck/Nose and Spine, which
+        MPII lacks, count as observed; here they are missing, because the file has no keypoints of them.
 
     Returns
     -------
@@ -56,12 +58,11 @@ def read_prohpe(path: str | Path, *, every: int = 1, threshold: float = 5.0, joi
     Raises
     ------
     PoseFileError, PoseDataError
-        Where the file is not of this form, or its poses look like metres.
+        Where the file has another structure, or its poses look like metres.
 
     Notes
     -----
-    Differs from the published code: ``as-released`` is what it does, so that the flag of a right wrist removes a left
-    shoulder.
+    Differs from the published code: that is ``as-released``, where the flag of a right wrist removes a left shoulder.
 
     References
     ----------
@@ -69,7 +70,7 @@ def read_prohpe(path: str | Path, *, every: int = 1, threshold: float = 5.0, joi
     """
     videos = list(_videos(read_pickle(path), path))
     if not videos:
-        raise PoseDataError(f"{path}: no video with frames.")
+        raise PoseDataError(f"{path}: no video with frames; expected one or more.")
     h36m, mpii = joint_set("h36m-17"), joint_set("mpii-16")
     parts = [_part(table, name, every, path) for name, table in videos]
     poses, keypoints, sigma = (np.concatenate([part[i] for part in parts]) for i in range(3))
@@ -89,41 +90,41 @@ def read_prohpe(path: str | Path, *, every: int = 1, threshold: float = 5.0, joi
         action=np.array([action for _, action, *_ in labels]),
         camera=np.array([camera for *_, camera in labels]),
     ).in_order_of(keypoint_joints=h36m)
-    if joined == "by-name":
+    if join == "by-name":
         return pairs
-    observed = np.insert(sigma <= threshold, 0, True, axis=1)  # the hip, which the rest is relative to
+    observed = np.insert(sigma <= threshold, 0, True, axis=1)  # the hip, which the other joints are relative to
     observed[:, h36m.index("Head")] = False
     observed &= np.isfinite(pairs.keypoints).all(-1)
     return LiftingSet(**{**vars(pairs), "observed": observed})
 
 
 def _videos(tree: Any, path: str | Path) -> list[tuple[tuple[str, str, str, str], dict[str, Any]]]:
-    found = []
+    videos = []
     try:
         for subject, actions in tree.items():
             for action, subactions in actions.items():
                 for subaction, cameras in subactions.items():
                     for camera, table in cameras.items():
-                        if lacking := [key for key in _KEYS if not isinstance(table, dict) or key not in table]:
-                            raise KeyError(f"{subject}/{action}/{subaction}/{camera} lacks {', '.join(lacking)}")
+                        if missing := [key for key in _KEYS if not isinstance(table, dict) or key not in table]:
+                            raise KeyError(f"{subject}/{action}/{subaction}/{camera} lacks {', '.join(missing)}")
                         if len(table["imgpath"]):
-                            found.append(((str(subject), str(action), str(subaction), str(camera)), table))
+                            videos.append(((str(subject), str(action), str(subaction), str(camera)), table))
     except (AttributeError, KeyError, TypeError) as problem:
         raise PoseFileError(
             f"{path}: not subject, action, subaction, camera ({problem.args[0]}); expected ProHPE's merged pickle."
         ) from problem
-    return found
+    return videos
 
 
 def _part(
     table: dict[str, Any], name: tuple[str, str, str, str], every: int, path: str | Path
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64], list[str]]:
-    """Take every so manieth frame of a video apart: poses, keypoints, the larger sigma, frame ids."""
+    """Extract every n-th frame of a video: poses, keypoints, the larger sigma, frame ids."""
     frames = len(table["imgpath"])
     arrays = {}
     for key, columns in _COLUMNS.items():
         which = f"{path}: {'/'.join(name)}: {key}"
-        array = real_numbers(table[key], which)
+        array = numeric_array(table[key], which)
         if array.shape[:1] != (frames,) or array.size != frames * columns:
             raise PoseDataError(f"{which} {array.shape}; expected ({frames}, {columns}).")
         arrays[key] = array.reshape(frames, columns)[::every].astype(np.float64)

@@ -1,8 +1,8 @@
-"""In which units does a network see poses and keypoints? Constants, fitted on the training set, saved with weights.
+"""Standardisation of poses and keypoints, with constants fitted on the training set and saved with the weights.
 
-Keypoints are taken relative to the mean of the observed ones (a person is the same person wherever in the image), then
-divided by one number; poses have a mean pose taken off and are divided by one number. Both are affine, so a density
-keeps its meaning: log p in mm is log p of the standardised pose less K * D * log(scale).
+Keypoints are taken relative to the mean of the observed ones, so that the position of a person in the image does not
+matter, and divided by one number; the mean pose is subtracted from poses, which are divided by one number. Both maps
+are affine, so that densities can be converted: log p in mm is log p of the standardised pose minus K * D * log(scale).
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ __all__ = ["Origin", "Standardizer", "check_pixels"]
 
 Origin = Literal["observed", "root", "none"]
 
-SMALLEST = 2.0
-"""Keypoints of people that spread over less, pixels, are none in pixels."""
+MIN_SPREAD = 2.0
+"""Minimum standard deviation of keypoints about their centre, pixels; below it they are not in pixels."""
 
 
 class Standardizer(nn.Module):
-    r"""The affine maps between millimetres or pixels and what a network sees.
+    r"""The affine maps between millimetres or pixels and the units of a network.
 
     .. math:: x = (\mathrm{pose} - \mu) / s, \qquad c = (\mathrm{keypoint} - o) / r
 
@@ -39,12 +39,12 @@ class Standardizer(nn.Module):
     dimensions : int
         D.
     origin : str
-        What keypoints are relative to: ``observed``, ``root`` or ``none``.
+        Origin of the keypoints: ``observed``, ``root`` or ``none``.
 
     Notes
     -----
-    Differs from the published code: it multiplies 2D by 0.0139 and 3D by 0.0036, whatever the data;
-    :meth:`released` gives these constants.
+    Differs from the published code: there 2D is multiplied by 0.0139 and 3D by 0.0036, for all data; :meth:`released`
+    gives these constants.
 
     Examples
     --------
@@ -67,14 +67,14 @@ class Standardizer(nn.Module):
 
     @classmethod
     def released(cls, joints: int, *, origin: Origin = "root") -> Standardizer:
-        """Give the published code's constants: 2D * 0.0139 and 3D * 0.0036, nothing taken off.
+        """Build with the published code's constants: 2D * 0.0139 and 3D * 0.0036, without a mean pose.
 
         Parameters
         ----------
         joints : int
             K.
         origin : str
-            What keypoints are relative to; in that code to the hip's.
+            Origin of the keypoints; in that code the hip's.
 
         Returns
         -------
@@ -87,9 +87,9 @@ class Standardizer(nn.Module):
         return standardizer
 
     def fit(self, poses: Tensor, keypoints: Tensor, observed: Tensor | None = None) -> None:
-        """Take the constants from training data.
+        """Fit the constants to training data.
 
-        Poses in two dimensions, such as a pendulum's, are of no camera: theirs may be any keypoints.
+        Poses in two dimensions, such as a pendulum's, have no camera: their keypoints may be in any unit.
 
         Parameters
         ----------
@@ -105,29 +105,29 @@ class Standardizer(nn.Module):
         PoseDataError
             Where all poses are the same, or an observed keypoint is not finite.
         """
-        known = torch.ones_like(keypoints[..., 0], dtype=torch.bool) if observed is None else observed
+        mask = torch.ones_like(keypoints[..., 0], dtype=torch.bool) if observed is None else observed
         self.pose_mean.copy_(poses.double().mean(0))
         self.pose_scale.copy_((poses.double() - self.pose_mean.double()).square().mean().sqrt())
         if not self.pose_scale > 0:
-            raise PoseDataError(f"poses: all {len(poses):,} are the same pose; expected poses that vary.")
+            raise PoseDataError(f"poses: all {len(poses):,} are the same pose; expected different poses.")
         self.keypoint_scale.fill_(1)
-        centred = self.keypoints(Context(keypoints, known))[known]
+        centred = self.keypoints(Context(keypoints, mask))[mask]
         spread = float(centred.double().square().mean().sqrt())
         self.keypoint_scale.fill_(spread if spread > 0 else 1)
 
     def check_keypoints(self, context: Context) -> None:
-        """Refuse keypoints that are not in the pixels this was fitted on.
+        """Raise an error for keypoints that are not in the unit of the training set.
 
         Parameters
         ----------
         context : Context
-            Keypoints as a user gives them.
+            Keypoints as given by a user.
 
         Raises
         ------
         PoseDataError
-            Where they spread over less than a fiftieth of what training keypoints did, as keypoints do that were
-            normalised already.
+            Where their standard deviation is below a fiftieth of that of the training keypoints, as for keypoints that
+            are normalised already.
         """
         several = context.observed.sum(-1) > 1
         if not several.any():
@@ -136,9 +136,9 @@ class Standardizer(nn.Module):
         spread = float(centred[context.observed[several]].square().mean().sqrt())
         if spread < 0.02:
             raise PoseDataError(
-                f"keypoints: spread over {spread * float(self.keypoint_scale):.3g} about their centre where those of "
-                f"training spread over {float(self.keypoint_scale):.3g} pixels; expected pixels. "
-                "They look normalised already: give the pixels."
+                f"keypoints: standard deviation {spread * float(self.keypoint_scale):.3g} about their centre, where "
+                f"those of training have {float(self.keypoint_scale):.3g} pixels; expected pixels. "
+                "They look normalised already: give pixels."
             )
 
     def keypoints(self, context: Context) -> Tensor:
@@ -157,7 +157,7 @@ class Standardizer(nn.Module):
         return torch.where(context.observed[..., None], self.all_keypoints(context), 0)
 
     def all_keypoints(self, context: Context) -> Tensor:
-        """Standardise the keypoints, also those that are not observed, for estimators that read them all.
+        """Standardise all keypoints, observed or not, for estimators that read every keypoint.
 
         Parameters
         ----------
@@ -171,9 +171,9 @@ class Standardizer(nn.Module):
         """
         origin = context.keypoints[:, :1] if self.origin == "root" else torch.zeros_like(context.keypoints[:, :1])
         if self.origin == "observed":
-            known = context.observed[..., None]
-            count = known.sum(1, keepdim=True).clamp(min=1)
-            origin = torch.where(known, context.keypoints, 0).sum(1, keepdim=True) / count
+            observed = context.observed[..., None]
+            count = observed.sum(1, keepdim=True).clamp(min=1)
+            origin = torch.where(observed, context.keypoints, 0).sum(1, keepdim=True) / count
         return (context.keypoints - origin) / self.keypoint_scale
 
     def poses(self, poses: Tensor) -> Tensor:
@@ -186,11 +186,11 @@ class Standardizer(nn.Module):
 
     @property
     def log_determinant(self) -> Tensor:
-        """Log of the volume that one unit of a standardised pose has in mm: K * D * log(scale), nats."""
+        """Log of the volume in mm of a unit volume of standardised poses: K * D * log(scale), nats."""
         return self.pose_mean.numel() * self.pose_scale.log()
 
     def extra_repr(self) -> str:
-        """Show the constants."""
+        """Format the constants."""
         if not math.isfinite(float(self.pose_scale)):
             return f"origin={self.origin!r}"
         return (
@@ -200,7 +200,7 @@ class Standardizer(nn.Module):
 
 
 def check_pixels(context: Context) -> None:
-    """Refuse keypoints that look normalised already.
+    """Raise an error for keypoints that look normalised already.
 
     Parameters
     ----------
@@ -210,16 +210,16 @@ def check_pixels(context: Context) -> None:
     Raises
     ------
     PoseDataError
-        Where the observed ones spread over less than 2 pixels about the middle of their pose.
+        Where the standard deviation of the observed ones about their centre is below 2 pixels.
     """
     several = context.observed.sum(-1) > 1
-    seen, known = context.keypoints[several].double(), context.observed[several][..., None]
-    if not len(seen):
+    keypoints, observed = context.keypoints[several].double(), context.observed[several][..., None]
+    if not len(keypoints):
         return
-    middle = torch.where(known, seen, 0).sum(1, keepdim=True) / known.sum(1, keepdim=True)
-    spread = float((seen - middle)[known[..., 0]].square().mean().sqrt())
-    if spread < SMALLEST:
+    centre = torch.where(observed, keypoints, 0).sum(1, keepdim=True) / observed.sum(1, keepdim=True)
+    spread = float((keypoints - centre)[observed[..., 0]].square().mean().sqrt())
+    if spread < MIN_SPREAD:
         raise PoseDataError(
-            f"keypoints: spread over {spread:.3g} about their centre; expected {SMALLEST:g} pixels or more. "
-            "They look normalised already: give the pixels."
+            f"keypoints: standard deviation {spread:.3g} about their centre; expected {MIN_SPREAD:g} pixels or more. "
+            "They look normalised already: give pixels."
         )

@@ -1,7 +1,7 @@
-"""Is there motion to try things on without downloading anything? A person who swings arms and legs at random.
+"""Synthetic motion capture: a person with randomly moving limbs, to try the commands without any download.
 
-Bones keep their length; each swings about its place in the rest pose by angles that change smoothly, and the person
-turns and walks about. Good for trying the commands, not for learning how people move.
+Bone lengths are constant; each bone rotates about its direction in the rest pose by angles that change smoothly, and
+the person turns and walks. It is not realistic enough to train estimators for real people.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ _SWING = {"Knee": 0.9, "Foot": 0.5, "Elbow": 0.9, "Wrist": 0.9, "Hip": 0.1, "Sho
 def synthetic_motion(
     *, subjects: int = 4, clips: int = 5, frames: int = 100, seed: int = 0
 ) -> dict[str, npt.NDArray[np.generic]]:
-    """Make up motion capture data.
+    """Generate motion capture data.
 
     Parameters
     ----------
     subjects, clips, frames : int
-        People, clips of each, frames of each clip (20 a second).
+        People, clips per person, frames per clip (20 per second).
     seed : int
-        Of everything random.
+        Random seed.
 
     Returns
     -------
@@ -65,26 +65,26 @@ def synthetic_motion(
 
 
 def _clip(rest: Array, skeleton: Skeleton, frames: int, generator: np.random.Generator) -> Array:
-    """Swing every bone about its rest direction, from the hip outwards."""
+    """Rotate every bone about its rest direction, from the hip outwards."""
     heading = np.cumsum(_smooth(frames, 1, generator)[:, 0] * 0.05) + generator.uniform(0, 2 * np.pi)
-    walk = np.cumsum(_smooth(frames, 2, generator) * 15, axis=0)
+    path = np.cumsum(_smooth(frames, 2, generator) * 15, axis=0)
     poses = np.zeros((frames, len(rest), 3))
-    turns = np.tile(np.eye(3), (frames, len(rest), 1, 1))
-    turns[:, 0] = _rotation(np.stack([np.zeros(frames), np.zeros(frames), heading], axis=1))
+    rotations = np.tile(np.eye(3), (frames, len(rest), 1, 1))
+    rotations[:, 0] = _rotation(np.stack([np.zeros(frames), np.zeros(frames), heading], axis=1))
     order = [child for child, parent in enumerate(skeleton.parents) if parent >= 0]
     for child in order:
         parent = skeleton.parents[child]
         part = skeleton.joints[child].lstrip("LR")
         swing = _rotation(_smooth(frames, 3, generator) * _SWING.get(part, 0.15))
-        turns[:, child] = turns[:, parent] @ swing
-        poses[:, child] = poses[:, parent] + turns[:, child] @ (rest[child] - rest[parent])
-    poses[:, :, :2] += walk[:, None]
+        rotations[:, child] = rotations[:, parent] @ swing
+        poses[:, child] = poses[:, parent] + rotations[:, child] @ (rest[child] - rest[parent])
+    poses[:, :, :2] += path[:, None]
     poses[:, :, 2] -= poses[:, :, 2].min(axis=1, keepdims=True)
     return poses
 
 
 def _smooth(frames: int, columns: int, generator: np.random.Generator) -> Array:
-    """Give stationary AR(1) noise of variance 1 with correlation 0.95 from frame to frame, (frames, columns)."""
+    """Draw stationary AR(1) noise of variance 1 with correlation 0.95 from frame to frame, (frames, columns)."""
     noise = generator.standard_normal((frames, columns))
     values = noise.copy()
     for frame in range(1, frames):
@@ -93,7 +93,7 @@ def _smooth(frames: int, columns: int, generator: np.random.Generator) -> Array:
 
 
 def _rotation(vectors: Array) -> Array:
-    """Give the rotations about vectors (M, 3) by their lengths in radians, (M, 3, 3)."""
+    """Compute the rotation matrices (M, 3, 3) of rotation vectors (M, 3), with angles in radians."""
     angle = np.linalg.norm(vectors, axis=1)[:, None, None]
     x, y, z = (vectors / np.maximum(angle[:, 0], 1e-12)).T
     zero = np.zeros_like(x)

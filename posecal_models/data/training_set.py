@@ -1,4 +1,4 @@
-"""What does a training step see? Batches of poses with freshly detected keypoints, drawn where the network computes."""
+"""Training batches: poses with newly simulated detections, on the device of the training."""
 
 from __future__ import annotations
 
@@ -11,37 +11,37 @@ from posecal.errors import PoseDataError
 from posecal_models.contract import Context
 from posecal_models.data.detector import Detector
 from posecal_models.data.lifting_set import LiftingSet
-from posecal_models.data.masks import SHARES, Augmentation, hide
+from posecal_models.data.masks import SHARES, Augmentation, mask_keypoints
 
-__all__ = ["TrainingSet", "draw_graphs", "seeded"]
+__all__ = ["TrainingSet", "draw_graphs", "seeded_generator"]
 
 
-def seeded(device: torch.device | str, *numbers: int) -> torch.Generator:
-    """Give a generator that depends on some numbers alone, such as a seed, an epoch and a step.
+def seeded_generator(device: torch.device | str, *numbers: int) -> torch.Generator:
+    """Create a random generator from several numbers, such as a seed, an epoch and a step.
 
     Parameters
     ----------
     device : torch.device or str
-        Where it draws.
+        Device of the generator.
     *numbers : int
         Non-negative.
 
     Returns
     -------
     torch.Generator
-        The same for the same numbers, unrelated for others.
+        The same for the same numbers, independent for others.
 
     Examples
     --------
-    >>> one, same, other = (torch.rand(1, generator=seeded("cpu", 0, step)) for step in (7, 7, 8))
+    >>> one, same, other = (torch.rand(1, generator=seeded_generator("cpu", 0, step)) for step in (7, 7, 8))
     >>> bool(one == same), bool(one == other)
     (True, False)
     """
-    mixed = 0x9E3779B97F4A7C15
+    hashed = 0x9E3779B97F4A7C15
     for number in numbers:
-        mixed = ((mixed ^ (number + 0x165667B19E3779F9)) * 0xBF58476D1CE4E5B9) % 2**64
-        mixed ^= mixed >> 29
-    return torch.Generator(device).manual_seed(mixed % 2**63)
+        hashed = ((hashed ^ (number + 0x165667B19E3779F9)) * 0xBF58476D1CE4E5B9) % 2**64
+        hashed ^= hashed >> 29
+    return torch.Generator(device).manual_seed(hashed % 2**63)
 
 
 class TrainingSet:
@@ -52,11 +52,11 @@ class TrainingSet:
     data : LiftingSet
         The pairs.
     joints, keypoint_joints : sequence of str
-        The order wanted.
+        The order of joints and keypoints.
     detector : Detector, optional
-        Draws the keypoints' noise anew for every batch; keypoints are taken as they are where it is not given.
+        Noise model, drawn anew for every batch; keypoints are used as they are where not given.
     device : torch.device or str
-        Where everything lies.
+        Device of the tensors.
 
     Raises
     ------
@@ -80,7 +80,7 @@ class TrainingSet:
         self.sigma = torch.from_numpy(ordered.sigma).to(device)
         self.detector = detector
         if not len(self.poses):
-            raise PoseDataError("training data: 0 poses; expected some.")
+            raise PoseDataError("training data: 0 poses; expected 1 or more.")
         finite = self.poses.isfinite().all(-1).all(-1)
         if not finite.all():
             raise PoseDataError(
@@ -92,18 +92,18 @@ class TrainingSet:
 
     @property
     def device(self) -> torch.device:
-        """Where the tensors lie."""
+        """Device of the tensors."""
         return self.poses.device
 
     def batch(self, rows: Tensor, generator: torch.Generator) -> tuple[Context, Tensor]:
-        """Take some poses and detect their keypoints.
+        """Select poses and simulate the detection of their keypoints.
 
         Parameters
         ----------
         rows : Tensor
             (B,), integer.
         generator : torch.Generator
-            Of the detector's noise.
+            The source of the detector's noise.
 
         Returns
         -------
@@ -128,7 +128,7 @@ def draw_graphs(
     generator: torch.Generator,
     root: bool = False,
 ) -> tuple[Context, Tensor]:
-    """Give every pose several sets of observed keypoints, the paper's five in turn.
+    """Draw several sets of observed keypoints of every pose, the paper's five in turn.
 
     Parameters
     ----------
@@ -137,29 +137,29 @@ def draw_graphs(
     truth : Tensor
         (B, K, 3), mm.
     graphs_per_pose : int
-        Sets of each pose.
+        Number of sets of each pose.
     first : int
-        Which of the five comes first; pose i starts i further.
+        Index of the first of the five; pose i starts i further.
     augmentation : str
-        See :func:`posecal_models.data.masks.hide`.
+        See :func:`posecal_models.data.masks.mask_keypoints`.
     generator : torch.Generator
         The source of randomness.
     root : bool
-        Whether the first keypoint is that of the root, which is never hidden.
+        Whether the first keypoint is that of the root, which is never removed.
 
     Returns
     -------
     context, truth
-        Of B * graphs_per_pose graphs, those of one pose together.
+        Of B * graphs_per_pose graphs; those of one pose are consecutive.
     """
     poses = len(truth)
     rows = torch.arange(poses, device=truth.device).repeat_interleave(graphs_per_pose)
-    turn = torch.arange(graphs_per_pose, device=truth.device).repeat(poses)
+    graph = torch.arange(graphs_per_pose, device=truth.device).repeat(poses)
     start = rows * (graphs_per_pose % len(SHARES) != 0)
-    share = torch.tensor(SHARES, device=truth.device)[(turn + start + first) % len(SHARES)]
+    share = torch.tensor(SHARES, device=truth.device)[(graph + start + first) % len(SHARES)]
     graphs = context[rows]
-    first_hidden = int(root)
+    first_maskable = int(root)
     kind: Augmentation = "released" if augmentation == "released" else "paper"
-    some = hide(graphs.observed[:, first_hidden:], share, generator, kind=kind)
-    observed = torch.cat([graphs.observed[:, :first_hidden], some], dim=1)
+    masked = mask_keypoints(graphs.observed[:, first_maskable:], share, generator, kind=kind)
+    observed = torch.cat([graphs.observed[:, :first_maskable], masked], dim=1)
     return Context(graphs.keypoints, observed, graphs.sigma), truth[rows]

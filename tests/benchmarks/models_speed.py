@@ -28,7 +28,7 @@ from posecal_models.cgnf.flow import SIZES
 from posecal_models.cgnf.model import CGNF
 from posecal_models.cgnf.objective import FlowObjective
 from posecal_models.contract import Context
-from posecal_models.cuda_graph import Recorded
+from posecal_models.cuda_graph import CudaGraphObjective
 from posecal_models.graph import human36m_graph
 from tests.models import plain_cgnf
 
@@ -111,18 +111,18 @@ class Published:
 
 def bare_products(model: CGNF, graphs: int, device: str) -> Callable[[], object]:
     """The matrix products of the second layers alone, for so many graphs: what no arrangement can do without."""
-    second = model.flow.couplings.folded().second.detach()
+    second = model.flow.couplings.fold().second.detach()
     at_once = 128
     nodes = [last - first for first, last in model.flow.couplings.second.spans]
-    heard = torch.randn(max(nodes) * at_once, second.shape[-1], device=device)
-    spoken = torch.empty_like(heard)
+    senders = torch.randn(max(nodes) * at_once, second.shape[-1], device=device)
+    messages = torch.empty_like(senders)
 
     def multiply() -> None:
         for start in range(0, graphs, at_once):
             here = min(at_once, graphs - start)
             for maps in second:
                 for count, weights in zip(nodes, maps, strict=True):
-                    torch.mm(heard[: count * here], weights, out=spoken[: count * here])
+                    torch.mm(senders[: count * here], weights, out=messages[: count * here])
 
     return multiply
 
@@ -143,10 +143,10 @@ def measure(size: str, variant: str, device: str, *, plain: bool, published: Pub
         every = latents.flatten(0, 1), keypoints.repeat_interleave(SAMPLES, 0), observed.repeat_interleave(SAMPLES, 0)
 
         def log_prob(k=keypoints, o=observed, x=truth) -> object:
-            return model.flow.ready(model.flow.evidence(k, o)).log_prob_per_node(x[:, None])
+            return model.flow.condition(model.flow.embed(k, o)).log_prob_per_node(x[:, None])
 
         def sample(k=keypoints, o=observed, z=latents) -> object:
-            return model.flow.ready(model.flow.evidence(k, o)).inverse(z)
+            return model.flow.condition(model.flow.embed(k, o)).inverse(z)
 
         def plain_log_prob(k=keypoints, o=observed, x=truth) -> object:
             return plain_cgnf.log_prob(weights, x, k, o, root, parents, scale=scale)
@@ -162,11 +162,11 @@ def measure(size: str, variant: str, device: str, *, plain: bool, published: Pub
 
         with torch.inference_mode():
             bare = bare_products(model, SAMPLES * poses, device)
-            told = f"{poses} pose{'s' * (poses > 1)}, {size}, {variant}"
+            description = f"{poses} pose{'s' * (poses > 1)}, {size}, {variant}"
             calls = log_prob, None, plain_log_prob if plain else None, published_log_prob if published else None
-            row(f"log_prob of {told}", *medians(*calls, device=device))
+            row(f"log_prob of {description}", *medians(*calls, device=device))
             calls = sample, bare, plain_sample if plain else None, published_sample if published else None
-            row(f"{SAMPLES} samples of {told}", *medians(*calls, device=device))
+            row(f"{SAMPLES} samples of {description}", *medians(*calls, device=device))
     measure_step(model, scale, f"{size}, {variant}", device, plain=plain, published=published)
 
 
@@ -238,7 +238,7 @@ def measure_epoch(device: str, *, poses: int = 4000, steps: int = 20) -> None:
     context = Context(torch.randn(5 * poses, 16, 2, device=device), torch.rand(5 * poses, 16, device=device) < 0.5)
     generator = torch.Generator(device)
     plain = FlowObjective(model)
-    for name, objective in (("", plain), (", recorded", Recorded(plain, parameters, torch.device(device)))):
+    for name, objective in (("", plain), (", recorded", CudaGraphObjective(plain, parameters, torch.device(device)))):
         for timed in (False, True):
             torch.cuda.synchronize()
             start = time.perf_counter()

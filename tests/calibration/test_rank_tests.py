@@ -24,7 +24,7 @@ from posecal.stats.resampling import Deviation, sign_flips
 from tests.helpers.random_worlds import skewed
 from tests.helpers.samplers import gaussian, sequences
 from tests.helpers.score_oracles import PRERANKS, box_share, rank_inside, sides, tarp_box
-from toy.experiments.fault_table import COLUMNS, Found, evaluate_faults
+from toy.experiments.fault_table import COLUMNS, FaultEvaluation, evaluate_faults
 from toy.faults import FAULTS
 
 Array = np.ndarray
@@ -64,12 +64,12 @@ these reject there is chance. They are tested with four times as many, where joi
 
 
 @pytest.fixture(scope="module")
-def found() -> dict[str, dict[str, Found]]:
+def found() -> dict[str, dict[str, FaultEvaluation]]:
     return {world: evaluate_faults(0, N=N, M=M, joint_correlation=c) for world, c in WORLDS.items()}
 
 
 @pytest.fixture(scope="module")
-def found_in_more_poses() -> dict[str, Found]:
+def found_in_more_poses() -> dict[str, FaultEvaluation]:
     faults = sorted({fault for fault, _ in WEAK})
     return evaluate_faults(0, N=N, M=4 * M, joint_correlation=WORLDS["together"], faults=faults)
 
@@ -86,7 +86,7 @@ def found_in_more_poses() -> dict[str, Found]:
     ],
 )
 def test_a_fault_is_seen_by_the_tests_that_should_see_it(
-    found: dict[str, dict[str, Found]], world: str, fault: str, test: str
+    found: dict[str, dict[str, FaultEvaluation]], world: str, fault: str, test: str
 ) -> None:
     assert found[world][fault].report.test(test).p < 1e-3
 
@@ -94,7 +94,7 @@ def test_a_fault_is_seen_by_the_tests_that_should_see_it(
 @pytest.mark.slow
 @pytest.mark.parametrize(("fault", "test"), sorted(WEAK))
 def test_a_fault_that_shows_little_is_seen_in_more_poses(
-    found_in_more_poses: dict[str, Found], fault: str, test: str
+    found_in_more_poses: dict[str, FaultEvaluation], fault: str, test: str
 ) -> None:
     assert test in TABLE[fault][1].split()
     assert found_in_more_poses[fault].report.test(test).p < 1e-3
@@ -103,7 +103,9 @@ def test_a_fault_that_shows_little_is_seen_in_more_poses(
 @pytest.mark.slow
 @pytest.mark.parametrize("world", WORLDS)
 @pytest.mark.parametrize("fault", TABLE)
-def test_the_ece_stays_where_the_fault_leaves_it(found: dict[str, dict[str, Found]], world: str, fault: str) -> None:
+def test_the_ece_stays_where_the_fault_leaves_it(
+    found: dict[str, dict[str, FaultEvaluation]], world: str, fault: str
+) -> None:
     # A joint's curve strays from what is expected by √(2/π) ∫√(q(1−q)) dq/√M on average; the median of 16 independent
     # joints by 1.25/√16 of that, and that of joints that move as one by all of it.
     apart = world == "apart" and "correlation" not in fault
@@ -115,7 +117,7 @@ def test_the_ece_stays_where_the_fault_leaves_it(found: dict[str, dict[str, Foun
 @pytest.mark.parametrize("world", WORLDS)
 @pytest.mark.parametrize("fault", TABLE)
 def test_the_energy_score_pays_for_a_fault_as_much_as_it_should(
-    found: dict[str, dict[str, Found]], world: str, fault: str
+    found: dict[str, dict[str, FaultEvaluation]], world: str, fault: str
 ) -> None:
     one = found[world][fault]
     ratio = one.report["energy_score"] / one.least_energy
@@ -128,7 +130,7 @@ def test_the_energy_score_pays_for_a_fault_as_much_as_it_should(
 @pytest.mark.parametrize("world", WORLDS)
 @pytest.mark.parametrize("fault", ["perfect", "ignored-image"])
 def test_who_samples_from_the_prior_passes_every_calibration_test_as_a_perfect_sampler_does(
-    found: dict[str, dict[str, Found]], world: str, fault: str
+    found: dict[str, dict[str, FaultEvaluation]], world: str, fault: str
 ) -> None:
     assert min(found[world][fault].report.test(column).p for column in COLUMNS) > 0.01 / len(COLUMNS)
 
@@ -137,7 +139,7 @@ def test_who_samples_from_the_prior_passes_every_calibration_test_as_a_perfect_s
 @pytest.mark.parametrize("world", WORLDS)
 @pytest.mark.parametrize("fault", [fault for fault in TABLE if fault not in {"perfect", "ignored-image"}])
 def test_every_other_fault_is_seen_after_adjusting_for_the_number_of_tests(
-    found: dict[str, dict[str, Found]], world: str, fault: str
+    found: dict[str, dict[str, FaultEvaluation]], world: str, fault: str
 ) -> None:
     assert min(p for _, p in found[world][fault].report.rank_tests().values()) < 0.05
 
@@ -145,7 +147,7 @@ def test_every_other_fault_is_seen_after_adjusting_for_the_number_of_tests(
 @pytest.mark.slow
 @pytest.mark.parametrize(("fault", "test"), sorted(BLIND))
 def test_in_independent_isotropic_joints_a_distance_is_blind_to_a_shift(
-    found: dict[str, dict[str, Found]], fault: str, test: str
+    found: dict[str, dict[str, FaultEvaluation]], fault: str, test: str
 ) -> None:
     # Of one-sided truths the squared distance is that of any draw: 16 · 3. Of shifted ones it is, in units of the
     # model's variance, (48 + 16 · 1.2²) / 1.23² = 46.96 where the model's own is 48, and scatters by √96 = 9.8.

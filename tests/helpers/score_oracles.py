@@ -165,7 +165,7 @@ PRERANKS: dict[str, Callable[[Array], list[float]]] = {
 }
 
 
-# --- spread against error ---------------------------------------------------------------------------------------
+# --- rank correlation and sparsification ----------------------------------------------------------------------------
 
 
 def rank_correlation(spread: Sequence[float], error: Sequence[float]) -> float:

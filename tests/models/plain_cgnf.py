@@ -1,7 +1,7 @@
-"""The naive twin of the cGNF: the formulas as they are written down, one node, one relation, one sample at a time.
+"""Naive reference implementation of the cGNF: the formulas as written, one node, one relation, one sample at a time.
 
 Weights are a dictionary by the names of :class:`posecal_models.cgnf.flow.GraphFlow`. Nothing is shared, folded or
-reordered: messages of the context are recomputed for every sample, and the bones are walked one relation at a time.
+reordered: messages of the context are recomputed for every sample, and those along edges one relation at a time.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ def linear(weights: Weights, name: str, features: Tensor, block: int | None = No
 
 def embedding(weights: Weights, keypoints: Tensor, observed: Tensor) -> Tensor:
     """Embed keypoints (M, K, 2) of which some are observed (M, K)."""
-    present = observed.to(keypoints.dtype)
+    mask = observed.to(keypoints.dtype)
     keypoints = torch.where(observed[..., None], keypoints, 0)
-    adjacency = weights["embedding.adjacency"] * present[:, :, None] * present[:, None, :]
+    adjacency = weights["embedding.adjacency"] * mask[:, :, None] * mask[:, None, :]
     weight = adjacency / adjacency.sum(-1, keepdim=True).clamp(min=1)
 
     def layer(order: str, features: Tensor) -> Tensor:
@@ -55,13 +55,12 @@ def message_passing(
 
     message = torch.relu(map_of("from_self", nodes))
     child_map = "from_child" if f"couplings.{layer}.from_child.weight" in weights else "from_parent"
-    said_by_parent = torch.relu(map_of("from_parent", nodes))
-    said_by_child = torch.relu(map_of(child_map, nodes))
-    has_parent = [v for v, parent in enumerate(parents) if parent >= 0]
-    their_parent = [parents[v] for v in has_parent]
-    index = torch.tensor(has_parent)
-    message = message.index_add(1, index, said_by_parent[:, their_parent])
-    message = message.index_add(1, torch.tensor(their_parent), said_by_child[:, has_parent])
+    from_parents = torch.relu(map_of("from_parent", nodes))
+    from_children = torch.relu(map_of(child_map, nodes))
+    children = [v for v, parent in enumerate(parents) if parent >= 0]
+    parents_of_children = [parents[v] for v in children]
+    message = message.index_add(1, torch.tensor(children), from_parents[:, parents_of_children])
+    message = message.index_add(1, torch.tensor(parents_of_children), from_children[:, children])
     message = message + torch.relu(map_of("from_context", context)) * observed[..., None]
     next_to_root = torch.tensor([parent < 0 for parent in parents])
     message = message + torch.relu(map_of("from_root", root))[:, None] * next_to_root[:, None]
@@ -71,7 +70,7 @@ def message_passing(
 def shift_and_scale(
     weights: Weights,
     block: int,
-    kept: Tensor,
+    inputs: Tensor,
     context: Tensor,
     observed: Tensor,
     root: Tensor,
@@ -79,7 +78,7 @@ def shift_and_scale(
     scale: str,
 ) -> tuple[Tensor, Tensor]:
     """Both layers of one block's coupling net."""
-    nodes = message_passing(weights, block, "first", kept, context, observed, root, parents)
+    nodes = message_passing(weights, block, "first", inputs, context, observed, root, parents)
     context = torch.relu(linear(weights, "couplings.first.next_context", context, block))
     root = torch.relu(linear(weights, "couplings.first.next_root", root, block))
     nodes = message_passing(weights, block, "second", nodes, context, observed, root, parents)
@@ -105,10 +104,10 @@ def forward(
         log_scale = weights["couplings.actnorm_log_scale"][block]
         shift = weights["couplings.actnorm_shift"][block]
         poses = poses * log_scale.exp() + shift
-        moved = block % dimensions
-        kept = poses[..., [i for i in range(dimensions) if i != moved]]
-        t, s = shift_and_scale(weights, block, kept, context, observed, root, parents, scale)
-        poses = torch.stack([poses[..., i] * s + t if i == moved else poses[..., i] for i in range(dimensions)], -1)
+        target = block % dimensions
+        others = poses[..., [i for i in range(dimensions) if i != target]]
+        t, s = shift_and_scale(weights, block, others, context, observed, root, parents, scale)
+        poses = torch.stack([poses[..., i] * s + t if i == target else poses[..., i] for i in range(dimensions)], -1)
         log_determinant = log_determinant + log_scale.sum() + s.log()
     return poses, log_determinant
 
@@ -127,11 +126,11 @@ def inverse(
     context = embedding(weights, keypoints, observed)
     dimensions = latents.shape[-1]
     for block in reversed(range(_blocks(weights))):
-        moved = block % dimensions
-        kept = latents[..., [i for i in range(dimensions) if i != moved]]
-        t, s = shift_and_scale(weights, block, kept, context, observed, root, parents, scale)
+        target = block % dimensions
+        others = latents[..., [i for i in range(dimensions) if i != target]]
+        t, s = shift_and_scale(weights, block, others, context, observed, root, parents, scale)
         latents = torch.stack(
-            [(latents[..., i] - t) / s if i == moved else latents[..., i] for i in range(dimensions)], -1
+            [(latents[..., i] - t) / s if i == target else latents[..., i] for i in range(dimensions)], -1
         )
         log_scale = weights["couplings.actnorm_log_scale"][block]
         shift = weights["couplings.actnorm_shift"][block]

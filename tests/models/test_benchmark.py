@@ -1,4 +1,4 @@
-"""The table on held-out motion: its numbers against the plain formulas, and what it leaves behind."""
+"""The benchmark on held-out motion capture: its numbers against plain formulas, and its output files."""
 
 from __future__ import annotations
 
@@ -48,41 +48,41 @@ def test_the_images_are_those_of_the_held_out_people(images):
 
 
 def test_the_columns_are_the_plain_formulas(images, noisy):
-    row = benchmark.judge("noise", noisy, images, n=30, seeds=(0, 7))
+    row = benchmark.evaluate_estimator("noise", noisy, images, n=30, seeds=(0, 7))
     ordered = images.in_order_of(noisy.joints, noisy.keypoints)
     for index, seed in enumerate((0, 7)):
-        drawn = benchmark.hypotheses_of(noisy, images, 30, seed=seed)
-        apart = np.linalg.norm(drawn - ordered.poses, axis=-1)  # (N, M, K)
-        best = (apart.sum(-1) / 17).min(0)  # the root counts, with error 0
+        drawn = benchmark.draw_hypotheses(noisy, images, 30, seed=seed)
+        errors = np.linalg.norm(drawn - ordered.poses, axis=-1)  # (N, M, K)
+        best = (errors.sum(-1) / 17).min(0)  # the root counts, with error 0
         np.testing.assert_allclose(row.values["min_mpjpe"][index], best.mean(), rtol=1e-5)
         hard = (~ordered.observed).sum(1) >= benchmark.HARD
         assert 0 < hard.sum() < len(hard)
         np.testing.assert_allclose(row.values["hard_min_mpjpe"][index], best[hard].mean(), rtol=1e-5)
         distances = np.linalg.norm(drawn[:, None] - drawn[None], axis=-1) if index == 0 else None
         if distances is not None:
-            whole = np.sqrt((np.square(drawn - ordered.poses)).sum((-1, -2)))
+            distances_to_truth = np.sqrt((np.square(drawn - ordered.poses)).sum((-1, -2)))
             pairs = np.sqrt(np.square(drawn[:, None] - drawn[None]).sum((-1, -2)))
-            energy = (whole.mean(0) - pairs.sum((0, 1)) / (2 * 30 * 29)).mean()
+            energy = (distances_to_truth.mean(0) - pairs.sum((0, 1)) / (2 * 30 * 29)).mean()
             np.testing.assert_allclose(row.values["energy_score"][0], energy, rtol=1e-4)
     assert row.values["n"] == [30]
     assert row.values["min_mpjpe"][0] != row.values["min_mpjpe"][1]
 
 
 def test_a_point_has_one_hypothesis_and_no_calibration(images, baseline):
-    row = benchmark.judge("point", baseline, images, n=30, seeds=(0, 1))
+    row = benchmark.evaluate_estimator("point", baseline, images, n=30, seeds=(0, 1))
     ordered = images.in_order_of(baseline.joints, baseline.keypoints)
-    apart = np.linalg.norm(benchmark.hypotheses_of(baseline, images, 1)[0] - ordered.poses, axis=-1)
-    np.testing.assert_allclose(row.values["min_mpjpe"], [apart.sum(-1).mean() / 17], rtol=1e-5)
+    errors = np.linalg.norm(benchmark.draw_hypotheses(baseline, images, 1)[0] - ordered.poses, axis=-1)
+    np.testing.assert_allclose(row.values["min_mpjpe"], [errors.sum(-1).mean() / 17], rtol=1e-5)
     assert row.values["ece"] == []
     assert row.report is None
 
 
 def test_a_cell_is_mean_and_standard_deviation():
-    row = benchmark.Judged("a", {name: [] for name in benchmark.columns} | {"min_mpjpe": [1.0, 2, 3]}, None, 0.0)
+    row = benchmark.BenchmarkRow("a", {name: [] for name in benchmark.COLUMNS} | {"min_mpjpe": [1.0, 2, 3]}, None, 0.0)
     assert "| a | 2.0 ± 1.00 | – |" in benchmark.markdown([row])
 
 
-def test_table_numbers_and_pictures_are_left_in_the_folder(motion_file, baseline, noisy, tmp_path):
+def test_table_numbers_and_figures_are_written_to_the_folder(motion_file, baseline, noisy, tmp_path):
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
         flow = CGNF(SIZES["tiny"])
@@ -97,13 +97,13 @@ def test_table_numbers_and_pictures_are_left_in_the_folder(motion_file, baseline
     about = json.loads((tmp_path / "out" / "benchmark.json").read_text())
     assert len(about["rows"]["flow"]["min_mpjpe"]) == 2
     for name in ("flow", "noise"):
-        kept = Report(load_totals(tmp_path / "out" / f"{name}.npz"))
-        assert kept.value("min_mpjpe") == about["rows"][name]["min_mpjpe"][0]
+        saved = Report(load_totals(tmp_path / "out" / f"{name}.npz"))
+        assert saved.value("min_mpjpe") == about["rows"][name]["min_mpjpe"][0]
 
 
 @pytest.mark.parametrize("names", [("G (x)", "G-x"), ("***",)])
 def test_names_that_would_share_a_file_are_refused_before_any_work(tmp_path, names):
-    with pytest.raises(PoseDataError, match="would leave files of one name"):
+    with pytest.raises(PoseDataError, match="give files of the same name"):
         run_benchmark(tmp_path / "no.npz", dict.fromkeys(names, "no.safetensors"), ["S4"], tmp_path / "out")
 
 

@@ -1,4 +1,4 @@
-"""What must hold for a cGNF with any weights: against the naive twin, autograd, and itself."""
+"""Properties of a cGNF with random weights, against the naive twin, autograd, and itself."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import pytest
 import torch
 
 from posecal.errors import PoseDataError
-from posecal_models.cgnf import rooms
+from posecal_models.cgnf import buffers
 from posecal_models.cgnf.flow import SIZES, FlowSize, GraphFlow
 from posecal_models.cgnf.model import CGNF
 from posecal_models.cgnf.parameters import PUBLISHED, parameter_table
 from posecal_models.contract import Context
 from posecal_models.graph import PoseGraph, human36m_graph
 from tests.models import plain_cgnf
-from tests.models.some_flows import POSES, SAMPLES, SIZE, inputs, random_flow, repeated
+from tests.models.random_flows import POSES, SAMPLES, SIZE, inputs, random_flow, repeat_per_sample
 
 OPTIONS = [{"backward_weights": backward, "scale": scale} for backward in (False, True) for scale in ("sigmoid", "exp")]
 
@@ -24,19 +24,19 @@ OPTIONS = [{"backward_weights": backward, "scale": scale} for backward in (False
 @pytest.mark.parametrize("options", OPTIONS)
 @pytest.mark.parametrize("rows_in_cache", [16, 48, 100_000])
 def test_density_and_gradients_equal_the_naive_twin_whatever_the_parts(monkeypatch, options, rows_in_cache):
-    monkeypatch.setattr(rooms, "_ROWS_IN_CACHE", rows_in_cache)
+    monkeypatch.setattr(buffers, "_ROWS_IN_CACHE", rows_in_cache)
     flow, (keypoints, observed, poses) = random_flow(**options), inputs()
     weights = dict(flow.named_parameters())
     root = torch.zeros(1, 3, dtype=torch.float64)
     plain = plain_cgnf.log_prob(
         weights,
         poses.flatten(0, 1),
-        *repeated(keypoints, observed),
+        *repeat_per_sample(keypoints, observed),
         root,
         human36m_graph().parents,
         scale=options["scale"],
     )
-    ours = flow.ready(flow.evidence(keypoints, observed)).log_prob_per_node(poses).sum(-1).flatten()
+    ours = flow.condition(flow.embed(keypoints, observed)).log_prob_per_node(poses).sum(-1).flatten()
     np.testing.assert_allclose(ours.detach(), plain.detach(), rtol=1e-12)
 
     weigh = torch.linspace(-1, 2, POSES * SAMPLES, dtype=torch.float64)
@@ -49,19 +49,19 @@ def test_density_and_gradients_equal_the_naive_twin_whatever_the_parts(monkeypat
 @pytest.mark.parametrize("options", OPTIONS)
 @pytest.mark.parametrize("rows_in_cache", [32, 100_000])
 def test_samples_and_their_gradients_equal_the_naive_twin(monkeypatch, options, rows_in_cache):
-    monkeypatch.setattr(rooms, "_ROWS_IN_CACHE", rows_in_cache)
+    monkeypatch.setattr(buffers, "_ROWS_IN_CACHE", rows_in_cache)
     flow, (keypoints, observed, latents) = random_flow(**options), inputs()
     weights = dict(flow.named_parameters())
     root = torch.zeros(1, 3, dtype=torch.float64)
     plain = plain_cgnf.inverse(
         weights,
         latents.flatten(0, 1),
-        *repeated(keypoints, observed),
+        *repeat_per_sample(keypoints, observed),
         root,
         human36m_graph().parents,
         scale=options["scale"],
     ).view_as(latents)
-    ours = flow.ready(flow.evidence(keypoints, observed)).inverse(latents)
+    ours = flow.condition(flow.embed(keypoints, observed)).inverse(latents)
     np.testing.assert_allclose(ours.detach(), plain.detach(), rtol=1e-11, atol=1e-11)
 
     weigh = torch.linspace(-1, 2, latents.numel(), dtype=torch.float64).view_as(latents)
@@ -74,20 +74,20 @@ def test_samples_and_their_gradients_equal_the_naive_twin(monkeypatch, options, 
 @pytest.mark.parametrize("options", OPTIONS)
 def test_the_log_determinant_is_that_of_autograd_s_jacobian(options):
     flow, (keypoints, observed, poses) = random_flow(**options), inputs()
-    ready = flow.ready(flow.evidence(keypoints[:1], observed[:1]))
+    conditioned = flow.condition(flow.embed(keypoints[:1], observed[:1]))
     pose = poses[:1, :1]
-    _, log_determinant = ready.forward(pose)
-    jacobian = torch.autograd.functional.jacobian(lambda p: ready.forward(p)[0], pose)
+    _, log_determinant = conditioned.forward(pose)
+    jacobian = torch.autograd.functional.jacobian(lambda p: conditioned.forward(p)[0], pose)
     expected = torch.linalg.slogdet(jacobian.view(48, 48)).logabsdet
     np.testing.assert_allclose(log_determinant.sum().detach(), expected.detach(), rtol=1e-12)
 
 
 def test_gradients_of_the_pose_equal_finite_differences():
     flow, (keypoints, observed, poses) = random_flow(), inputs()
-    ready = flow.ready(flow.evidence(keypoints[:2], observed[:2]))
+    conditioned = flow.condition(flow.embed(keypoints[:2], observed[:2]))
     pose = poses[:2, :1].clone().requires_grad_()
-    assert torch.autograd.gradcheck(lambda p: ready.log_prob_per_node(p).sum(), pose)
-    assert torch.autograd.gradcheck(lambda p: ready.inverse(p), pose)
+    assert torch.autograd.gradcheck(lambda p: conditioned.log_prob_per_node(p).sum(), pose)
+    assert torch.autograd.gradcheck(lambda p: conditioned.inverse(p), pose)
 
 
 @pytest.mark.parametrize("size", ["small", "xlarge"])
@@ -99,11 +99,11 @@ def test_inverse_of_forward_is_the_pose_within_1e_4_in_single_precision(size, sc
         flow.couplings.second.pool.weight.data.uniform_(-reach, reach)
     keypoints, observed, poses = (tensor if tensor.dtype == torch.bool else tensor.float() for tensor in inputs())
     with torch.no_grad():
-        evidence = flow.evidence(keypoints, observed)
-        flow.initialise_actnorm(poses, evidence)
-        ready = flow.ready(evidence)
-        latents, log_determinant = ready.forward(poses)
-        back = ready.inverse(latents)
+        embedded = flow.embed(keypoints, observed)
+        flow.initialise_actnorm(poses, embedded)
+        conditioned = flow.condition(embedded)
+        latents, log_determinant = conditioned.forward(poses)
+        back = conditioned.inverse(latents)
     assert float(log_determinant.abs().mean()) > 0.1  # it does move
     np.testing.assert_allclose(back, poses, rtol=0, atol=1e-4)
 
@@ -132,7 +132,7 @@ def test_the_prior_is_nothing_observed_bit_for_bit():
     estimator = CGNF(SIZE).double()
     estimator.flow = random_flow()
     keypoints, observed, poses = inputs()
-    hidden = Context(keypoints, observed).hidden()
+    hidden = Context(keypoints, observed).without_keypoints()
     one, two = estimator(hidden).log_prob(poses[:, 0]), estimator.prior(POSES).log_prob(poses[:, 0])
     assert torch.equal(one, two)
 
@@ -176,19 +176,19 @@ def test_flows_of_two_dimensions_invert_too():
         for parameter in flow.parameters():
             parameter.data = torch.randn_like(parameter) * 0.12
     poses = torch.randn(4, 3, 3, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
-    ready = flow.ready(flow.no_evidence())
-    np.testing.assert_allclose(ready.inverse(ready.forward(poses)[0]).detach(), poses, atol=1e-12)
+    conditioned = flow.condition(flow.empty_context())
+    np.testing.assert_allclose(conditioned.inverse(conditioned.forward(poses)[0]).detach(), poses, atol=1e-12)
 
 
 @pytest.mark.parametrize("size", PUBLISHED)
-def test_live_and_dead_parameters_make_up_the_published_number(size):
+def test_used_and_unused_parameters_make_up_the_published_number(size):
     table = parameter_table(SIZES[size])
     assert table.published == PUBLISHED[size]
     flow = GraphFlow(human36m_graph(), SIZES[size], backward_weights=False)
     held = {name: parameter.numel() for name, parameter in flow.named_parameters()}
     times_zero = sum(held[f"couplings.first.{name}.weight"] for name in ("from_root", "next_root"))
     assert times_zero == table.times_zero
-    assert sum(held.values()) == table.live + table.times_zero
+    assert sum(held.values()) == table.used + table.times_zero
 
 
 def test_the_small_model_s_parts_are_those_counted_by_hand():
@@ -198,9 +198,9 @@ def test_the_small_model_s_parts_are_those_counted_by_hand():
     assert table.backward + table.last_updates == 306_000
 
 
-def test_every_live_parameter_gets_a_gradient_and_the_root_s_weights_get_zero():
+def test_every_used_parameter_gets_a_gradient_and_the_root_s_weights_get_zero():
     flow, (keypoints, observed, poses) = random_flow(spread=0.5, scale="sigmoid"), inputs()
-    flow.ready(flow.evidence(keypoints, observed)).log_prob_per_node(poses).sum().backward()
+    flow.condition(flow.embed(keypoints, observed)).log_prob_per_node(poses).sum().backward()
     for name, parameter in flow.named_parameters():
         if name.endswith(("from_root.weight", "next_root.weight")) and ".first." in name:
             assert not parameter.grad.any(), name
@@ -211,7 +211,7 @@ def test_every_live_parameter_gets_a_gradient_and_the_root_s_weights_get_zero():
 def test_an_untrained_flow_is_the_standard_normal():
     estimator = CGNF(SIZES["tiny"], scale="sigmoid").double()
     keypoints, observed, poses = inputs()
-    ours = estimator.flow.ready(estimator.flow.evidence(keypoints, observed)).log_prob_per_node(poses).sum(-1)
+    ours = estimator.flow.condition(estimator.flow.embed(keypoints, observed)).log_prob_per_node(poses).sum(-1)
     # the sigmoid scale starts at sigmoid(2) + 0.001, for each of 6 blocks and 16 nodes; each coordinate is moved twice
     stretch = 1 / (1 + math.exp(-2)) + 1e-3
     latents = poses * stretch**2
@@ -226,7 +226,7 @@ def test_a_graph_refuses_a_parent_that_is_not_there():
 
 def test_a_graph_refuses_its_root_as_a_node():
     with pytest.raises(PoseDataError, match="Hip is the root and no node"):
-        PoseGraph.of_joints(("Hip", "RHip"))
+        PoseGraph.from_joints(("Hip", "RHip"))
 
 
 def test_a_stretch_too_small_for_its_type_has_its_exact_log():
@@ -236,7 +236,7 @@ def test_a_stretch_too_small_for_its_type_has_its_exact_log():
         flow.couplings.second.pool.weight.zero_()
         flow.couplings.second.pool.bias.zero_()[0, 1] = -800
     poses = poses.requires_grad_()
-    _, log_determinant = flow.ready(flow.evidence(keypoints, observed)).forward(poses)
+    _, log_determinant = flow.condition(flow.embed(keypoints, observed)).forward(poses)
     expected = flow.couplings.actnorm_log_scale.sum() - 800
     np.testing.assert_allclose(log_determinant.detach(), expected.expand_as(log_determinant).detach(), rtol=1e-12)
     (gradient,) = torch.autograd.grad(log_determinant.sum(), flow.couplings.second.pool.bias)

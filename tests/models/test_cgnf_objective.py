@@ -1,4 +1,4 @@
-"""The cGNF's training loss: pieces make up the whole, and graphs of a pose share its prior."""
+"""The cGNF's training loss: independent of the pieces of a batch, with one prior for the graphs of a pose."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_evaluating_gives_the_losses_of_training():
 
 
 @pytest.mark.parametrize("at_once", [1, 3, 100])
-def test_pieces_make_up_the_whole(at_once):
+def test_gradients_do_not_depend_on_the_pieces(at_once):
     one, other, (context, truth) = estimator(), estimator(), batch()
     FlowObjective(one, sample_weight=0.1).backward(context, truth)
     FlowObjective(other, sample_weight=0.1, graphs_at_once=at_once).backward(context, truth)

@@ -9,13 +9,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from posecal_models.cgnf.flow import Evidence, FlowSize, GraphFlow
+from posecal_models.cgnf.flow import EmbeddedContext, FlowSize, GraphFlow
 from posecal_models.cgnf.model import CGNF
 from posecal_models.cgnf.objective import FlowObjective
 from posecal_models.cgnf.released import from_released
 from posecal_models.data.standardizer import Standardizer
 from posecal_models.graph import human36m_graph
-from tests.models.some_flows import below_a_hip
+from tests.models.random_flows import with_hip_keypoint
 
 FOLDER = Path(__file__).parents[1] / "fixtures" / "reference_models"
 TINY = FlowSize(blocks=2, hidden=8, context=4, embedding=16)
@@ -41,13 +41,13 @@ def flow_of(state: dict[str, Tensor], dtype: torch.dtype) -> GraphFlow:
     return flow.to(dtype)
 
 
-def evidence_of(flow: GraphFlow, numbers: dict[str, np.ndarray], scenario: str, dtype: torch.dtype) -> Evidence:
+def context_of(flow: GraphFlow, numbers: dict[str, np.ndarray], scenario: str, dtype: torch.dtype) -> EmbeddedContext:
     if scenario == "prior":
-        return flow.no_evidence()
+        return flow.empty_context()
     keypoints = torch.from_numpy(numbers["c"]).to(dtype)
     observed = torch.from_numpy(numbers[f"mask_{scenario.split('_')[0]}"])
     root = torch.from_numpy(numbers["r_nonzero"])[:, 0].to(dtype) if scenario == "part_root" else None
-    return flow.evidence(keypoints, observed, root)
+    return flow.embed(keypoints, observed, root)
 
 
 def test_our_bones_are_the_reference_s_edges(numbers):
@@ -61,17 +61,17 @@ def test_our_bones_are_the_reference_s_edges(numbers):
 @pytest.mark.parametrize(("dtype", "suffix", "tolerance"), PRECISIONS)
 def test_density_latent_inverse_and_mode_equal_the_reference(numbers, state, scenario, dtype, suffix, tolerance):
     flow = flow_of(state, dtype)
-    ready = flow.ready(evidence_of(flow, numbers, scenario, dtype))
+    conditioned = flow.condition(context_of(flow, numbers, scenario, dtype))
     poses = torch.from_numpy(numbers["x"]).to(dtype)[:, None]
     latents = torch.from_numpy(numbers["z0"]).to(dtype).transpose(1, 2)
-    z, log_determinant = ready.forward(poses)
+    z, log_determinant = conditioned.forward(poses)
     ours = {
         "z": z[:, 0],
         "logdet_node": log_determinant[:, 0],
-        "logp_node": ready.log_prob_per_node(poses)[:, 0],
-        "logp_pose": ready.log_prob_per_node(poses).sum((1, 2)),
-        "samples": ready.inverse(latents).transpose(1, 2),
-        "mode": ready.inverse(torch.zeros_like(poses))[:, 0],
+        "logp_node": conditioned.log_prob_per_node(poses)[:, 0],
+        "logp_pose": conditioned.log_prob_per_node(poses).sum((1, 2)),
+        "samples": conditioned.inverse(latents).transpose(1, 2),
+        "mode": conditioned.inverse(torch.zeros_like(poses))[:, 0],
     }
     for name, value in ours.items():
         expected = numbers[f"{scenario}/{name}{suffix}"]
@@ -96,7 +96,7 @@ def test_nothing_observed_equals_the_prior_bit_for_bit(numbers, state):
     flow = flow_of(state, torch.float64)
     poses = torch.from_numpy(numbers["x"]).double()[:, None]
     none, prior = (
-        flow.ready(evidence_of(flow, numbers, scenario, torch.float64)).log_prob_per_node(poses)
+        flow.condition(context_of(flow, numbers, scenario, torch.float64)).log_prob_per_node(poses)
         for scenario in ("none", "prior")
     )
     assert torch.equal(none, prior)
@@ -105,13 +105,13 @@ def test_nothing_observed_equals_the_prior_bit_for_bit(numbers, state):
 def test_the_actnorms_start_equals_the_reference(numbers, state):
     flow = flow_of(state, torch.float32)
     poses = torch.from_numpy(numbers["x"])[:, None]
-    evidence = evidence_of(flow, numbers, "part", torch.float32)
-    flow.initialise_actnorm(poses, evidence)
+    embedded = context_of(flow, numbers, "part", torch.float32)
+    flow.initialise_actnorm(poses, embedded)
     for block in range(2):
         for name in ("log_scale", "shift"):
             ours = getattr(flow.couplings, f"actnorm_{name}")[block].detach()
             np.testing.assert_allclose(ours.numpy(), numbers[f"actnorm_init/{block}/{name}"], rtol=0, atol=5e-6)
-    ours = flow.ready(evidence).log_prob_per_node(poses)[:, 0].detach()
+    ours = flow.condition(embedded).log_prob_per_node(poses)[:, 0].detach()
     np.testing.assert_allclose(ours.numpy(), numbers["actnorm_init/logp_node"], rtol=0, atol=5e-5)
 
 
@@ -124,7 +124,7 @@ def training_losses(numbers, state, dtype, **options):
     standardizer = estimator.standardizer
     standardizer.pose_scale.fill_(1 / 0.0036)
     keypoints = torch.from_numpy(numbers["c"]).to(dtype) * standardizer.keypoint_scale
-    context = below_a_hip(keypoints, torch.from_numpy(numbers["mask_part"]))
+    context = with_hip_keypoint(keypoints, torch.from_numpy(numbers["mask_part"]))
     truth = standardizer.millimetres(torch.from_numpy(numbers["x"]).to(dtype))
     objective = FlowObjective(estimator, per_node=True, graphs_at_once=2, **options)
     losses = objective.backward(context, truth)

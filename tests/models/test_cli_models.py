@@ -1,4 +1,4 @@
-"""The command line as a user calls it: what it does, what it says, how it ends."""
+"""The command line: results, messages and exit codes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def posecal_models(*arguments: object, cwd: Path) -> subprocess.CompletedProcess
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
-    """What README does, smaller: motion, a training, images of the person left out, hypotheses."""
+    """The commands of README, smaller: motion, a training, images of the test subject, hypotheses."""
     where = tmp_path_factory.mktemp("readme")
     for arguments in (
         ("motion", "-o", "motion.npz", "--subjects", 3, "--clips", 2, "--frames", 20),
@@ -50,9 +50,9 @@ def test_readme_s_commands_end_in_a_file_that_posecal_evaluates(folder):
     assert (report["hypotheses"], report["poses"]) == (5, 2 * 20 * 4)
 
 
-def test_a_line_an_epoch_is_told_where_there_is_no_terminal(folder):
+def test_a_line_per_epoch_is_printed_where_there_is_no_terminal(folder):
     done = posecal_models(
-        "train", "cgnf-tiny", "--data", "motion.npz", "-o", "told", "--set", "train.epochs=2", "--set", "data.every=10",
+        "train", "cgnf-tiny", "--data", "motion.npz", "-o", "run", "--set", "train.epochs=2", "--set", "data.every=10",
         cwd=folder,
     )  # fmt: skip
     assert [line.split(":")[0] for line in done.stderr.splitlines()] == ["step 2 of 4, epoch 1", "step 4 of 4, epoch 2"]
@@ -158,8 +158,8 @@ main()
         ("import prohpe a.pkl -o a.pkl", "a.pkl is read already"),
         ("convert a.pt -o a.pt", "a.pt is read already"),
         ("losses a=b -o a.gif", "a.gif: .gif; expected a name that ends with .svg, .png or .pdf"),
-        ("losses A=b a=c -o a.png", "'A': named more than once"),
-        ("benchmark --data d.npz --subject S1 -o o --model x=a --model x=b", "'x': named more than once"),
+        ("losses A=b a=c -o a.png", "'A': given more than once"),
+        ("benchmark --data d.npz --subject S1 -o o --model x=a --model x=b", "'x': given more than once"),
     ],
 )
 def test_a_wrong_call_exits_with_2(arguments, words, tmp_path, monkeypatch):
@@ -187,13 +187,13 @@ def test_keypoints_that_a_file_lacks_are_named(folder):
     )
 
 
-def test_a_benchmark_on_people_seen_in_training_is_remarked_on(folder, tmp_path):
+def test_a_benchmark_on_training_subjects_prints_a_note(folder, tmp_path):
     done = posecal_models(
         "benchmark", "--data", "motion.npz", "--model", "t=tiny/weights.safetensors", "--subject", "S3",
         "--subject", "S1", "-o", tmp_path / "out", "--n", 2, "--every", 10, "--seeds", 1, cwd=folder,
     )  # fmt: skip
     assert done.returncode == 0
-    assert "note: t was not trained without S1. If that was on these data, it is no test." in done.stderr.splitlines()
+    assert "note: the training of t did not hold out S1; on the same data this is no test." in done.stderr.splitlines()
 
 
 def test_ctrl_c_exits_with_130_and_leaves_a_checkpoint_that_is_whole(folder):
@@ -226,7 +226,7 @@ def test_ctrl_c_exits_with_130_and_leaves_a_checkpoint_that_is_whole(folder):
     assert read_tensors(folder / "stopped" / "checkpoint.safetensors")[1]["training"]["step"] > 0
 
 
-def test_converting_a_released_checkpoint_lists_what_it_holds_in_vain(tmp_path):
+def test_converting_a_released_checkpoint_lists_its_unused_tensors(tmp_path):
     import torch
 
     with np.load(ROOT / "tests" / "fixtures" / "reference_models" / "tiny_state.npz") as file:
@@ -235,5 +235,5 @@ def test_converting_a_released_checkpoint_lists_what_it_holds_in_vain(tmp_path):
     assert done.returncode == 0, done.stderr
     assert "transform_net.layers.1.layers.c.weight (8, 8)" in done.stderr
     # per block: child to parent (2·8 + 8) + (8·8 + 8), last updates 2·(8·8 + 8), attention (4 + 1) + (16 + 1)
-    assert "24 tensors with 524 parameters" in done.stderr
+    assert "24 tensors with 524 unused parameters" in done.stderr
     assert posecal_models("describe", "w.safetensors", cwd=tmp_path).returncode == 0

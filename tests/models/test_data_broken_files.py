@@ -1,4 +1,4 @@
-"""Damaged files of every format end in one message, and never in anything else."""
+"""Damaged files of every format: one error message, and no other exception."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ READERS: list[tuple[Callable[[Path], Path], Callable[[Path], object]]] = [
     (a_pairs_file, LiftingSet.load),
     (a_packed_pairs_file, LiftingSet.load),
     (a_packed_pairs_file, KeypointSet.load),
-    (a_motion_file, lambda path: MocapPoses(path).seen_by_cameras(views=1)),
+    (a_motion_file, lambda path: MocapPoses(path).project(views=1)),
     (a_pickle_of_prohpe, read_prohpe),
     (a_file_of_videopose3d, lambda path: read_videopose3d(path, path.with_name("2d.npz"), {"S1": [CAMERA] * 2})),
     (the_keypoints_of_videopose3d, lambda path: read_videopose3d(path.with_name("3d.npz"), path, {"S1": [CAMERA] * 2})),

@@ -1,4 +1,4 @@
-"""Other projects' data: tiny files in each format, written here, come out as what was put in; hostile ones don't."""
+"""Readers of other projects' formats, on tiny files written here; invalid ones are refused."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def test_prohpe_s_flag_of_a_right_wrist_removes_the_right_wrist(tmp_path):
 
 def test_as_released_a_flag_of_a_right_wrist_removes_the_left_shoulder(tmp_path):
     prohpe(tmp_path)
-    pairs = read_prohpe(tmp_path / "merged.pickle", joined="as-released")
+    pairs = read_prohpe(tmp_path / "merged.pickle", join="as-released")
     removed = [name for name, seen in zip(pairs.keypoint_joints, pairs.observed[1], strict=True) if not seen]
     assert removed == ["Spine", "Neck/Nose", "Head", "LShoulder"]  # MPII lacks the first two
     Context(torch.from_numpy(pairs.keypoints), torch.from_numpy(pairs.observed))  # no observed one is NaN
@@ -221,8 +221,8 @@ def test_occluded_joints_are_those_without_an_observed_keypoint(tmp_path):
     np.testing.assert_array_equal(foot, ~pairs.observed[:, 0])
 
 
-def test_what_a_file_says_of_hidden_joints_stays_where_its_poses_are_parted(tmp_path):
-    """Its own word, beside keypoints that a detector saw all the same."""
+def test_the_occluded_joints_of_a_file_stay_where_its_poses_are_split(tmp_path):
+    """Declared in the file, also for joints whose keypoints were detected."""
     pairs = lifting_set()
     pairs.save(tmp_path / "a.npz")
     with np.load(tmp_path / "a.npz") as file:
@@ -270,7 +270,7 @@ def test_shapes_that_do_not_fit_are_all_named():
         LiftingSet(**{**vars(lifting_set()), "observed": np.ones((3, 2), bool), "sigma": np.ones((3, 2), np.float32)})
 
 
-def test_keypoints_without_poses_are_read_and_missing_ones_told_by_nan(tmp_path):
+def test_keypoints_without_poses_are_read_and_nan_marks_missing_ones(tmp_path):
     keypoints = numbers(3, 2, 2)
     keypoints[1, 0, 1] = np.nan
     np.savez(tmp_path / "k.npz", keypoints_2d=keypoints, joints=["RHip", "LHip"])

@@ -1,4 +1,4 @@
-"""Pairs of poses and keypoints: what a file declares is believed, and what it can't say is refused."""
+"""Pairs of poses and keypoints: declared layouts and units, and invalid files."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from posecal_models.contract import Context
 from posecal_models.data.keypoint_set import KeypointSet
 from posecal_models.data.lifting_set import LiftingSet
 from posecal_models.data.mocap import MocapPoses
-from posecal_models.data.sizes import check_millimetres
 from posecal_models.data.standardizer import check_pixels
+from posecal_models.data.unit_checks import check_millimetres
 from tests.models.test_data_formats import numbers
 
 NAMES = ("Hip", "RHip", "RKnee")
@@ -89,7 +89,7 @@ def test_poses_without_a_hip_are_refused_otherwise(tmp_path, said):
 
 
 def test_our_own_pairs_of_motion_hold_the_hip(tmp_path, motion_file):
-    MocapPoses(motion_file).seen_by_cameras(views=1, every=5).save(tmp_path / "a.npz")
+    MocapPoses(motion_file).project(views=1, every=5).save(tmp_path / "a.npz")
     assert LiftingSet.load(tmp_path / "a.npz").joints == joint_set("h36m-16")
 
 
@@ -126,7 +126,7 @@ def test_a_file_without_poses_is_named_with_what_it_holds(tmp_path):
         LiftingSet.load(tmp_path / "a.npz")
 
 
-def test_ones_and_noughts_say_which_keypoints_are_observed(tmp_path):
+def test_ones_and_zeros_mark_observed_keypoints(tmp_path):
     pairs_file(tmp_path / "a.npz", keypoints_observed=[[1, 0, 1]] * 3)
     assert KeypointSet.load(tmp_path / "a.npz").observed.tolist() == [[True, False, True]] * 3
 
@@ -134,7 +134,7 @@ def test_ones_and_noughts_say_which_keypoints_are_observed(tmp_path):
 # --- sizes --------------------------------------------------------------------------------------------------------
 
 
-def test_poses_that_are_not_finite_say_nothing_of_the_size():
+def test_poses_that_are_not_finite_are_ignored_in_the_size():
     poses = numbers(5, 3, 3)
     poses[:4] /= 1000
     poses[:4, 0] = np.nan
@@ -143,7 +143,7 @@ def test_poses_that_are_not_finite_say_nothing_of_the_size():
     check_millimetres(poses[:0], "poses")
 
 
-def test_half_of_the_poses_decide():
+def test_the_median_size_decides():
     poses = numbers(7, 3, 3)
     poses[:3] /= 1000
     check_millimetres(poses, "poses")
@@ -162,11 +162,13 @@ def keypoints() -> torch.Tensor:
 def test_keypoints_that_were_normalised_are_refused():
     observed = torch.ones(50, 4, dtype=torch.bool)
     check_pixels(Context(keypoints(), observed))
-    with pytest.raises(PoseDataError, match=r"spread over 0\.1\d* about their centre; expected 2 pixels or more"):
+    with pytest.raises(
+        PoseDataError, match=r"standard deviation 0\.1\d* about their centre; expected 2 pixels or more"
+    ):
         check_pixels(Context(keypoints() / 500 - 1, observed))
 
 
-def test_keypoints_that_are_not_observed_say_nothing_of_the_spread():
+def test_keypoints_that_are_not_observed_are_ignored_in_the_spread():
     seen, observed = keypoints() / 500, torch.ones(50, 4, dtype=torch.bool)
     seen[:, 0], observed[:, 0] = 1e6, False
     with pytest.raises(PoseDataError, match="look normalised already"):

@@ -1,4 +1,4 @@
-"""Pickles of plain data are read, whoever wrote them; what asks for more is refused before it does anything."""
+"""The safe reader of pickles: plain data of every protocol is read, anything else refused before it runs code."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from tests.models.test_data_formats import numbers
 PROTOCOLS = range(pickle.HIGHEST_PROTOCOL + 1)
 
 
-class _Runs:
-    """Something that would make a file when a pickle of it is loaded."""
+class _CreatesFolder:
+    """An object whose pickle creates a folder when it is loaded."""
 
     def __init__(self, proof: Path) -> None:
         self.proof = proof
@@ -44,7 +44,7 @@ def test_a_pickle_of_plain_data_is_read(tmp_path):
 @pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
 def test_a_hostile_pickle_is_refused_and_runs_nothing(tmp_path, protocol):
     proof = tmp_path / "it ran"
-    (tmp_path / "a.pkl").write_bytes(pickle.dumps({"poses": _Runs(proof)}, protocol=protocol))
+    (tmp_path / "a.pkl").write_bytes(pickle.dumps({"poses": _CreatesFolder(proof)}, protocol=protocol))
     with pytest.raises(PoseFileError, match=r"a\.pkl: asks for posix\.mkdir; expected a pickle of plain arrays"):
         read_pickle(tmp_path / "a.pkl")
     assert not proof.exists()
@@ -54,7 +54,7 @@ def test_a_hostile_pickle_is_refused_and_runs_nothing(tmp_path, protocol):
 
 def test_a_hostile_array_in_an_npz_is_refused_and_runs_nothing(tmp_path):
     proof = tmp_path / "it ran"
-    np.savez(tmp_path / "a.npz", positions_3d=np.array(_Runs(proof), dtype=object))
+    np.savez(tmp_path / "a.npz", positions_3d=np.array(_CreatesFolder(proof), dtype=object))
     with pytest.raises(PoseFileError, match=r"positions_3d\.npy: asks for posix\.mkdir"):
         read_object_npz(tmp_path / "a.npz")
     assert not proof.exists()
@@ -69,7 +69,7 @@ def test_a_hostile_array_in_an_npz_is_refused_and_runs_nothing(tmp_path):
         (b"c_codecs\nencode\n(S'a'\nS'rot13'\ntR.", "asks for the codec rot13"),
     ],
 )
-def test_a_damaged_or_sly_pickle_is_refused(tmp_path, content, words):
+def test_a_damaged_or_hostile_pickle_is_refused(tmp_path, content, words):
     (tmp_path / "a.pkl").write_bytes(content)
     with pytest.raises(PoseFileError, match=words):
         read_pickle(tmp_path / "a.pkl")
@@ -92,9 +92,9 @@ ARRAYS = {
     "with gaps": numbers(4, 6)[::2, ::3],
     "big endian": np.arange(6, dtype=">f4").reshape(2, 3),
     "half": np.arange(3, dtype=np.float16),
-    "whole": np.arange(5, dtype=">i2"),
+    "signed": np.arange(5, dtype=">i2"),
     "unsigned": np.arange(5, dtype=np.uint64),
-    "yes and no": np.array([True, False]),
+    "bools": np.array([True, False]),
     "no axis": np.array(2.5),
     "empty": np.zeros((0, 3)),
     "empty, of objects": np.zeros((0, 3), object),
@@ -104,7 +104,7 @@ ARRAYS = {
     "objects without an axis": np.array({"S1": 1}, object),
     "a number": np.float64(2.5),
     "a small number": np.int16(-3),
-    "a yes": np.bool_(True),
+    "a bool": np.bool_(True),
     "a word": np.str_("Walking"),
     "no word": np.str_(""),
 }
@@ -135,7 +135,7 @@ def test_arrays_and_numbers_come_back(tmp_path, name, protocol):
         np.testing.assert_array_equal(read, held)
 
 
-def test_numpy_1_s_names_are_other_ones():
+def test_pickles_of_numpy_1_use_its_names():
     written = [of_numpy_1(pickle.dumps(numbers(2), protocol=protocol)) for protocol in PROTOCOLS]
     assert all(b"numpy.core." in one and b"_core" not in one for one in written)
 
@@ -149,7 +149,7 @@ def test_arrays_of_objects_hold_arrays(tmp_path, protocol):
     assert third is None
 
 
-def test_what_is_held_twice_is_one(tmp_path):
+def test_shared_objects_stay_shared(tmp_path):
     held = numbers(2)
     (tmp_path / "a.pkl").write_bytes(pickle.dumps([held, held, (held,)]))
     first, second, (third,) = read_pickle(tmp_path / "a.pkl")
@@ -165,77 +165,77 @@ def test_a_pickle_of_python_2_is_read(tmp_path):
     np.testing.assert_array_equal(read_pickle(tmp_path / "a.pkl")["poses"], [1.5, -np.pi])
 
 
-# --- what a hostile pickle says of arrays ---------------------------------------------------------------------------
+# --- arrays in hostile pickles ----------------------------------------------------------------------------------------
 
 
-class Says:
-    """Something that a pickle makes by calling a name, and then changes."""
+class Call:
+    """An object whose pickle calls a global with arguments, and then sets a state."""
 
     def __init__(self, call: Callable[..., Any], *arguments: object, state: object = None) -> None:
-        self.said = (call, arguments) if state is None else (call, arguments, state)
+        self.reduced = (call, arguments) if state is None else (call, arguments, state)
 
     def __reduce__(self):
-        return self.said
+        return self.reduced
 
 
-BEGIN, SCALAR = np.zeros(0).__reduce__()[0], np.float64(0).__reduce__()[0]
-OF_BUFFER = np.zeros(0).__reduce_ex__(5)[0]
+RECONSTRUCT, SCALAR = np.zeros(0).__reduce__()[0], np.float64(0).__reduce__()[0]
+FROM_BUFFER = np.zeros(0).__reduce_ex__(5)[0]
 ADDRESS = struct.pack("<Q", 0x4141414141414141)
 
 
-def array_of(shape: object, dtype: object, content: object, *, fortran: bool = False, kind: type = np.ndarray) -> Says:
-    return Says(BEGIN, kind, (0,), b"b", state=(1, shape, dtype, fortran, content))
+def array_of(shape: object, dtype: object, content: object, *, fortran: bool = False, kind: type = np.ndarray) -> Call:
+    return Call(RECONSTRUCT, kind, (0,), b"b", state=(1, shape, dtype, fortran, content))
 
 
-def dtype_of(code: str, order: str = "<", *parts: object, flags: int = 0) -> Says:
+def dtype_of(code: str, order: str = "<", *parts: object, flags: int = 0) -> Call:
     subarray, names, fields = parts or (None, None, None)
-    return Says(np.dtype, code, False, True, state=(3, order, subarray, names, fields, 8, 1, flags))
+    return Call(np.dtype, code, False, True, state=(3, order, subarray, names, fields, 8, 1, flags))
 
 
 FORGED = ("|", None, ("a",), {"a": (np.dtype(object), 0)})
 F8 = np.dtype("f8")
-HIMSELF: list[Any] = []
-HIMSELF.append(HIMSELF)
+CYCLE: list[Any] = []
+CYCLE.append(CYCLE)
 
 
 @pytest.mark.parametrize(
     ("held", "words"),
     [
-        (array_of((1,), dtype_of("V8", *FORGED), ADDRESS), "asks for the type 'V8'"),
-        (array_of((1,), dtype_of("f8", *FORGED), ADDRESS), "asks for records or subarrays, as the type f8"),
+        (array_of((1,), dtype_of("V8", *FORGED), ADDRESS), "asks for the dtype 'V8'"),
+        (array_of((1,), dtype_of("f8", *FORGED), ADDRESS), "asks for records or subarrays, as the dtype f8"),
         (array_of((1,), dtype_of("O8", "|"), ADDRESS), r"has bytes for an array of \(1,\) objects"),
-        (Says(OF_BUFFER, ADDRESS, dtype_of("V8", *FORGED), (1,), "C"), "asks for the type 'V8'"),
-        (Says(SCALAR, dtype_of("V8", *FORGED), ADDRESS), "asks for the type 'V8'"),
-        (Says(SCALAR, np.dtype(object), [1]), "asks for an object as a number"),
-        (np.zeros(2, [("x", "f8")]), "asks for the type 'V8'"),
-        (np.zeros(2, "V3"), "asks for the type 'V3'"),
-        (np.zeros(2, "M8[s]"), "asks for the type 'M8'"),
-        (np.zeros(2, complex), "asks for the type 'c16'"),
+        (Call(FROM_BUFFER, ADDRESS, dtype_of("V8", *FORGED), (1,), "C"), "asks for the dtype 'V8'"),
+        (Call(SCALAR, dtype_of("V8", *FORGED), ADDRESS), "asks for the dtype 'V8'"),
+        (Call(SCALAR, np.dtype(object), [1]), "asks for an object as a number"),
+        (np.zeros(2, [("x", "f8")]), "asks for the dtype 'V8'"),
+        (np.zeros(2, "V3"), "asks for the dtype 'V3'"),
+        (np.zeros(2, "M8[s]"), "asks for the dtype 'M8'"),
+        (np.zeros(2, complex), "asks for the dtype 'c16'"),
         (array_of((2,), dtype_of("f8", "<", (F8, (2,)), None, None), bytes(32)), "asks for records or subarrays"),
-        (array_of((1,), dtype_of("f8", "<O"), bytes(8)), "says too little of the type f8"),
-        (array_of((1,), Says(np.dtype, "f8,f8"), bytes(16)), "asks for the type 'f8,f8'"),
+        (array_of((1,), dtype_of("f8", "<O"), bytes(8)), "has an invalid state of the dtype f8"),
+        (array_of((1,), Call(np.dtype, "f8,f8"), bytes(16)), "asks for the dtype 'f8,f8'"),
         (array_of((10**15,), F8, bytes(8)), r"has 8 bytes for an array of \(1000000000000000,\) float64"),
         (array_of((10**15,), np.dtype("U0"), b""), "."),
-        (array_of((1,), np.dtype("U1"), b"\xff" * 4), "letters that are none"),
+        (array_of((1,), np.dtype("U1"), b"\xff" * 4), "invalid code points"),
         (array_of((-1,), F8, bytes(8)), r"asks for an array of shape \(-1,\)"),
         (array_of((-1, -1), F8, bytes(8)), r"asks for an array of shape \(-1, -1\)"),
         (array_of((True,), F8, bytes(8)), r"asks for an array of shape \(True,\)"),
         (array_of((1.0,), F8, bytes(8)), r"asks for an array of shape \(1\.0,\)"),
         (array_of([1], F8, bytes(8)), r"asks for an array of shape \[1\]"),
         (array_of((1,), F8, [1.0]), r"has list for an array of \(1,\) float64"),
-        (array_of((1,), "f8", bytes(8)), "asks for an array without a type"),
+        (array_of((1,), "f8", bytes(8)), "asks for an array without a dtype"),
         (array_of((3,), np.dtype(object), [1, 2]), r"has 2 objects for an array of \(3,\)"),
         (array_of((1,), F8, bytes(8), kind=np.matrix), r"asks for numpy\.matrix|asks for numpy\.matrixlib"),
-        (Says(BEGIN, np.dtype, (0,), b"b"), "asks for an array of another class"),
-        (Says(np.ndarray, (10**15,), "f8"), "makes an array that it does not fill"),
-        (Says(OF_BUFFER, bytes(8), F8, (1,), "A"), "asks for an array in the order A"),
-        (Says(OF_BUFFER, bytes(8), F8, (1,), "K", (3,)), "."),
+        (Call(RECONSTRUCT, np.dtype, (0,), b"b"), "asks for an array of another class"),
+        (Call(np.ndarray, (10**15,), "f8"), "makes an array without content"),
+        (Call(FROM_BUFFER, bytes(8), F8, (1,), "A"), "asks for an array in the order A"),
+        (Call(FROM_BUFFER, bytes(8), F8, (1,), "K", (3,)), "."),
         (np.dtype("f8"), "holds a dtype"),
-        (np.ndarray, "holds a named"),
+        (np.ndarray, "holds a callable"),
         ({1, 2}, "holds a set|asks for"),
         (bytearray(3), "holds a bytearray|asks for"),
-        (HIMSELF, "holds something that holds itself"),
-        (array_of((1,), np.dtype(object), [{"deep": array_of((1,), dtype_of("V8", *FORGED), ADDRESS)}]), "type 'V8'"),
+        (CYCLE, "holds an object that contains itself"),
+        (array_of((1,), np.dtype(object), [{"deep": array_of((1,), dtype_of("V8", *FORGED), ADDRESS)}]), "dtype 'V8'"),
     ],
 )
 @pytest.mark.parametrize("protocol", [2, 4, 5])
@@ -249,8 +249,8 @@ def test_a_pickle_that_forges_arrays_is_refused(tmp_path, protocol, held, words)
     ("content", "words"),
     [
         (b"\x80\x02" + b"]" * 500 + b"a" * 499 + b".", "is nested more than 100 deep"),
-        (b"\x80\x02c_codecs\nencode\n}U\x0c__defaults__K\x01sb.", "changes the names that it asks for"),
-        (b"\x80\x02c_codecs\nencode\nN}U\x0c__defaults__K\x01s\x86b.", "changes the names that it asks for"),
+        (b"\x80\x02c_codecs\nencode\n}U\x0c__defaults__K\x01sb.", "changes the state of a global"),
+        (b"\x80\x02c_codecs\nencode\nN}U\x0c__defaults__K\x01s\x86b.", "changes the state of a global"),
         (b"\x80\x02cnumpy\ndtype\n)\x81.", "is not a type"),
         (b"\x80\x04\x8e" + b"\xff" * 8 + b".", "exceeds system's maximum size"),
         (b"\x80\x04\x8e" + b"\xff" * 7 + b"\x0f.", "."),
@@ -258,14 +258,14 @@ def test_a_pickle_that_forges_arrays_is_refused(tmp_path, protocol, held, words)
     ],
     ids=["deep", "changed", "changed by slots", "made anew", "too long", "too large", "cut off"],
 )
-def test_a_pickle_that_changes_names_or_lies_about_lengths_is_refused(tmp_path, content, words):
+def test_a_pickle_that_changes_globals_or_has_wrong_lengths_is_refused(tmp_path, content, words):
     (tmp_path / "a.pkl").write_bytes(content)
     with pytest.raises(PoseFileError, match=rf"a\.pkl: .*({words}).*; expected a pickle of plain"):
         read_pickle(tmp_path / "a.pkl")
 
 
-def test_a_place_that_a_few_bytes_name_takes_no_memory(tmp_path):
-    (tmp_path / "a.pkl").write_bytes(b"\x80\x02]r\xff\xff\xff\x00.")  # an empty list, noted as the 2^24th thing
+def test_a_large_memo_index_allocates_no_memory(tmp_path):
+    (tmp_path / "a.pkl").write_bytes(b"\x80\x02]r\xff\xff\xff\x00.")  # an empty list, with memo index 2^24
     tracemalloc.start()
     try:
         assert read_pickle(tmp_path / "a.pkl") == []

@@ -1,4 +1,4 @@
-"""Gaussian noise: its density against SciPy, its trainings against closed forms."""
+"""The Gaussian noise model: density against SciPy, trainings against closed forms."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ JOINTS = ("a", "b")
 
 
 def noise_model(spread: str = "joint") -> GaussianNoise:
-    """A Gaussian around a network that always says 0 mm."""
+    """Gaussian noise around a network whose output is always 0 mm."""
     mean = SimpleBaseline(JOINTS, JOINTS, width=4, origin="none")
     mean.last.weight.data.zero_()
     mean.last.bias.data.zero_()
@@ -83,18 +83,18 @@ def test_min_mpjpe_training_finds_the_sigma_of_the_quadrature():
     optimizer = torch.optim.Adam([model.log_sigma], 0.05)
     generator = torch.Generator().manual_seed(2)
     empty = Context(torch.zeros(many, 1, 2), torch.ones(many, 1, dtype=torch.bool))
-    found = []
+    sigmas = []
     for step in range(120):
         for group in optimizer.param_groups:
             group["lr"] = 0.05 * (1 - step / 120)
         optimizer.zero_grad()
         objective.backward(empty, poses, generator=generator)
         optimizer.step()
-        found.append(float(model.log_sigma.detach().exp()))
+        sigmas.append(float(model.log_sigma.detach().exp()))
     # the minimum is flat: within 4 % of σ the expected error changes by less than the standard error of 4,000 poses
     standard_error = 100 * 0.3 / math.sqrt(many)
-    assert true_sigma * (expected_error(found[-1] / true_sigma) - expected_error(best / true_sigma)) < standard_error
-    np.testing.assert_allclose(found[-1], best, rtol=0.04)
+    assert true_sigma * (expected_error(sigmas[-1] / true_sigma) - expected_error(best / true_sigma)) < standard_error
+    np.testing.assert_allclose(sigmas[-1], best, rtol=0.04)
 
 
 def test_samples_have_the_mean_and_the_sigma():

@@ -1,4 +1,4 @@
-"""What an estimator gets to see: the detector's noise, the augmentation, the standardizer, the training batches."""
+"""Inputs of estimators: the detector's noise, augmentation, standardisation, training batches."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from posecal_models.cgnf.flow import SIZES
 from posecal_models.cgnf.model import CGNF
 from posecal_models.contract import Context
 from posecal_models.data.detector import Detector
-from posecal_models.data.masks import SHARES, hide
+from posecal_models.data.masks import SHARES, mask_keypoints
 from posecal_models.data.standardizer import Standardizer
-from posecal_models.data.training_set import TrainingSet, seeded
+from posecal_models.data.training_set import TrainingSet, seeded_generator
 from posecal_models.train import draw_graphs
-from tests.models.some_flows import below_a_hip
+from tests.models.random_flows import with_hip_keypoint
 from tests.models.test_data_formats import lifting_set
 
 
@@ -57,7 +57,7 @@ def test_the_two_directions_of_a_hidden_keypoint_share_their_tail():
     assert stats.spearmanr(noise[:, 0], noise[:, 1]).statistic > 0.1
 
 
-def test_the_reported_sigma_tells_which_keypoints_are_missing():
+def test_the_reported_sigma_marks_missing_keypoints():
     context, _ = draws()
     assert set(context.sigma.unique().tolist()) == {3.0, 25.0}
     assert torch.equal(context.observed, context.sigma <= 5)
@@ -88,26 +88,26 @@ def test_a_detector_refuses_numbers_out_of_range(options, words):
 def test_the_paper_keeps_a_share_of_the_observed_keypoints(share):
     generator = torch.Generator().manual_seed(0)
     observed = torch.rand(500, 16, generator=generator) < 0.7
-    kept = hide(observed, torch.full((500,), share), generator)
-    assert not (kept & ~observed).any()
+    masked = mask_keypoints(observed, torch.full((500,), share), generator)
+    assert not (masked & ~observed).any()
     expected = torch.round(share * observed.sum(1)).clamp(min=1)
-    np.testing.assert_array_equal(kept.sum(1), expected)
+    np.testing.assert_array_equal(masked.sum(1), expected)
 
 
 def test_the_released_code_removes_a_share_of_all_slots():
     generator = torch.Generator().manual_seed(0)
     everything, nothing = torch.ones(300, 16, dtype=torch.bool), torch.zeros(300, 16, dtype=torch.bool)
-    kept = hide(everything, torch.full((300,), 0.4), generator, kind="released")
-    np.testing.assert_array_equal(kept.sum(1), 16 - round(0.6 * 16))
-    assert not hide(nothing, torch.full((300,), 0.4), generator, kind="released").any()
+    masked = mask_keypoints(everything, torch.full((300,), 0.4), generator, kind="released")
+    np.testing.assert_array_equal(masked.sum(1), 16 - round(0.6 * 16))
+    assert not mask_keypoints(nothing, torch.full((300,), 0.4), generator, kind="released").any()
 
 
 def test_every_keypoint_is_as_likely_to_stay():
-    kept = hide(
+    masked = mask_keypoints(
         torch.ones(8000, 16, dtype=torch.bool), torch.full((8000,), 0.25), torch.Generator().manual_seed(0)
     ).sum(0)
     # 4 of 16 stay: binomial with 8,000 trials of 1/4
-    assert float((kept - 2000).abs().max()) < 4 * math.sqrt(8000 * 0.25 * 0.75)
+    assert float((masked - 2000).abs().max()) < 4 * math.sqrt(8000 * 0.25 * 0.75)
 
 
 def test_five_graphs_of_a_pose_are_all_and_the_four_shares():
@@ -151,7 +151,7 @@ def test_standardised_training_data_have_mean_0_and_deviation_1():
     np.testing.assert_allclose(standardizer.millimetres(x), poses, atol=1e-3)
 
 
-def test_a_person_elsewhere_in_the_image_looks_the_same():
+def test_the_position_in_the_image_does_not_change_standardised_keypoints():
     standardizer = Standardizer(4)
     keypoints = torch.randn(6, 4, 2, generator=torch.Generator().manual_seed(0)) * 60
     observed = torch.tensor([True, True, False, True]).expand(6, 4)
@@ -168,7 +168,7 @@ def test_the_log_determinant_turns_a_unitless_density_into_one_in_mm():
 def test_the_released_constants_are_named():
     standardizer = Standardizer.released(16)
     np.testing.assert_allclose(standardizer.poses(torch.full((1, 16, 3), 1000.0)), 3.6, rtol=1e-6)
-    keypoints = below_a_hip(torch.full((1, 16, 2), 100.0), torch.ones(1, 16, dtype=torch.bool))
+    keypoints = with_hip_keypoint(torch.full((1, 16, 2), 100.0), torch.ones(1, 16, dtype=torch.bool))
     np.testing.assert_allclose(standardizer.keypoints(keypoints)[:, 1:], 1.39, rtol=1e-5)
 
 
@@ -185,7 +185,7 @@ def test_weights_that_read_keypoints_relative_to_the_hip_need_it():
         estimator(Context(keypoints, observed))
 
 
-def test_pixels_that_were_normalised_already_are_refused():
+def test_keypoints_that_are_normalised_already_are_refused():
     standardizer = Standardizer(4)
     keypoints = torch.randn(50, 4, 2, generator=torch.Generator().manual_seed(0)) * 60
     observed = torch.ones(50, 4, dtype=torch.bool)
@@ -209,16 +209,16 @@ def test_poses_that_are_all_alike_are_refused():
 def test_batches_are_in_the_estimator_s_order_and_noise_is_drawn_anew():
     data = TrainingSet(lifting_set(), ("RFoot", "RHip"), ("RHip", "RFoot"), detector=Detector())
     rows = torch.tensor([2, 0])
-    (one, truth), (two, _) = (data.batch(rows, seeded("cpu", 0, step)) for step in (1, 2))
+    (one, truth), (two, _) = (data.batch(rows, seeded_generator("cpu", 0, step)) for step in (1, 2))
     np.testing.assert_array_equal(truth, lifting_set().poses[[2, 0]][:, [2, 0]])
     assert not torch.equal(one.keypoints, two.keypoints)
-    again, _ = data.batch(rows, seeded("cpu", 0, 1))
+    again, _ = data.batch(rows, seeded_generator("cpu", 0, 1))
     assert torch.equal(one.keypoints, again.keypoints)
 
 
 def test_without_a_detector_keypoints_are_taken_as_they_are():
     data = TrainingSet(lifting_set(), ("RFoot", "RHip"), ("RHip", "RFoot"))
-    context, _ = data.batch(torch.tensor([1]), seeded("cpu", 0))
+    context, _ = data.batch(torch.tensor([1]), seeded_generator("cpu", 0))
     np.testing.assert_array_equal(context.keypoints[0], lifting_set().keypoints[1][[1, 0]])
 
 

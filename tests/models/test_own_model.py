@@ -1,4 +1,4 @@
-"""Somebody else's model: the example of docs/models.md, run as it stands there."""
+"""An estimator of one's own: the example of docs/models.md, run as printed."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_the_example_is_short():
 def test_the_example_runs_and_posecal_evaluates_it(motion_file, tmp_path):
     seen = MocapPoses(motion_file)
     for name, subjects in (("train", ["S1", "S2", "S3"]), ("test", ["S4"])):
-        Detector().seen(seen.seen_by_cameras(subjects=subjects, views=2)).save(tmp_path / f"{name}.npz")
+        Detector().detect_set(seen.project(subjects=subjects, views=2)).save(tmp_path / f"{name}.npz")
     (tmp_path / "own.py").write_text(example(), encoding="utf-8")
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     subprocess.run([sys.executable, "own.py"], cwd=tmp_path, env=environment, check=True)

@@ -1,4 +1,4 @@
-"""What training makes of the keypoints that the data hold, and of the units and the origin that are asked for."""
+"""Setup of a training: available keypoints, units and origin of the standardizer, initial weights."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FLOW = {"model": {"kind": "cgnf", "size": "tiny"}, "train": {"epochs": 1, "batch
 @pytest.fixture
 def pairs(motion_file):
     """Poses with exact keypoints, the hip's first among them."""
-    seen = MocapPoses(motion_file).seen_by_cameras(views=1, every=5)
+    seen = MocapPoses(motion_file).project(views=1, every=5)
     hip = seen.keypoints.mean(1, keepdims=True)
     return replace(
         seen,
@@ -40,7 +40,7 @@ def pairs(motion_file):
 
 def trained(pairs, folder, table, **model):
     pairs.save(folder / "pairs.npz")
-    config = Config.of_table({**table, "model": {**table["model"], **model}})
+    config = Config.from_table({**table, "model": {**table["model"], **model}})
     prepare(config, folder / "pairs.npz", folder / "run").run()
     return load_estimator(folder / "run" / WEIGHTS)
 
@@ -84,7 +84,7 @@ def test_keypoints_may_be_read_relative_to_the_hip(pairs, tmp_path, table):
 
 
 def test_data_without_a_hip_can_t_be_read_relative_to_it(motion_file, tmp_path):
-    config = Config.of_table({**FLOW, "model": {**FLOW["model"], "origin": "root"}})
+    config = Config.from_table({**FLOW, "model": {**FLOW["model"], "origin": "root"}})
     with pytest.raises(PoseDataError, match=r"^keypoints: no Hip in 640 of 640 images, and the others are read"):
         prepare(config, motion_file, tmp_path / "run").run()
 
@@ -101,7 +101,7 @@ def test_the_root_is_never_hidden(augmentation):
 
 
 def test_a_baseline_is_not_read_relative_to_another_joint_than_the_hip(motion_file, tmp_path):
-    config = Config.of_table({**BASELINE, "model": {**BASELINE["model"], "origin": "root"}})
+    config = Config.from_table({**BASELINE, "model": {**BASELINE["model"], "origin": "root"}})
     with pytest.raises(PoseDataError, match=r"^keypoints: no image has the Hip's, and model\.origin = root reads"):
         prepare(config, motion_file, tmp_path / "run")
 
@@ -110,7 +110,7 @@ def test_a_baseline_of_fewer_keypoints_can_be_started_from(pairs, tmp_path):
     names = tuple("Tail" if name == "Spine" else name for name in pairs.keypoint_joints)
     first = trained(replace(pairs, keypoint_joints=names), tmp_path, BASELINE)
     start = {**BASELINE["model"], "start": str(tmp_path / "run" / WEIGHTS)}
-    again = prepare(Config.of_table({**BASELINE, "model": start}), tmp_path / "pairs.npz", tmp_path / "again")
+    again = prepare(Config.from_table({**BASELINE, "model": start}), tmp_path / "pairs.npz", tmp_path / "again")
     assert again.estimator.keypoints == first.keypoints
 
 
@@ -119,21 +119,21 @@ def test_a_gaussian_is_not_started_around_another_mean(pairs, tmp_path):
     for name, seed in (("one", 0), ("two", 1)):
         pairs.save(tmp_path / "pairs.npz")
         config = {**BASELINE, "train": BASELINE["train"] | {"seed": seed}}
-        prepare(Config.of_table(config), tmp_path / "pairs.npz", tmp_path / name).run()
+        prepare(Config.from_table(config), tmp_path / "pairs.npz", tmp_path / name).run()
     one, two = (str(tmp_path / name / WEIGHTS) for name in ("one", "two"))
     table["model"]["mean"] = one
-    prepare(Config.of_table(table), tmp_path / "pairs.npz", tmp_path / "noise").run()
+    prepare(Config.from_table(table), tmp_path / "pairs.npz", tmp_path / "noise").run()
     table["model"]["start"] = str(tmp_path / "noise" / WEIGHTS)
-    prepare(Config.of_table(table), tmp_path / "pairs.npz", tmp_path / "same")
+    prepare(Config.from_table(table), tmp_path / "pairs.npz", tmp_path / "same")
     table["model"]["mean"] = two
     with pytest.raises(PoseDataError, match=r"differs from the configuration in the weights of the mean"):
-        prepare(Config.of_table(table), tmp_path / "pairs.npz", tmp_path / "other")
+        prepare(Config.from_table(table), tmp_path / "pairs.npz", tmp_path / "other")
 
 
 @pytest.mark.parametrize("model", [{}, {"units": "released"}])
 def test_normalised_keypoints_are_never_trained_on(pairs, tmp_path, model):
     pairs = replace(pairs, keypoints=pairs.keypoints / 500 - 1)
-    with pytest.raises(PoseDataError, match="They look normalised already: give the pixels"):
+    with pytest.raises(PoseDataError, match="They look normalised already: give pixels"):
         trained(pairs, tmp_path, FLOW, **model)
 
 

@@ -1,4 +1,4 @@
-"""Hypotheses in files: read by posecal, the same whatever the memory, none half-written."""
+"""Sampling into files: read by posecal, in constant memory, written atomically; and the contract of estimators."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.fixture(scope="module")
 def pairs(motion_file) -> LiftingSet:
-    return Detector().seen(MocapPoses(motion_file).seen_by_cameras(views=2, every=2))
+    return Detector().detect_set(MocapPoses(motion_file).project(views=2, every=2))
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""The folder of a training: nothing is overwritten, nothing noticed late, and nothing mixed with other data."""
+"""The folder of a training: no file overwritten, problems reported before training, no resuming with other data."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ TABLE = {
 
 def training(motion, folder, *, resume=False, **data):
     table = {**TABLE, "data": {**TABLE["data"], **data}}
-    return prepare(Config.of_table(table), motion, folder, resume=resume)
+    return prepare(Config.from_table(table), motion, folder, resume=resume)
 
 
-def changed(motion: Path, to: Path, **members) -> Path:
+def modified(motion: Path, to: Path, **members) -> Path:
     with np.load(motion) as file:
         np.savez(to, **{**{name: file[name] for name in file.files}, **members})
     return to
 
 
-# --- what is there ----------------------------------------------------------------------------------------------
+# --- existing files ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("resume", [False, True])
@@ -43,7 +43,7 @@ def changed(motion: Path, to: Path, **members) -> Path:
 def test_files_without_a_checkpoint_are_not_overwritten(motion_file, tmp_path, name, resume):
     (tmp_path / "keep").mkdir()
     (tmp_path / "keep" / name).write_bytes(b"precious")
-    with pytest.raises(PoseFileError, match=rf"keep: holds {name}, but no {CHECKPOINT} that --resume could go on from"):
+    with pytest.raises(PoseFileError, match=rf"keep: holds {name}, but no {CHECKPOINT} to resume from"):
         training(motion_file, tmp_path / "keep", resume=resume)
     assert (tmp_path / "keep" / name).read_bytes() == b"precious"
 
@@ -73,17 +73,17 @@ def test_a_folder_that_can_t_be_written_into_is_noticed_before_any_work(tmp_path
 # --- other data -------------------------------------------------------------------------------------------------
 
 
-def test_other_data_are_refused_and_what_differs_is_said(motion_file, tmp_path, monkeypatch, capsys):
-    training(motion_file, tmp_path / "run").run(most_steps=2)
+def test_other_data_are_refused_and_the_differences_named(motion_file, tmp_path, monkeypatch, capsys):
+    training(motion_file, tmp_path / "run").run(max_steps=2)
     with np.load(motion_file) as file:
         poses, subject = file["poses"].copy(), file["subject"]
     poses[7, 3, 1] += 1
-    other = changed(motion_file, tmp_path / "other.npz", poses=poses)
+    other = modified(motion_file, tmp_path / "other.npz", poses=poses)
     with pytest.raises(
         PoseDataError, match=rf"run/{CHECKPOINT}: of other data \(poses differ\)\. Give the data it was"
     ):
         training(other, tmp_path / "run", resume=True)
-    both = changed(other, tmp_path / "both.npz", subject=subject[::-1])
+    both = modified(other, tmp_path / "both.npz", subject=subject[::-1])
     with pytest.raises(PoseDataError, match=r"of other data \(poses, subject differ\)"):
         training(both, tmp_path / "run", resume=True)
 
@@ -110,17 +110,17 @@ def test_other_data_are_refused_and_what_differs_is_said(motion_file, tmp_path, 
 
 
 def test_the_same_data_in_another_file_go_on(motion_file, tmp_path):
-    training(motion_file, tmp_path / "run").run(most_steps=2)
+    training(motion_file, tmp_path / "run").run(max_steps=2)
     with np.load(motion_file) as file:
         poses = file["poses"]
     big_endian = poses.astype(poses.dtype.newbyteorder(">"))
-    same = changed(motion_file, tmp_path / "same.npz", poses=big_endian, remark=np.array("a copy"))
+    same = modified(motion_file, tmp_path / "same.npz", poses=big_endian, remark=np.array("a copy"))
     assert digests(same) == digests(motion_file)
     assert training(same, tmp_path / "run", resume=True).step == 2
 
 
 def test_a_checkpoint_from_before_data_had_digests_goes_on_and_then_has_them(motion_file, tmp_path):
-    training(motion_file, tmp_path / "run").run(most_steps=2)
+    training(motion_file, tmp_path / "run").run(max_steps=2)
     tensors, about = read_tensors(tmp_path / "run" / CHECKPOINT)
     del about["training"]["data"]
     write_tensors(tmp_path / "run" / CHECKPOINT, tensors, about)
@@ -136,7 +136,7 @@ def test_a_checkpoint_from_before_data_had_digests_goes_on_and_then_has_them(mot
 @pytest.mark.parametrize("broken", [math.nan, math.inf])
 def test_a_validation_loss_that_is_not_finite_stops_the_training_and_says_where(motion_file, tmp_path, broken):
     run = training(motion_file, tmp_path / "run")
-    run.run(most_steps=3)
+    run.run(max_steps=3)
     before = (tmp_path / "run" / CHECKPOINT).read_bytes()
     run.validation.poses[5] = broken
     words = rf"validation: after step 4 \(epoch 2\) loss is {broken}\. The checkpoint in .*run is from before\. Lower"
@@ -145,7 +145,7 @@ def test_a_validation_loss_that_is_not_finite_stops_the_training_and_says_where(
     assert (tmp_path / "run" / CHECKPOINT).read_bytes() == before
 
 
-def test_no_checkpoint_is_promised_where_there_is_none(motion_file, tmp_path):
+def test_no_checkpoint_is_mentioned_where_there_is_none(motion_file, tmp_path):
     run = training(motion_file, tmp_path / "run")
     run.data.poses[:] = math.nan
     with pytest.raises(PoseDataError, match=r"at step 0 \(epoch 1\).*\. Lower train\.learning_rate") as caught:
@@ -153,17 +153,17 @@ def test_no_checkpoint_is_promised_where_there_is_none(motion_file, tmp_path):
     assert "checkpoint" not in str(caught.value)
 
 
-def test_without_validation_the_training_loss_is_judged(motion_file, tmp_path):
+def test_without_validation_the_training_loss_selects_the_weights(motion_file, tmp_path):
     run = training(motion_file, tmp_path / "run", validation_subjects=[])
-    told = []
-    run.run(on_step=lambda standing: told.append(standing.validation))
-    assert told == [None] * 4
+    losses = []
+    run.run(on_step=lambda progress: losses.append(progress.validation))
+    assert losses == [None] * 4
     rows = np.genfromtxt(tmp_path / "run" / LOSSES, delimiter=",", names=True)
     assert np.isnan(rows["validation_loss"]).all()
     assert run.schedule.best == pytest.approx(rows["training_loss"].min(), rel=1e-6)
 
 
-def test_the_weights_say_which_step_they_are_of(motion_file, tmp_path):
+def test_the_weights_note_their_step(motion_file, tmp_path):
     """The one of the lowest validation loss, not the last."""
     run = training(motion_file, tmp_path / "run")
     run.run()
@@ -173,7 +173,7 @@ def test_the_weights_say_which_step_they_are_of(motion_file, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["gt", "axes", "root_relative", "occluded", "keypoint_joints", "unit"])
-def test_every_member_that_a_reader_reads_tells_data_apart(tmp_path, name):
+def test_digests_cover_every_member_that_a_reader_reads(tmp_path, name):
     members = {member: np.zeros(2) for member in ("gt", "axes", "root_relative", "occluded", "keypoint_joints", "unit")}
     np.savez(tmp_path / "one.npz", **members)
     np.savez(tmp_path / "two.npz", **{**members, name: np.ones(2)})

@@ -1,4 +1,4 @@
-"""What a person sees of a training on a terminal of 80 columns."""
+"""The progress of a training on a terminal of 80 columns."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from rich.console import Console
 
 from posecal_models.config import Config
 from posecal_models.preparation import prepare
-from posecal_models.progress import TrainingBar
+from posecal_models.progress import TrainingProgressBar
 
 
-def bar_of(motion_file, folder, width: int) -> tuple[TrainingBar, Console]:
+def bar_of(motion_file, folder, width: int) -> tuple[TrainingProgressBar, Console]:
     table = {
         "model": {"kind": "cgnf", "size": "tiny"},
         "data": {"validation_subjects": ["S3"], "views": 1},
         "train": {"epochs": 2, "batch": 8, "sample_weight": 0.1, "steps_per_epoch": 1},
     }
     console = Console(width=width, file=io.StringIO(), force_terminal=True, color_system=None)
-    return TrainingBar(prepare(Config.of_table(table), motion_file, folder), console), console
+    return TrainingProgressBar(prepare(Config.from_table(table), motion_file, folder), console), console
 
 
-def lines(bar: TrainingBar, console: Console) -> list[str]:
+def lines(bar: TrainingProgressBar, console: Console) -> list[str]:
     with console.capture() as captured:
         console.print(bar.get_renderable())
     return captured.get().splitlines()
@@ -34,17 +34,17 @@ def test_before_the_first_step_there_is_one_line(motion_file, tmp_path):
     assert "learning rate 0.001" in line
 
 
-def test_with_every_loss_nothing_is_lost_and_the_last_epoch_is_the_last(motion_file, tmp_path):
+def test_every_loss_is_shown_and_the_epoch_is_at_most_the_last(motion_file, tmp_path):
     bar, console = bar_of(motion_file, tmp_path / "run", 80)
-    seen = []
+    screens = []
 
-    def tell(standing):
-        bar.tell(standing)
-        seen.append(lines(bar, console))
+    def show(progress):
+        bar.show(progress)
+        screens.append(lines(bar, console))
 
-    bar._run.run(on_step=tell)
-    assert [len(each) for each in seen] == [2, 2]
-    for (first, second), epoch, step in zip(seen, (2, 2), (1, 2), strict=True):
+    bar._run.run(on_step=show)
+    assert [len(screen) for screen in screens] == [2, 2]
+    for (first, second), epoch, step in zip(screens, (2, 2), (1, 2), strict=True):
         assert len(first) <= 80
         assert len(second) <= 80
         assert first.startswith(f"epoch {epoch} of 2 ")

@@ -1,4 +1,4 @@
-"""Settings of a training that can't work are refused before any work, each with one message."""
+"""Invalid settings of a training are refused before any computation, each with one message."""
 
 from __future__ import annotations
 
@@ -48,12 +48,12 @@ TABLES = (ModelConfig, DataConfig, TrainConfig, Detector)
 )
 def test_a_setting_that_can_t_work_is_refused(change, words):
     with pytest.raises(PoseDataError, match=words):
-        BASELINE.changed([change])
+        BASELINE.with_changes([change])
 
 
 def test_one_subject_can_t_be_for_test_and_validation():
     with pytest.raises(PoseDataError, match=r"test_subjects and data\.validation_subjects: both name S4"):
-        BASELINE.changed(['data.test_subjects=["S3", "S4"]', 'data.validation_subjects=["S4", "S5"]'])
+        BASELINE.with_changes(['data.test_subjects=["S3", "S4"]', 'data.validation_subjects=["S4", "S5"]'])
 
 
 def test_a_detector_may_see_hidden_keypoints_alone():
@@ -75,7 +75,7 @@ def test_every_number_has_a_limit_and_must_be_finite(table):
 
 
 def test_a_whole_number_may_stand_for_a_float():
-    assert Config().changed(["train.learning_rate=1"]).train.learning_rate == 1.0
+    assert Config().with_changes(["train.learning_rate=1"]).train.learning_rate == 1.0
 
 
 @pytest.mark.parametrize("name", named_configs())
@@ -89,7 +89,7 @@ def test_a_file_that_is_not_utf_8_is_refused(tmp_path):
         Config.load(str(tmp_path / "a.toml"))
 
 
-def test_the_command_says_it_in_one_line_and_exits_with_3(tmp_path, monkeypatch, capsys):
+def test_the_command_prints_one_line_and_exits_with_3(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     arguments = ["train", "cgnf-tiny", "--data", "nowhere.npz", "-o", "run", "--set", "data.every=0"]
     monkeypatch.setattr(sys, "argv", ["posecal-models", *arguments])

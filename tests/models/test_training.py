@@ -1,4 +1,4 @@
-"""Training: resumed as if never interrupted, stopped where numbers break."""
+"""Training: exact resuming, schedules, held-out subjects, and numbers that are not finite."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ BASELINE = {
 
 
 def training(table, motion_file, folder, *, resume=False, **train):
-    config = Config.of_table({**table, "train": {**table["train"], **train}})
+    config = Config.from_table({**table, "train": {**table["train"], **train}})
     return prepare(config, motion_file, folder, resume=resume)
 
 
@@ -48,7 +48,7 @@ def test_a_training_that_was_stopped_goes_on_to_the_same_result(motion_file, tmp
     whole = training(table, motion_file, tmp_path / "whole")
     whole.run()
     first = training(table, motion_file, tmp_path / "parts")
-    first.run(most_steps=stop)
+    first.run(max_steps=stop)
     second = training(table, motion_file, tmp_path / "parts", resume=True)
     assert second.step == stop
     second.run()
@@ -110,7 +110,7 @@ def test_the_seed_decides_the_result(motion_file, tmp_path):
     losses = []
     for index, seed in enumerate((0, 0, 1)):
         run = training(CGNF, motion_file, tmp_path / str(index), seed=seed)
-        run.run(most_steps=3)
+        run.run(max_steps=3)
         losses.append(run.step_losses)
     assert losses[0] == losses[1]
     assert losses[0] != losses[2]
@@ -124,15 +124,15 @@ def test_the_loss_falls(motion_file, tmp_path):
 
 def test_saving_changes_nothing_in_the_training(motion_file, tmp_path):
     run = training(CGNF, motion_file, tmp_path / "a")
-    run.run(most_steps=run.steps_per_epoch + 3)
+    run.run(max_steps=run.steps_per_epoch + 3)
     before = final(run)
     run.save()
     assert all(torch.equal(tensor, before[name]) for name, tensor in final(run).items())
 
 
-def test_a_loss_that_is_not_finite_stops_the_training_and_says_where(motion_file, tmp_path):
+def test_a_loss_that_is_not_finite_stops_the_training_and_names_the_step(motion_file, tmp_path):
     run = training(CGNF, motion_file, tmp_path / "a")
-    run.run(most_steps=2)
+    run.run(max_steps=2)
     run.data.poses[:] = math.nan
     before = (tmp_path / "a/checkpoint.safetensors").read_bytes()
     with pytest.raises(PoseDataError, match=r"at step 2 \(epoch 1\) loss is nan.*not finite in \d+ of 37 tensors"):
@@ -140,12 +140,12 @@ def test_a_loss_that_is_not_finite_stops_the_training_and_says_where(motion_file
     assert (tmp_path / "a/checkpoint.safetensors").read_bytes() == before
 
 
-def test_the_weights_kept_are_those_of_the_lowest_validation_loss(motion_file, tmp_path):
+def test_the_saved_weights_are_those_of_the_lowest_validation_loss(motion_file, tmp_path):
     run = training(CGNF, motion_file, tmp_path / "a", learning_rate=5e-3, schedule="cosine", epochs=4)
     run.run()
     rows = np.genfromtxt(tmp_path / "a/losses.csv", delimiter=",", names=True)
-    kept = load_estimator(tmp_path / "a/weights.safetensors")
-    run.estimator.load_state_dict(kept.state_dict())
+    saved = load_estimator(tmp_path / "a/weights.safetensors")
+    run.estimator.load_state_dict(saved.state_dict())
     np.testing.assert_allclose(run._validate(), rows["validation_loss"].min(), rtol=1e-5)
 
 
@@ -156,7 +156,7 @@ def test_test_and_validation_subjects_are_not_trained_on(motion_file, tmp_path):
 
 
 def test_the_learning_rate_falls_on_a_plateau_and_the_training_stops_at_the_third():
-    schedule = Schedule(Config.of_table({"train": {"patience": 2}}).train, total_steps=1000)
+    schedule = Schedule(Config.from_table({"train": {"patience": 2}}).train, total_steps=1000)
     rates = []
     for loss in (5.0, 4.0, *[4.0] * 9):
         schedule.after_epoch(loss)
@@ -171,18 +171,18 @@ def test_the_learning_rate_falls_on_a_plateau_and_the_training_stops_at_the_thir
     ("schedule", "step", "rate"), [("exponential", 250_000, 1e-3 * 0.96**2), ("cosine", 500, 5e-4), ("cosine", 0, 1e-3)]
 )
 def test_the_other_schedules_follow_their_formulas(schedule, step, rate):
-    config = Config.of_table({"train": {"schedule": schedule}}).train
+    config = Config.from_table({"train": {"schedule": schedule}}).train
     np.testing.assert_allclose(Schedule(config, total_steps=1000).learning_rate(step), rate, rtol=1e-12)
 
 
 def test_a_folder_with_a_training_is_not_overwritten(motion_file, tmp_path):
-    training(CGNF, motion_file, tmp_path / "a").run(most_steps=1)
+    training(CGNF, motion_file, tmp_path / "a").run(max_steps=1)
     with pytest.raises(PoseFileError, match=r"holds a training already\. Pass --resume"):
         training(CGNF, motion_file, tmp_path / "a")
 
 
 def test_a_checkpoint_of_another_configuration_is_refused(motion_file, tmp_path):
-    training(CGNF, motion_file, tmp_path / "a").run(most_steps=1)
+    training(CGNF, motion_file, tmp_path / "a").run(max_steps=1)
     with pytest.raises(PoseDataError, match=r"of another configuration \(train\.learning_rate differ"):
         training(CGNF, motion_file, tmp_path / "a", resume=True, learning_rate=0.5)
 
@@ -201,17 +201,17 @@ def test_a_longer_cosine_falls_to_zero_at_its_new_end(motion_file, tmp_path):
     assert run.schedule.learning_rate(2 * run.steps_per_epoch) == pytest.approx(0.5e-3)
 
 
-def test_a_training_may_begin_with_weights(motion_file, tmp_path):
+def test_a_training_may_start_from_weights(motion_file, tmp_path):
     training(CGNF, motion_file, tmp_path / "first", epochs=1).run()
     weights = str(tmp_path / "first" / "weights.safetensors")
     table = {**CGNF, "model": {**CGNF["model"], "start": weights}}
     run = training(table, motion_file, tmp_path / "second", epochs=1, learning_rate=1e-9)
-    begun = final(run)
+    initial = final(run)
     for name, tensor in load_estimator(weights).state_dict().items():
-        assert torch.equal(begun[name], tensor), name
+        assert torch.equal(initial[name], tensor), name
     run.run()  # a step of next to nothing leaves them, the ActNorms too, where they were
     for name, tensor in final(run).items():
-        np.testing.assert_allclose(tensor, begun[name], atol=1e-6, err_msg=name)
+        np.testing.assert_allclose(tensor, initial[name], atol=1e-6, err_msg=name)
     other = {**table, "model": {**table["model"], "scale": "sigmoid"}}
     with pytest.raises(PoseDataError, match=r"model\.start: .* differs from the configuration in scale"):
         training(other, motion_file, tmp_path / "third")

@@ -1,4 +1,4 @@
-"""Weights files and settings: what comes back, and what is refused."""
+"""Weights files and configurations: round trips, and errors for invalid ones."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from posecal.errors import PoseDataError, PoseFileError
 from posecal_models.cgnf.flow import SIZES, FlowSize
 from posecal_models.cgnf.model import CGNF
 from posecal_models.checkpoint import (
-    device_named,
     load_estimator,
     load_released,
     named_weights,
     notes_of,
     read_tensors,
+    resolve_device,
     save_estimator,
     write_tensors,
 )
 from posecal_models.config import Config, named_configs
 from posecal_models.contract import Context
-from posecal_models.estimators import build, describe, of_config
+from posecal_models.estimators import build, build_from_config, describe
 from posecal_models.gaussian_noise import GaussianNoise
 from posecal_models.graph import PoseGraph
 from posecal_models.simple_baseline import SimpleBaseline
-from tests.models.some_flows import below_a_hip
+from tests.models.random_flows import with_hip_keypoint
 
 ROOT = Path(__file__).parents[2]
 REFERENCE = Path(__file__).parents[1] / "fixtures" / "reference_models"
@@ -44,17 +44,17 @@ def estimators():
         torch.manual_seed(0)
         chain = PoseGraph(("a", "b"), (-1, 0), root="r")
         baseline = SimpleBaseline(("a", "b"), ("b", "a"), width=8, residuals=1, origin="none")
-        found = [
+        models = [
             CGNF(FlowSize(3, 5, 4, 6), chain, backward_weights=False, scale="sigmoid", origin="none"),
             CGNF(SIZES["tiny"]),
             baseline,
             GaussianNoise(SimpleBaseline(width=8), spread="coordinate"),
         ]
-    for estimator in found:
+    for estimator in models:
         for buffer in estimator.buffers():
             if buffer.ndim == 0 and buffer.is_floating_point():
                 buffer.fill_(7.5)
-    return found
+    return models
 
 
 @pytest.mark.parametrize("index", range(4))
@@ -103,17 +103,19 @@ def test_a_single_flipped_bit_is_noticed(tmp_path):
     content = bytearray((tmp_path / "w.safetensors").read_bytes())
     content[-6] ^= 1
     (tmp_path / "w.safetensors").write_bytes(content)
-    with pytest.raises(PoseFileError, match=r"w\.safetensors: damaged: its numbers are not those that were written"):
+    with pytest.raises(
+        PoseFileError, match=r"w\.safetensors: damaged: its numbers differ from those that were written"
+    ):
         load_estimator(tmp_path / "w.safetensors")
 
 
-def test_somebody_else_s_safetensors_are_refused(tmp_path):
+def test_other_safetensors_are_refused(tmp_path):
     save_file({"weight": torch.zeros(3)}, tmp_path / "w.safetensors")
     with pytest.raises(PoseFileError, match="without the header of posecal"):
         load_estimator(tmp_path / "w.safetensors")
 
 
-def test_missing_weights_are_named_and_the_nearest_told():
+def test_missing_weights_are_named():
     with pytest.raises(PoseFileError, match=r"nowhere\.safetensors: no such weights"):
         load_estimator("nowhere.safetensors")
 
@@ -121,7 +123,7 @@ def test_missing_weights_are_named_and_the_nearest_told():
 def test_a_description_of_something_else_is_refused():
     with pytest.raises(PoseDataError, match="weights: of 'vae'; expected cgnf"):
         build({"kind": "vae"})
-    with pytest.raises(PoseDataError, match="lacks or misnames something"):
+    with pytest.raises(PoseDataError, match="incomplete or invalid description"):
         build({"kind": "cgnf"})
 
 
@@ -156,15 +158,15 @@ except PoseFileError as problem:
 def test_a_gpu_that_is_not_there_is_refused():
     if torch.cuda.is_available():
         pytest.skip("there is one")
-    with pytest.raises(PoseDataError, match=r"device: cuda was asked for and PyTorch .* sees no GPU"):
-        device_named("cuda")
-    assert device_named("auto").type == "cpu"
+    with pytest.raises(PoseDataError, match=r"device: cuda, but PyTorch .* sees no GPU"):
+        resolve_device("cuda")
+    assert resolve_device("auto").type == "cpu"
 
 
 @pytest.mark.parametrize("name", ["gpu", "mps", "cuda:x"])
 def test_an_unknown_device_is_refused(name):
     with pytest.raises(PoseDataError, match="expected cpu, cuda or auto"):
-        device_named(name)
+        resolve_device(name)
 
 
 # --- released checkpoints ---------------------------------------------------------------------------------------
@@ -177,9 +179,9 @@ def released_state() -> dict[str, torch.Tensor]:
 
 def test_a_released_checkpoint_loads_and_its_dead_tensors_are_listed(tmp_path):
     torch.save(released_state(), tmp_path / "model.pt")
-    estimator, dead = load_released(tmp_path / "model.pt")
+    estimator, unused = load_released(tmp_path / "model.pt")
     assert estimator.size == FlowSize(blocks=2, hidden=8, context=4, embedding=16)
-    assert {name.split("layers.", 1)[1].removesuffix(".weight").removesuffix(".bias") for name in dead} == {
+    assert {name.split("layers.", 1)[1].removesuffix(".weight").removesuffix(".bias") for name in unused} == {
         "0.layers.x<-x",
         "1.layers.x<-x",
         "1.layers.c",
@@ -190,7 +192,7 @@ def test_a_released_checkpoint_loads_and_its_dead_tensors_are_listed(tmp_path):
     with np.load(REFERENCE / "tiny_io.npz") as numbers:
         keypoints = torch.from_numpy(numbers["c"]) / 0.0139
         poses = torch.from_numpy(numbers["x"]) / 0.0036
-        context = below_a_hip(keypoints, torch.from_numpy(numbers["mask_part"]))
+        context = with_hip_keypoint(keypoints, torch.from_numpy(numbers["mask_part"]))
         # density in mm: that of the scaled pose, and 48 times the log of the scale
         expected = numbers["part/logp_pose"] + 48 * np.log(0.0036)
     np.testing.assert_allclose(estimator(context).log_prob(poses).detach(), expected, rtol=1e-5)
@@ -240,9 +242,9 @@ def test_a_pickle_that_is_no_checkpoint_is_refused(tmp_path):
 def test_every_named_configuration_builds_its_estimator(name):
     config = Config.load(name)
     if config.model.kind == "gaussian-noise":
-        assert of_config(config.model, mean=SimpleBaseline(width=4)).joints
+        assert build_from_config(config.model, mean=SimpleBaseline(width=4)).joints
     elif config.model.size != "xlarge":
-        assert of_config(config.model).joints
+        assert build_from_config(config.model).joints
 
 
 def test_the_released_configuration_sets_every_difference_that_is_a_setting():
@@ -251,10 +253,10 @@ def test_the_released_configuration_sets_every_difference_that_is_a_setting():
     assert (config.train.loss_per, config.train.sample_loss, config.train.augmentation) == ("node", "pairs", "released")
 
 
-def test_all_that_is_wrong_in_a_configuration_is_said_at_once():
+def test_all_problems_of_a_configuration_are_in_one_message():
     table = {"model": {"size": "medium", "sizes": 3}, "train": {"epochs": "ten", "batch": True}, "data": {"views": 2.5}}
     with pytest.raises(PoseDataError) as caught:
-        Config.of_table(table)
+        Config.from_table(table)
     words = str(caught.value)
     assert words.startswith("5 problems:")
     for part in (
@@ -279,11 +281,11 @@ def test_all_that_is_wrong_in_a_configuration_is_said_at_once():
 )
 def test_a_change_that_does_not_fit_is_refused(change, words):
     with pytest.raises(PoseDataError, match=words):
-        Config().changed([change])
+        Config().with_changes([change])
 
 
 def test_a_change_may_be_text_a_number_or_a_list():
-    config = Config().changed(["model.scale=sigmoid", "train.epochs=3", 'data.test_subjects=["S1", "S2"]'])
+    config = Config().with_changes(["model.scale=sigmoid", "train.epochs=3", 'data.test_subjects=["S1", "S2"]'])
     assert (config.model.scale, config.train.epochs, config.data.test_subjects) == ("sigmoid", 3, ("S1", "S2"))
 
 
@@ -294,10 +296,10 @@ def test_a_file_that_is_not_toml_is_refused(tmp_path):
 
 
 def test_a_baseline_can_t_be_trained_by_likelihood():
-    from posecal_models.objectives import objective_of
+    from posecal_models.objectives import build_objective
 
     with pytest.raises(PoseDataError, match=r"train\.objective: likelihood of a SimpleBaseline"):
-        objective_of(SimpleBaseline(width=4), Config().train)
+        build_objective(SimpleBaseline(width=4), Config().train)
 
 
 # --- the weights that come with the package ----------------------------------------------------------------------

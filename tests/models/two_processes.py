@@ -1,4 +1,4 @@
-"""Run by ``torchrun`` in a test: one step of every kind of training, its gradients kept; and some epochs to the end."""
+"""Script for ``torchrun`` in a test: the gradients of one step of every kind of training, and a complete training."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import torch
 
 from posecal_models.checkpoint import save_estimator
 from posecal_models.config import Config
-from posecal_models.distributed import Crew, crew_of_torchrun
+from posecal_models.distributed import ProcessGroup, torchrun_group
 from posecal_models.preparation import prepare
 from posecal_models.simple_baseline import SimpleBaseline
 
@@ -26,31 +26,31 @@ KINDS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
 DATA = {"views": 1, "every": 2, "validation_subjects": ["S4"]}
 
 
-def one_step(kind: str, motion: str, folder: Path, crew: Crew) -> dict[str, torch.Tensor]:
-    """Give the gradients of the first step, of 7 poses, which two processes can't share equally; and the buffers."""
+def one_step(kind: str, motion: str, folder: Path, processes: ProcessGroup) -> dict[str, torch.Tensor]:
+    """Gradients of the first step, of 7 poses, which two processes can't split equally; and the buffers."""
     model, train = KINDS[kind]
     if model.get("kind") == "gaussian-noise":
         model = {**model, "mean": str(folder / "mean.safetensors")}
     table = {"model": model, "data": DATA, "train": {"batch": 7, "clip": 1e9, "graphs_per_pose": 2, **train}}
-    run = prepare(Config.of_table(table), motion, folder / f"{kind}, {crew.size}", crew=crew)
+    run = prepare(Config.from_table(table), motion, folder / f"{kind}, {processes.size}", processes=processes)
     run.optimizer.step = lambda: None
     losses = run._one_step()
     gradients = {name: p.grad for name, p in run.parameters.items() if p.grad is not None}
     return {**gradients, **dict(run.estimator.named_buffers()), "loss": torch.tensor(losses["loss"])}
 
 
-def to_the_end(motion: str, folder: Path, crew: Crew) -> dict[str, torch.Tensor]:
-    """Train a few epochs whose learning rate falls on plateaus; give all that could part two processes."""
+def to_the_end(motion: str, folder: Path, processes: ProcessGroup) -> dict[str, torch.Tensor]:
+    """Weights and progress of a training whose learning rate falls on plateaus."""
     train = {"batch": 9, "objective": "squared-error", "patience": 0, "steps_per_epoch": 2, "epochs": 30}
     table = {"model": BASELINE, "data": DATA, "train": {**train, "learning_rate": 0.05}}
-    run = prepare(Config.of_table(table), motion, folder / f"to the end, {crew.size}", crew=crew)
+    run = prepare(Config.from_table(table), motion, folder / f"to the end, {processes.size}", processes=processes)
     rows = []
     run.run(on_step=lambda s: rows.append((s.step, s.learning_rate, s.losses["loss"], s.validation or 0.0)))
-    return {**run.estimator.state_dict(), "told": torch.tensor(rows, dtype=torch.float64)}
+    return {**run.estimator.state_dict(), "progress": torch.tensor(rows, dtype=torch.float64)}
 
 
 def save_mean(folder: Path) -> None:
-    """Write the point estimator that the Gaussians stand around."""
+    """Write the point estimator of the Gaussian noise models."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
         save_estimator(folder / "mean.safetensors", SimpleBaseline(width=8))
@@ -58,10 +58,10 @@ def save_mean(folder: Path) -> None:
 
 def main() -> None:
     motion, folder = sys.argv[1], Path(sys.argv[2])
-    with crew_of_torchrun(torch.device("cpu")) as crew:
-        found = {kind: one_step(kind, motion, folder, crew) for kind in KINDS}
-        found["to the end"] = to_the_end(motion, folder, crew)
-    torch.save(found, folder / f"of_{crew.rank}.pt")
+    with torchrun_group(torch.device("cpu")) as processes:
+        results = {kind: one_step(kind, motion, folder, processes) for kind in KINDS}
+        results["to the end"] = to_the_end(motion, folder, processes)
+    torch.save(results, folder / f"of_{processes.rank}.pt")
 
 
 if __name__ == "__main__":

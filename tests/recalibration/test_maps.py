@@ -111,16 +111,13 @@ def test_a_file_that_can_not_be_read_is_refused(tmp_path: Path) -> None:
 # --- applying them ----------------------------------------------------------------------------------------------------
 
 X = skewed(1, 5, 11, 3)[0].astype("f4")
+FRAMES = [f"f{m}" for m in range(11)]
 
 
-def applied(map_: SpreadMap | RadiusMap, folder: Path, x: Array = X, name: str = "out.npz") -> Path:
+def applied(map_: SpreadMap | RadiusMap, folder: Path, x: Array = X, name: str = "out.npz", **how: Any) -> Path:
     """Apply to hypotheses in a file."""
-    np.savez(folder / "hyps.npz", hypotheses=x, axes="NMKD", unit="mm", joints=JOINTS)
-    stored, joints, root = resolve_hypotheses(
-        read_poses(folder / "hyps.npz", "hypotheses"), Declarations(root_joint="none")
-    )
-    frames = {"frame_id": np.array([f"f{m}" for m in range(x.shape[1])])}
-    apply_map(map_, stored, joints, root, x.shape[1], folder / name, frames)
+    np.savez(folder / "hyps.npz", hypotheses=x, axes="NMKD", unit="mm", joints=JOINTS, frame_id=FRAMES)
+    assert apply_map(map_, folder / "hyps.npz", folder / name, **{"root_joint": "none", **how}) == 11
     return folder / name
 
 
@@ -131,7 +128,31 @@ def test_a_spread_map_gives_hypotheses_that_posecal_reads(tmp_path: Path) -> Non
     assert joints == JOINTS
     np.testing.assert_array_equal(stored.read(0, 11), rescaled(X, SPREAD.factors))
     assert stored.read(0, 11).dtype == np.float32
-    np.testing.assert_array_equal(poses.frame_id, [f"f{m}" for m in range(11)])
+    np.testing.assert_array_equal(poses.frame_id, FRAMES)
+
+
+@pytest.mark.parametrize("map_", [SPREAD, RADIUS], ids=["spread", "radius"])
+def test_files_hold_what_arrays_give(map_: SpreadMap | RadiusMap, tmp_path: Path) -> None:
+    with np.load(applied(replace(map_, root=0), tmp_path, root_joint="Hip")) as file:
+        if isinstance(map_, SpreadMap):
+            np.testing.assert_array_equal(file["hypotheses"].swapaxes(0, 1), map_.apply(X))
+        else:
+            centre, radius = replace(map_, root=0).apply(X)
+            np.testing.assert_array_equal(file["centre"], centre)
+            np.testing.assert_array_equal(file["radius"], radius)
+
+
+def test_a_map_is_applied_to_arrays_of_another_layout_and_unit(tmp_path: Path) -> None:
+    words = {"axes": "MNKD", "unit": "m", "joints": JOINTS, "root_joint": "none"}
+    assert apply_map(SPREAD, X.swapaxes(0, 1) / 1000, tmp_path / "out.npz", **words) == 11
+    with np.load(tmp_path / "out.npz") as file:
+        np.testing.assert_allclose(file["hypotheses"].swapaxes(0, 1), rescaled(X, SPREAD.factors), rtol=1e-5, atol=1e-3)
+
+
+def test_the_root_of_the_hypotheses_keeps_its_place(tmp_path: Path) -> None:
+    path = applied(SPREAD, tmp_path, root_joint=None)  # the hip
+    with np.load(path) as file:
+        np.testing.assert_array_equal(file["hypotheses"].swapaxes(0, 1), rescaled(X, SPREAD.factors, 0))
 
 
 @pytest.mark.parametrize("scaled", [False, True])
@@ -147,7 +168,7 @@ def test_a_radius_map_gives_a_ball_for_every_pose_and_joint(scaled: bool, tmp_pa
 
 
 @pytest.mark.parametrize("map_", [SPREAD, RADIUS], ids=["spread", "radius"])
-def test_pieces_give_the_same_file_as_the_whole(
+def test_pieces_give_the_same_file_as_one_piece(
     map_: SpreadMap | RadiusMap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = applied(map_, tmp_path).read_bytes()
@@ -157,7 +178,7 @@ def test_pieces_give_the_same_file_as_the_whole(
 
 def test_joints_that_the_map_lacks_are_named(tmp_path: Path) -> None:
     with pytest.raises(
-        PoseDataError, match=r"hypotheses has joints that the map lacks: LFoot\. Fit a map on these joints"
+        PoseDataError, match=r"^hyps\.npz has joints that the map lacks: LFoot\. Fit a map on these joints"
     ):
         applied(SpreadMap(JOINTS[:2], np.ones(2), 9, 3), tmp_path)
     assert not (tmp_path / "out.npz").exists()
@@ -166,16 +187,30 @@ def test_joints_that_the_map_lacks_are_named(tmp_path: Path) -> None:
 def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(maps, "WINDOW_BYTES", X[:, 0].nbytes)
 
-    def fails(done: int) -> None:
+    def fails(done: int, of: int) -> None:
+        assert of == 11
         if done > 4:
             raise KeyboardInterrupt
 
     (tmp_path / "out.npz").write_bytes(b"before")
-    np.savez(tmp_path / "hyps.npz", hypotheses=X, axes="NMKD", unit="mm", joints=JOINTS)
-    stored, joints, root = resolve_hypotheses(
-        read_poses(tmp_path / "hyps.npz", "hypotheses"), Declarations(root_joint="none")
-    )
     with pytest.raises(KeyboardInterrupt):
-        apply_map(SPREAD, stored, joints, root, 11, tmp_path / "out.npz", {}, fails)
+        applied(SPREAD, tmp_path, progress=fails)
     assert (tmp_path / "out.npz").read_bytes() == b"before"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["hyps.npz", "out.npz"]
+
+
+def test_progress_counts_the_poses_that_are_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(maps, "WINDOW_BYTES", 4 * X[:, 0].nbytes)
+    calls: list[tuple[int, int]] = []
+    applied(SPREAD, tmp_path, progress=lambda done, of: calls.append((done, of)))
+    assert calls == [(4, 11), (8, 11), (11, 11)]
+
+
+@pytest.mark.parametrize("map_", [3, None, "map.json"])
+def test_what_is_no_map_is_refused(map_: Any, tmp_path: Path) -> None:
+    words = r"^map: \w+; expected a SpreadMap or a RadiusMap, as fitting gives\."
+    with pytest.raises(PoseDataError, match=words):
+        write_map(map_, tmp_path / "map.json")
+    with pytest.raises(PoseDataError, match=words):
+        apply_map(map_, X, tmp_path / "out.npz")
+    assert list(tmp_path.iterdir()) == []

@@ -1,25 +1,27 @@
-"""A wrong spread is found and undone; radii hold what they promise on sequences that they were not fitted on."""
+"""A wrong spread is fitted and undone; radii hold their share of truths in sequences that they were not fitted on."""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy import stats
 
+from posecal.data.pose_data import PoseData
 from posecal.engine.protocol import Protocol
 from posecal.errors import PoseDataError
 from posecal.recalibration import (
+    RadiusMap,
     SpreadMap,
     cross_fitted,
     fit_radius,
     fit_spread,
-    folds_of,
     held_out_coverage,
 )
-from posecal.recalibration.dispersion import stretched
-from posecal.report.report import Report
+from posecal.recalibration.dispersion import rescaled
+from posecal.recalibration.folds import folds_of
 from tests.helpers.random_worlds import skewed
 from tests.helpers.samplers import gaussian, pairs_of, report_of, sequences
 
@@ -37,7 +39,7 @@ STRAY = math.pi / 2
 def scale_error(coordinates: int) -> float:
     """Bound of the standard error of the logarithm of a scale.
 
-    A coordinate tells 2 about it; a curve that is read at 21 levels wastes some, surely less than half.
+    The information of a coordinate is 2; a curve that is read at 21 levels wastes some, surely less than half.
     """
     return math.sqrt(1 / coordinates)
 
@@ -61,7 +63,7 @@ def test_a_map_that_was_fitted_on_others_calibrates() -> None:
     map_ = fit_spread(pairs_of(*gaussian(1, 12, 300, 4, spread=0.4)), threads=1)
     pairs = pairs_of(*gaussian(2, 12, 200, 4, spread=0.4), labels={"sequence": sequences(200, 40)})
     assert report_of(pairs, "ece").test("ece").p <= 1e-3
-    assert report_of(map_.applied(pairs), "ece").test("ece").p > 0.01
+    assert report_of(map_.rescale(pairs), "ece").test("ece").p > 0.01
 
 
 def test_each_joint_has_a_factor_of_its_own_where_it_is_asked_for() -> None:
@@ -76,50 +78,51 @@ def test_each_joint_has_a_factor_of_its_own_where_it_is_asked_for() -> None:
 def test_held_out_sequences_are_calibrated_by_the_factor_of_the_others() -> None:
     x, y = gaussian(4, 12, 240, 3, spread=0.5)
     pairs = pairs_of(x, y, labels={"sequence": sequences(240, 24)})
-    before, after, factors = cross_fitted(pairs, FEW, folds=3, threads=1)
-    one, other = Report(before), Report(after)
-    assert one.test("ece").p <= 1e-3
-    assert other.test("ece").p > 0.01
-    assert one.value("signed_area") < -0.1 < other.value("signed_area") < 0.1
-    assert before.poses.sum() == after.poses.sum() == 240
+    before, after, factors = cross_fitted(pairs, protocol=FEW, folds=3, threads=1)
+    assert before.test("ece").p <= 1e-3
+    assert after.test("ece").p > 0.01
+    assert before["signed_area"] < -0.1 < after["signed_area"] < 0.1
+    assert before.totals.poses.sum() == after.totals.poses.sum() == 240
     part = folds_of(pairs, 3)
     for fold, found in enumerate(factors):
         rest = pairs.select(np.flatnonzero(part != fold))
         np.testing.assert_allclose(found, fit_spread(rest, threads=1).factors, rtol=1e-9)
-        mended = stretched(x[:, part == fold], found)
-        alone = pairs_of(mended, y[part == fold], labels={"sequence": pairs.labels["sequence"][part == fold]})
-        cells = np.isin(after.cells["sequence"], np.unique(pairs.labels["sequence"][part == fold]))
+        moved = rescaled(x[:, part == fold], found)
+        alone = pairs_of(moved, y[part == fold], labels={"sequence": pairs.labels["sequence"][part == fold]})
+        cells = np.flatnonzero(np.isin(after.totals.cells["sequence"], pairs.labels["sequence"][part == fold]))
         expected = report_of(alone, "min_mpjpe").value("min_mpjpe")
-        np.testing.assert_allclose(after.value(other.metrics["min_mpjpe"], cells), expected, rtol=1e-9)
+        np.testing.assert_allclose(after.totals.value(after.metrics["min_mpjpe"], cells), expected, rtol=1e-9)
 
 
 def test_calibrating_a_spread_that_is_too_narrow_for_the_best_of_n_costs_minmpjpe() -> None:
     # In 3 K = 48 dimensions the best of 10 is better for a spread that is too narrow: what the paper says.
     x, y = gaussian(5, 10, 60, 16, spread=0.4)
-    before, after, _ = cross_fitted(pairs_of(x, y, labels={"sequence": sequences(60, 12)}), FEW, folds=2, threads=1)
-    assert Report(after).value("min_mpjpe") > Report(before).value("min_mpjpe")
+    before, after, _ = cross_fitted(
+        pairs_of(x, y, labels={"sequence": sequences(60, 12)}), protocol=FEW, folds=2, threads=1
+    )
+    assert after["min_mpjpe"] > before["min_mpjpe"]
 
 
 @pytest.mark.parametrize("root", [None, 1])
-def test_hypotheses_are_stretched_about_their_median(root: int | None) -> None:
+def test_hypotheses_are_rescaled_about_their_median(root: int | None) -> None:
     x = skewed(6, 5, 4, 3)[0]
     factors = np.array([0.5, 1.0, 3.0])
-    found = stretched(x, factors, root)
+    found = rescaled(x, factors, root)
     for m, k in np.ndindex(4, 3):
         origin = 0 if root is None else x[:, m, root]
         relative = x[:, m, k] - origin
         centre = np.median(relative, axis=0)
         np.testing.assert_allclose(found[:, m, k], centre + factors[k] * (relative - centre) + origin, rtol=1e-12)
-    assert stretched(x.astype("f4"), factors, root).dtype == np.float32
+    assert rescaled(x.astype("f4"), factors, root).dtype == np.float32
 
 
 def test_a_map_finds_its_joints_by_name_and_says_which_it_lacks() -> None:
     x, y = skewed(7, 4, 3, 3)
     map_ = SpreadMap(("Head", "RKnee", "LFoot"), np.array([2.0, 3, 4]), 10, 2)
-    read = map_.applied(pairs_of(x, y, joints=["LFoot", "Head", "RKnee"])).hypotheses.read(1, 3)
-    np.testing.assert_allclose(read, stretched(x[:, 1:3], np.array([4.0, 2, 3])))
+    read = map_.rescale(pairs_of(x, y, joints=["LFoot", "Head", "RKnee"])).hypotheses.read(1, 3)
+    np.testing.assert_allclose(read, rescaled(x[:, 1:3], np.array([4.0, 2, 3])))
     with pytest.raises(PoseDataError, match=r"hypotheses has joints that the map lacks: LKnee\. Fit a map on these"):
-        map_.applied(pairs_of(x, y, joints=["LFoot", "Head", "LKnee"]))
+        map_.rescale(pairs_of(x, y, joints=["LFoot", "Head", "LKnee"]))
 
 
 def test_joints_that_do_not_count_keep_their_spread() -> None:
@@ -153,18 +156,88 @@ def test_joints_that_no_factor_calibrates_are_named() -> None:
         fit_spread(pairs_of(x, y, joints=joints, root_joint="none"), per_joint=True, threads=1)
 
 
-def test_one_hypothesis_has_no_spread_to_mend() -> None:
+def test_one_hypothesis_has_no_spread_to_rescale() -> None:
     x, y = skewed(11, 1, 6, 2)
     for call in (fit_spread, cross_fitted):
         with pytest.raises(PoseDataError, match=r"hypotheses: 1 hypothesis; recalibration needs at least 2"):
             call(pairs_of(x, y))
 
 
-def test_coordinates_that_are_not_finite_are_refused() -> None:
-    x, y = skewed(12, 4, 6, 2)
-    x[1, 2, 0, 1] = np.nan
-    with pytest.raises(PoseDataError, match="hypotheses has non-finite coordinates"):
-        fit_spread(pairs_of(x, y), threads=1)
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("fit", [fit_spread, cross_fitted, fit_radius, held_out_coverage])
+def test_coordinates_that_are_not_finite_are_refused_where_they_count(fit: Any, value: float) -> None:
+    x, y = skewed(12, 4, 60, 2)
+    x[1, 42, 0, 1] = value
+    words = r"^hypotheses has non-finite coordinates in 1 of 60 frames \(first: frame 42, joint 0\)\. Mask"
+    with pytest.raises(PoseDataError, match=words):
+        fit(pairs_of(x, y), threads=1)
+    where = np.ones((60, 2), dtype=bool)
+    where[42, 0] = False
+    fit(pairs_of(x, y, where=where), threads=1)
+
+
+# --- arrays -----------------------------------------------------------------------------------------------------------
+
+
+def test_two_arrays_are_fitted_as_pose_data_are() -> None:
+    x, y = gaussian(24, 9, 120, 3, spread=0.5)
+    how: dict[str, Any] = {
+        "axes": "NMKD",
+        "unit": "mm",
+        "joints": ["Head", "LFoot", "RKnee"],
+        "labels": {"sequence": sequences(120, 6)},
+    }
+    data = PoseData(x, y, **how)
+    np.testing.assert_array_equal(fit_spread(x, y, **how).factors, fit_spread(data).factors)
+    np.testing.assert_array_equal(fit_radius(x, y, **how).radii, fit_radius(data).radii)
+    np.testing.assert_array_equal(held_out_coverage(x, y, **how), held_out_coverage(data))
+    assert cross_fitted(x, y, folds=2, **how)[1]["ece"] == cross_fitted(data, folds=2)[1]["ece"]
+    with pytest.raises(PoseDataError, match=r"^truth: missing; expected true poses"):
+        fit_spread(x)
+
+
+def test_a_spread_map_rescales_arrays_of_any_unit() -> None:
+    x = skewed(25, 5, 7, 3)[0]
+    map_ = SpreadMap(("Hip", "Head", "LFoot"), np.array([1.0, 2, 0.5]), 10, 2, 0)
+    np.testing.assert_array_equal(map_.apply(x), rescaled(x, map_.factors, 0))
+    np.testing.assert_allclose(map_.apply(x / 1000), map_.apply(x) / 1000, rtol=1e-12)
+    np.testing.assert_array_equal(map_.apply(x.tolist()), map_.apply(x))
+    assert map_.apply(x.astype("f4")).dtype == map_.apply(x.astype("f2")).dtype == np.float32
+    assert map_.apply(x.astype(int)).dtype == np.float64
+    assert map_.by_joint == {"Hip": 1.0, "Head": 2.0, "LFoot": 0.5}
+
+
+@pytest.mark.parametrize("scaled", [False, True])
+def test_a_radius_map_gives_balls_of_arrays(scaled: bool) -> None:
+    x = skewed(26, 5, 7, 3)[0]
+    map_ = RadiusMap(("Hip", "Head", "LFoot"), np.array([math.nan, 20.0, 50]), 0.1, scaled, 10, 2, 0)
+    centre, radius = map_.apply(x)
+    relative = x - x[:, :, :1]
+    np.testing.assert_allclose(centre, np.median(relative, axis=0), rtol=1e-12, atol=1e-12)
+    widths = relative.std(axis=0, ddof=1).mean(axis=-1) if scaled else np.ones((7, 3))
+    np.testing.assert_allclose(radius, map_.radii * widths, rtol=1e-9)
+    assert map_.unit == ("standard deviations" if scaled else "mm")
+
+
+@pytest.mark.parametrize(
+    ("hypotheses", "words"),
+    [
+        (
+            np.zeros((5, 7, 2, 3)),
+            r"^hypotheses: \(5, 7, 2, 3\); expected \(N, M, K, D\) with the K = 3 joints of the map",
+        ),
+        (np.zeros((7, 3, 3)), r"^hypotheses: \(7, 3, 3\); expected"),
+        (np.zeros((5, 0, 3, 3)), r"^hypotheses: \(5, 0, 3, 3\); expected"),
+        ("hyps.npz", r"^hypotheses: str; expected real numbers"),
+        ([[1.0], [2.0, 3.0]], r"^hypotheses: lists of unequal lengths"),
+        (np.zeros((5, 7, 3, 3), dtype=complex), r"^hypotheses: dtype complex128; expected real numbers"),
+    ],
+)
+def test_a_map_is_applied_to_hypotheses_with_its_joints_only(hypotheses: Any, words: str) -> None:
+    joints = ("Hip", "Head", "LFoot")
+    for map_ in (SpreadMap(joints, np.ones(3), 9, 3), RadiusMap(joints, np.ones(3), 0.1, False, 9, 3)):
+        with pytest.raises(PoseDataError, match=words):
+            map_.apply(hypotheses)
 
 
 # --- parts of the sequences -------------------------------------------------------------------------------------------
@@ -190,9 +263,11 @@ def test_without_sequences_parts_are_runs_of_frames() -> None:
         (1, ["a", "a", "b", "b", "c"], r"folds: 1; expected 2 to 3"),
         (6, None, r"folds: 6; expected 2 to 5, the number of poses of truth"),
         (1, None, r"folds: 1; expected 2 to 5"),
+        ("two", None, r"folds: 'two'; expected 2 to 5"),
+        (2.5, None, r"folds: 2\.5; expected 2 to 5"),
     ],
 )
-def test_other_numbers_of_parts_are_refused(folds: int, labels: list[str] | None, words: str) -> None:
+def test_other_numbers_of_parts_are_refused(folds: Any, labels: list[str] | None, words: str) -> None:
     pairs = pairs_of(*skewed(15, 2, 5, 2), labels=None if labels is None else {"sequence": labels})
     with pytest.raises(PoseDataError, match=words):
         folds_of(pairs, folds)
@@ -211,7 +286,7 @@ def distances(x: Array, y: Array, *, scaled: bool) -> Array:
 @pytest.mark.parametrize(("alpha", "place"), [(0.1, 18), (0.25, 15), (0.05, 19)])
 def test_the_radius_is_the_one_that_conformal_prediction_takes(scaled: bool, alpha: float, place: int) -> None:
     x, y = skewed(16, 5, 19, 3)  # ⌈20 · 0.9⌉ = 18, ⌈20 · 0.75⌉ = 15, ⌈20 · 0.95⌉ = 19
-    found = fit_radius(pairs_of(x, y), alpha, scaled=scaled, threads=1)
+    found = fit_radius(pairs_of(x, y), alpha=alpha, scaled=scaled, threads=1)
     expected = np.sort(distances(x, y, scaled=scaled), axis=0)[place - 1]
     np.testing.assert_allclose(found.radii, expected, rtol=1e-9)
     assert (found.alpha, found.scaled, found.poses) == (alpha, scaled, 19)
@@ -221,7 +296,7 @@ def test_the_radius_is_the_one_that_conformal_prediction_takes(scaled: bool, alp
 def test_radii_hold_their_share_of_new_truths(scaled: bool) -> None:
     M, alpha = 1000, 0.1
     x, y = gaussian(17, 8, 2 * M, 3, spread=0.3)  # however wrong the spread is
-    radii = fit_radius(pairs_of(x[:, :M], y[:M]), alpha, scaled=scaled, threads=1).radii
+    radii = fit_radius(pairs_of(x[:, :M], y[:M]), alpha=alpha, scaled=scaled, threads=1).radii
     held = (distances(x[:, M:], y[M:], scaled=scaled) <= radii).mean(axis=0)
     # Coverage of new draws given M fitted ones is Beta distributed about 1 - α; with M new ones on top of it:
     spread = math.sqrt(alpha * (1 - alpha) * 2 / M)
@@ -231,7 +306,7 @@ def test_radii_hold_their_share_of_new_truths(scaled: bool) -> None:
 def test_coverage_on_held_out_sequences_is_within_its_binomial_tolerance() -> None:
     M, alpha = 1200, 0.2
     x, y = gaussian(18, 6, M, 2)
-    found = held_out_coverage(pairs_of(x, y, labels={"sequence": sequences(M, 60)}), alpha, folds=4, threads=1)
+    found = held_out_coverage(pairs_of(x, y, labels={"sequence": sequences(M, 60)}), alpha=alpha, folds=4, threads=1)
     low, high = stats.binom(M, 1 - alpha).interval(0.9999)
     assert ((low / M <= found) & (found <= high / M)).all()
 
@@ -240,7 +315,7 @@ def test_held_out_coverage_is_counted_part_by_part() -> None:
     x, y = skewed(19, 4, 40, 2)
     where = np.random.default_rng(0).random((40, 2)) < 0.8
     pairs = pairs_of(x, y, labels={"sequence": sequences(40, 8)}, where=where)
-    found = held_out_coverage(pairs, 0.3, folds=2, threads=1)
+    found = held_out_coverage(pairs, alpha=0.3, folds=2, threads=1)
     part, d = folds_of(pairs, 2), distances(x, y, scaled=False)
     for k in range(2):
         inside = []
@@ -255,8 +330,8 @@ def test_a_joint_that_never_counts_has_no_radius() -> None:
     where = np.ones((12, 3), dtype=bool)
     where[:, 1] = False
     pairs = pairs_of(x, y, where=where, labels={"sequence": sequences(12, 4)})
-    np.testing.assert_array_equal(np.isnan(fit_radius(pairs, 0.2, threads=1).radii), [False, True, False])
-    np.testing.assert_array_equal(np.isnan(held_out_coverage(pairs, 0.3, folds=2)), [False, True, False])
+    np.testing.assert_array_equal(np.isnan(fit_radius(pairs, alpha=0.2, threads=1).radii), [False, True, False])
+    np.testing.assert_array_equal(np.isnan(held_out_coverage(pairs, alpha=0.3, folds=2)), [False, True, False])
 
 
 def test_an_alpha_that_no_number_of_poses_allows_is_refused_with_the_smallest_that_is() -> None:
@@ -264,18 +339,18 @@ def test_an_alpha_that_no_number_of_poses_allows_is_refused_with_the_smallest_th
     with pytest.raises(
         PoseDataError, match=r"alpha: 0\.05 needs more than 9 poses; the smallest possible .* is 0\.1\."
     ):
-        fit_radius(pairs, 0.05)
-    assert np.isfinite(fit_radius(pairs, 0.1).radii).all()
+        fit_radius(pairs, alpha=0.05)
+    assert np.isfinite(fit_radius(pairs, alpha=0.1).radii).all()
 
 
 @pytest.mark.parametrize("alpha", [0.0, 1.0, -0.1, 7.0, math.nan])
 def test_an_alpha_that_is_no_share_is_refused(alpha: float) -> None:
     with pytest.raises(PoseDataError, match=r"alpha: .*; expected between 0 and 1"):
-        fit_radius(pairs_of(*skewed(22, 4, 9, 2)), alpha)
+        fit_radius(pairs_of(*skewed(22, 4, 9, 2)), alpha=alpha)
 
 
 def test_radii_in_standard_deviations_need_two_hypotheses_and_radii_in_mm_do_not() -> None:
     pairs = pairs_of(*skewed(23, 1, 12, 2))
-    assert np.isfinite(fit_radius(pairs, 0.2).radii).all()
+    assert np.isfinite(fit_radius(pairs, alpha=0.2).radii).all()
     with pytest.raises(PoseDataError, match="recalibration needs at least 2"):
-        fit_radius(pairs, 0.2, scaled=True)
+        fit_radius(pairs, alpha=0.2, scaled=True)

@@ -185,7 +185,7 @@ class TestNll:
 
 
 class TestSimulation:
-    def test_draws_distances_of_the_right_law(self) -> None:
+    def test_draws_distances_of_the_correct_distribution(self) -> None:
         rng = np.random.default_rng(3)
         mean, error = best_of.simulated_min_mpjpe(0.4, N=1, D=45, poses=50_000, rng=rng, offset=2.0)
         exact = collapse.mean_mpjpe(0.4, D=45, truth_sigma=0.5, offset=2.0)

@@ -1,4 +1,4 @@
-"""posecal's calibration curves on Gaussians whose curves are known in closed form.
+"""posecal's calibration curves on Gaussians, against closed-form curves.
 
 Tolerances are computed: five binomial standard errors for the finite number of poses, and for the finite number of
 hypotheses the first-order bend of :func:`toy.curves.coverage_of` with a quarter of it for the orders beyond.

@@ -1,4 +1,4 @@
-"""Supplement A.1 and A.2: closed forms against numerical integrals, known constants and draws."""
+"""Supplement A.1 and A.2: closed forms against numerical integrals, known constants and simulations."""
 
 import math
 

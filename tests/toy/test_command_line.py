@@ -1,4 +1,4 @@
-"""``python -m toy``: every command writes its figure and prints its numbers, and refuses well."""
+"""The command ``python -m toy``: figures, printed numbers, messages and exit codes."""
 
 import os
 import subprocess
@@ -82,24 +82,24 @@ def test_pose_world_writes_all_faults_into_a_folder_each() -> None:
     assert {folder.name for folder in Path("pose-world").iterdir()} == set(FAULTS)
     for fault in FAULTS.values():
         assert (Path("pose-world") / fault.name / "hyps.npz").exists()
-        assert fault.says in result.stdout
+        assert fault.description in result.stdout
 
 
-def test_the_table_of_faults_says_which_joints_it_is_of() -> None:
+def test_the_table_of_faults_names_the_joint_correlation() -> None:
     small = ("fault-table", "--hypotheses", "5", "--poses", "12")
-    apart, together = (run(*small, *more).stdout for more in ((), ("--joint-correlation", "0.3")))
-    assert apart.startswith("N = 5, M = 12 independent poses. Cells")
-    assert together.startswith("N = 5, M = 12 independent poses, joints correlated 0.3. Cells")
-    for table in (apart, together):
+    independent, correlated = (run(*small, *options).stdout for options in ((), ("--joint-correlation", "0.3")))
+    assert independent.startswith("N = 5, M = 12 independent poses. Cells")
+    assert correlated.startswith("N = 5, M = 12 independent poses, joints correlated 0.3. Cells")
+    for table in (independent, correlated):
         assert [f"| `{name}` |" in table for name in FAULTS] == [True] * len(FAULTS)
-    # Two faults bring a correlation of their own; a table of others is another
-    assert apart.splitlines()[-1] != together.splitlines()[-1]
+    # The faults of correlations have their own; the last one depends on the option
+    assert independent.splitlines()[-1] != correlated.splitlines()[-1]
 
 
 def test_pose_world_lists_its_faults_and_writes_nothing(tmp_path: Path) -> None:
     result = run("pose-world", "--list")
     assert result.exit_code == 0
-    assert all(fault.says in result.stdout for fault in FAULTS.values())
+    assert all(fault.description in result.stdout for fault in FAULTS.values())
     assert list(tmp_path.iterdir()) == []
 
 

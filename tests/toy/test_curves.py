@@ -1,4 +1,4 @@
-"""Closed calibration curves against the closed forms of one, two and three dimensions, and draws."""
+"""Closed-form calibration curves against those of one, two and three dimensions, and simulations."""
 
 import math
 from statistics import NormalDist

@@ -1,4 +1,4 @@
-"""The page about the toy world: its examples run, its commands exist, its pictures are there."""
+"""The page on the toy problems: its examples run, its commands and pictures exist."""
 
 import doctest
 import re

@@ -1,7 +1,7 @@
-"""The planted faults: each does what its sentence says, and the ECE sees of it what the closed curves say.
+"""The named faults: each matches its description, and its ECE that of the closed-form curves.
 
-The figures of the table (16 joints, 100 hypotheses, 1,000 independent poses) come out of posecal's own calibration
-curve here, and are held against closed forms where there is one.
+The numbers of the table (16 joints, 100 hypotheses, 1,000 independent poses) are those of posecal's own calibration
+curve, compared with closed forms where there are any.
 """
 
 import math
@@ -12,7 +12,7 @@ import pytest
 from posecal.calibration import LEVELS, calibration_curve
 from posecal.errors import PoseDataError
 from toy import curves
-from toy.faults import FAULTS, Case, named_fault, spread
+from toy.faults import FAULTS, Case, find_fault, spread
 from toy.pose_world import PoseWorld
 
 N, M, K = 100, 1000, 16
@@ -249,8 +249,8 @@ def test_a_spread_has_the_closed_curve() -> None:
 
 
 def test_names_lead_to_faults() -> None:
-    assert named_fault("one-sided") is FAULTS["one-sided"]
-    assert named_fault("spread-0.6").name == "spread-0.6"
+    assert find_fault("one-sided") is FAULTS["one-sided"]
+    assert find_fault("spread-0.6").name == "spread-0.6"
 
 
 @pytest.mark.parametrize(
@@ -263,7 +263,7 @@ def test_names_lead_to_faults() -> None:
 )
 def test_other_names_are_refused(name: str, words: str) -> None:
     with pytest.raises(PoseDataError, match=words):
-        named_fault(name)
+        find_fault(name)
 
 
 def test_no_hypotheses_are_refused() -> None:

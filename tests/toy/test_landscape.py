@@ -1,4 +1,4 @@
-"""The landscapes of Figure 1d against direct formulas, and what the paper reads from them."""
+"""The surfaces of Figure 1d against direct formulas, and the paper's conclusions from them."""
 
 import math
 from statistics import NormalDist

@@ -1,4 +1,4 @@
-"""What the pose world writes, as a reader of the files finds it."""
+"""The files of the pose world: their members, and their evaluation by posecal."""
 
 import json
 import subprocess

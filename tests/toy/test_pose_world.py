@@ -1,4 +1,4 @@
-"""The pose world's posterior against other algebra, scipy's densities, Bayes' rule and draws."""
+"""The pose world's posterior against independent algebra, scipy's densities, Bayes' rule and simulations."""
 
 import math
 
@@ -92,7 +92,7 @@ class TestPrior:
         np.testing.assert_array_equal(posterior.sample(3, np.random.default_rng(0))[:, :, 0], 0)
         np.testing.assert_array_equal(posterior.marginal(0)[1], 0)
 
-    def test_the_hip_tells_nothing_new(self) -> None:
+    def test_the_keypoint_of_the_hip_carries_no_information(self) -> None:
         rng = np.random.default_rng(1)
         with_hip, without = PoseWorld.person("h36m-17"), PoseWorld.person("h36m-16")
         scene = with_hip.draw(rng, hidden=0.4)
@@ -105,7 +105,7 @@ class TestPrior:
 class TestPosterior:
     @settings(derandomize=True, max_examples=30, deadline=None)
     @given(worlds, st.integers(0, 10_000))
-    def test_is_the_information_form_of_the_same_law(self, world: PoseWorld, seed: int) -> None:
+    def test_equals_the_information_form(self, world: PoseWorld, seed: int) -> None:
         # Precisions add: Σ_post⁻¹ = Σ⁻¹ + HᵀH/τ², m_post = Σ_post (Σ⁻¹ m + Hᵀc/τ²)
         rng = np.random.default_rng(seed)
         K = len(world.joints)
@@ -170,7 +170,7 @@ class TestPosterior:
             sd = np.sqrt((np.outer(np.diag(covariance), np.diag(covariance)) + covariance**2) / 20_000)
             np.testing.assert_array_less(np.abs(np.cov(drawn[:, m].T) - covariance), 5 * sd)
 
-    def test_marginals_are_blocks_of_the_joint_law(self) -> None:
+    def test_marginals_are_blocks_of_the_joint_covariance(self) -> None:
         world = random_world(7, 6)
         scene = world.draw(np.random.default_rng(7), sequences=3, frames=2, hidden=0.5)
         posterior = world.posterior(scene.keypoints, scene.observed)

@@ -1,5 +1,5 @@
-"""What does each command compute, print and draw?
+"""The commands of ``python -m toy``, one module each.
 
-One file for each command of ``python -m toy``: it puts the numbers together, checks one of them by simulation and
-gives a :class:`~toy.experiments.result.Result`.
+Each ``run`` computes the numbers of a command, checks one of them by simulation and returns a
+:class:`~toy.experiments.result.Result`.
 """

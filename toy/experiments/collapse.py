@@ -1,4 +1,4 @@
-"""What does the mean MPJPE make of a model? Supplement A.1."""
+"""Supplement A.1: the mean MPJPE over the spread, and its collapse to a point."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from toy import best_of, curves, pictures
+from toy import best_of, curves, figures
 from toy.collapse import exponential_mpjpe, exponential_squared_error, mean_mpjpe, mean_squared_error
 from toy.experiments.result import Result
 from toy.table import check, table
@@ -15,14 +15,14 @@ __all__ = ["run"]
 
 
 def run(rng: np.random.Generator, *, poses: int = 200_000) -> Result:
-    """Compute the mean MPJPE over the spread, and where it collapses to.
+    """Compute the mean MPJPE over the spread, and the point of collapse.
 
     Parameters
     ----------
     rng : numpy.random.Generator
-        For the simulated check.
+        The source of randomness of the check by simulation.
     poses : int
-        Truths in it.
+        Number of truths in it.
 
     Returns
     -------
@@ -55,7 +55,7 @@ def run(rng: np.random.Generator, *, poses: int = 200_000) -> Result:
     drawn = best_of.simulated_min_mpjpe(0.5, N=1, D=45, poses=poses, rng=rng, truth_sigma=1.0)
     text.append(check("mean MPJPE at D = 45, σ = 0.5", exact, drawn))
     over_spread = mean_mpjpe(spread, D=3), mean_squared_error(spread, D=3)
-    figure = pictures.collapse(
+    figure = figures.collapse(
         spread,
         *(errors / errors[0] for errors in over_spread),
         point=point,

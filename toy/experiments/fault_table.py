@@ -1,4 +1,4 @@
-"""What does the paper's ECE miss, and which test or score sees it? Every named fault against the whole battery."""
+"""Table of all named faults: calibration errors, rank tests and energy score."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from posecal.evaluation import evaluate
 from posecal.report.report import Report
 from toy.faults import FAULTS, Case
 from toy.pose_world import PoseWorld
-from toy.progress import bar
+from toy.progress import progress_bar
 
-__all__ = ["COLUMNS", "LEVEL", "Found", "evaluate_faults", "fault_table"]
+__all__ = ["COLUMNS", "LEVEL", "FaultEvaluation", "evaluate_faults", "fault_table"]
 
 LEVEL = 1e-3
-"""p-values, each by itself, below this count as seen."""
+"""Significance level of each test."""
 
 COLUMNS = ("ece", "ece_mean", *(test.name for test in RANK_TESTS))
 """The columns: calibration errors, each mean |ω(q) − q|."""
 
 
 @dataclass(frozen=True)
-class Found:
-    """What posecal says of one fault.
+class FaultEvaluation:
+    """posecal's evaluation of one fault.
 
     Attributes
     ----------
     report : Report
-        With the battery and the energy score.
+        With the rank tests and the energy score.
     least_energy : float
-        Energy score of sampling from the truth's own law, mm.
+        Energy score of samples from the truth's distribution, mm.
     """
 
     report: Report
@@ -50,33 +50,33 @@ def evaluate_faults(
     joints: str = "h36m-16",
     joint_correlation: float = 0.0,
     faults: Sequence[str] = tuple(FAULTS),
-) -> dict[str, Found]:
-    """Evaluate every named fault in the world of independent joints, or where they move together.
+) -> dict[str, FaultEvaluation]:
+    """Evaluate named faults in the world of independent joints, or with correlated joints.
 
     Parameters
     ----------
     seed : int
-        Where draws start; every fault has the same truths.
+        Random seed; every fault has the same truths.
     N : int
-        Hypotheses.
+        Number of hypotheses.
     M : int
-        Independent poses.
+        Number of independent poses.
     joints : str
         One of posecal's joint sets.
     joint_correlation : float
-        Between the deviations of any two joints from the posterior mean, 0 to below 1.
+        Correlation between the deviations of any two joints from the posterior mean, 0 to below 1.
     faults : sequence of str
-        Some of them, by name; all by default.
+        Names of the faults; all by default.
 
     Returns
     -------
     dict
-        What was found, by the fault's name.
+        Evaluations by the fault's name.
 
     Raises
     ------
     PoseDataError
-        Where joints are to move together and there are no more poses than hypotheses.
+        Where joints are correlated and there are no more poses than hypotheses.
 
     Notes
     -----
@@ -87,8 +87,8 @@ def evaluate_faults(
             f"M = {M} poses and N = {N} hypotheses; expected more poses, which ignored-image draws from."
         )
     world, correlation = PoseWorld.independent_joints(joints), joint_correlation or None
-    found = {}
-    for fault in bar([FAULTS[name] for name in faults], "faults"):
+    evaluations = {}
+    for fault in progress_bar([FAULTS[name] for name in faults], "faults"):
         rng = np.random.default_rng(seed)
         scene = world.draw(rng, sequences=M, frames=1, hidden=0)
         case = Case.of(world, scene, rng, joint_correlation=correlation)
@@ -96,18 +96,18 @@ def evaluate_faults(
         labels = {"sequence": np.arange(M).astype(np.str_)}
         pairs = PoseData(hypotheses, truth, axes="NMKD", unit="mm", joints=world.joints, labels=labels)
         totals = evaluate(pairs, metrics=[*COLUMNS, "energy_score"]).totals
-        deviations = (truth - case.posterior.mean).reshape(M, -1)  # of one law in this world, whatever the pose
-        found[fault.name] = Found(Report(totals), float(pdist(deviations).mean() / 2))
-    return found
+        deviations = (truth - case.posterior.mean).reshape(M, -1)  # identically distributed for all poses
+        evaluations[fault.name] = FaultEvaluation(Report(totals), float(pdist(deviations).mean() / 2))
+    return evaluations
 
 
-def fault_table(found: dict[str, Found]) -> str:
-    """Write the table of faults against tests as Markdown; bold where a test sees the fault.
+def fault_table(evaluations: dict[str, FaultEvaluation]) -> str:
+    """Write the table of faults as Markdown; bold where a test is significant.
 
     Parameters
     ----------
-    found : dict
-        What :func:`evaluate_faults` gives.
+    evaluations : dict
+        From :func:`evaluate_faults`.
 
     Returns
     -------
@@ -118,14 +118,14 @@ def fault_table(found: dict[str, Found]) -> str:
     -----
     Differs from the published code: not in it.
     """
-    metrics = next(iter(found.values())).report.metrics
+    metrics = next(iter(evaluations.values())).report.metrics
     heads = ["fault", *(metrics[name].label for name in COLUMNS), "ES ratio"]
     lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
-    for name, of in found.items():
-        cells = []
+    for name, evaluation in evaluations.items():
+        report, cells = evaluation.report, []
         for column in COLUMNS:
-            cell = f"{of.report.value(column):.3f}".lstrip("0")
-            cells.append(f"**{cell}**" if of.report.test(column).p < LEVEL else cell)
-        ratio = of.report.value("energy_score") / of.least_energy
+            cell = f"{report.value(column):.3f}".lstrip("0")
+            cells.append(f"**{cell}**" if report.test(column).p < LEVEL else cell)
+        ratio = report.value("energy_score") / evaluation.least_energy
         lines.append(f"| `{name}` | " + " | ".join(cells) + f" | {ratio:.2f} |")
     return "\n".join(lines)

@@ -1,27 +1,27 @@
-"""Where are the minima of minMPJPE and ECE over mean and spread? Figure 1d."""
+"""Figure 1d: minMPJPE and ECE over mean and spread, and their minima."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from toy import best_of, pictures
+from toy import best_of, figures
 from toy.experiments.result import Result
 from toy.landscape import landscape
-from toy.progress import bar
+from toy.progress import progress_bar
 from toy.table import check, table
 
 __all__ = ["run"]
 
 
 def run(rng: np.random.Generator, *, poses: int = 200_000, N: int = 10) -> Result:
-    """Compute both landscapes and the valley.
+    """Compute both surfaces and the valley.
 
     Parameters
     ----------
     rng : numpy.random.Generator
-        For the simulated check.
+        The source of randomness of the check by simulation.
     poses : int
-        Truths in it.
+        Number of truths in it.
     N : int
         Hypotheses of minMPJPE.
 
@@ -31,7 +31,10 @@ def run(rng: np.random.Generator, *, poses: int = 200_000, N: int = 10) -> Resul
         The minima.
     """
     surface = landscape(
-        np.linspace(-2, 2, 40), np.linspace(3, 7, 40), N=N, rows=lambda sigmas: bar(sigmas, "rows of the landscape")
+        np.linspace(-2, 2, 40),
+        np.linspace(3, 7, 40),
+        N=N,
+        rows=lambda sigmas: progress_bar(sigmas, "rows of the landscape"),
     )
     mu_step, sigma_step = (float(axis[1] - axis[0]) for axis in (surface.mu, surface.sigma))
     text = [
@@ -50,4 +53,4 @@ def run(rng: np.random.Generator, *, poses: int = 200_000, N: int = 10) -> Resul
     exact = float(best_of.expected_min_mpjpe(6.0, N=N, D=1, truth_sigma=4.0, offset=1.0))
     drawn = best_of.simulated_min_mpjpe(6.0, N=N, D=1, poses=poses, rng=rng, truth_sigma=4.0, offset=1.0)
     text.append(check("minMPJPE at μ = 1, σ = 6", exact, drawn))
-    return Result("\n".join(text), pictures.landscape(surface, N))
+    return Result("\n".join(text), figures.landscape(surface, N))

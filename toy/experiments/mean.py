@@ -1,13 +1,13 @@
-"""Does minMPJPE keep the mean? Supplement A.2."""
+"""Supplement A.2: the mean that minimises minMPJPE."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from toy import figures
 from toy import mean as nearest
-from toy import pictures
 from toy.experiments.result import Result
-from toy.progress import bar
+from toy.progress import progress_bar
 from toy.table import check, table
 
 __all__ = ["run"]
@@ -17,23 +17,23 @@ CASES = ((2, 1.0), (10, 0.5), (10, 1.0), (200, 1.0))
 
 
 def run(rng: np.random.Generator, *, poses: int = 100_000) -> Result:
-    """Compute E[z*], fit the sigmoid, and find where the derivative of minMPJPE vanishes.
+    """Compute E[z*], fit the sigmoid, and solve for the root of the derivative of minMPJPE.
 
     Parameters
     ----------
     rng : numpy.random.Generator
-        For the simulated check.
+        The source of randomness of the check by simulation.
     poses : int
-        Truths in it.
+        Number of truths in it.
 
     Returns
     -------
     Result
-        The fits with their errors, and how far from the mean minMPJPE goes for a skewed truth.
+        The fits with their errors, and the offset of the best mean for a skewed truth.
     """
     offset, span = np.linspace(-6, 6, 121), np.linspace(-2, 2, 81)
     z, fits, skewed = {}, {}, {}
-    for N, s in bar(CASES, "nearest hypotheses"):
+    for N, s in progress_bar(CASES, "nearest hypotheses"):
         z[N, s] = nearest.expected_z(offset, sigma=s, truth_sigma=1.0, N=N)
         fits[N, s] = nearest.fit_sigmoid(offset, z[N, s])
         skewed[N, s] = nearest.best_offset_skewed(sigma=s, N=N)
@@ -64,4 +64,4 @@ def run(rng: np.random.Generator, *, poses: int = 100_000) -> Result:
         "exponential truth": span - nearest.expected_z_skewed(span, sigma=1.0, N=10),
     }
     roots = {"Gaussian truth": 0.0, "exponential truth": skewed[10, 1.0]}
-    return Result("\n".join(text), pictures.mean(offset, z, fits, span, derivative, roots))
+    return Result("\n".join(text), figures.mean(offset, z, fits, span, derivative, roots))

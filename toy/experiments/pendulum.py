@@ -1,4 +1,4 @@
-"""Where do the pendulums of the zero-shot experiment go? Supplement B.2, Figure 4."""
+"""Supplement B.2, Figure 4: the pendulums of the zero-shot experiment."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import BinaryIO
 import numpy as np
 
 from posecal.data.write import write_file
-from toy import body_pictures
+from toy import pose_figures
 from toy.experiments.result import Result
 from toy.pendulum import simulate
 from toy.table import table
@@ -22,39 +22,45 @@ def run(rng: np.random.Generator, data: Path, *, pendulums: int = 50, timesteps:
     Parameters
     ----------
     rng : numpy.random.Generator
-        Where velocities and noise come from.
+        The source of velocities and noise.
     data : Path
         The ``.npz`` for ``time``, ``positions``, ``observed`` and ``energy``; see
         :class:`toy.pendulum.Pendulums`.
     pendulums, timesteps : int
-        How many.
+        Number of pendulums, and of times of each.
 
     Returns
     -------
     Result
-        Reach, speed and drift.
+        Energies, rod lengths and observation noise.
     """
-    found = simulate(rng, pendulums=pendulums, timesteps=timesteps)
+    data_set = simulate(rng, pendulums=pendulums, timesteps=timesteps)
 
     def save(file: BinaryIO) -> None:
-        np.savez(file, time=found.time, positions=found.positions, observed=found.observed, energy=found.energy)
+        np.savez(
+            file,
+            time=data_set.time,
+            positions=data_set.positions,
+            observed=data_set.observed,
+            energy=data_set.energy,
+        )
 
     write_file(data, save)
-    noise = (found.observed - found.positions[:, :, 1:]).std()
-    rods = np.linalg.norm(np.diff(found.positions, axis=2), axis=-1)
+    noise = (data_set.observed - data_set.positions[:, :, 1:]).std()
+    rods = np.linalg.norm(np.diff(data_set.positions, axis=2), axis=-1)
     text = [
         table(
             f"{pendulums} pendulums at {timesteps} times",
             ["", "value"],
             [
-                ["time between them, s", float(found.time[1])],
-                ["median energy, J", float(np.median(found.energy[:, 0]))],
-                ["largest drift of an energy, relative", f"{found.energy_drift.max():.1e}"],
+                ["time between them, s", float(data_set.time[1])],
+                ["median energy, J", float(np.median(data_set.energy[:, 0]))],
+                ["largest drift of an energy, relative", f"{data_set.energy_drift.max():.1e}"],
                 ["largest change of a rod's length, m", f"{np.abs(rods - 1).max():.1e}"],
                 ["standard deviation of the observations, m", f"{noise:.4f}"],
             ],
         ),
         f"wrote {data}",
     ]
-    figure = body_pictures.pendulum(found.time, found.positions, found.observed, found.energy)
+    figure = pose_figures.pendulum(data_set.time, data_set.positions, data_set.observed, data_set.energy)
     return Result("\n".join(text), figure)

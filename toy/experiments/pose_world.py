@@ -1,4 +1,4 @@
-"""Which poses does the oracle world hold, and what do perfect and faulty samplers say of them?"""
+"""The pose world: files of perfect and faulty samplers, and properties of the exact posterior."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import numpy.typing as npt
 from posecal.calibration import calibration_curve
 from posecal.data.skeleton import Skeleton, canonical_name
 from posecal.metrics import min_mpjpe
-from toy import body_pictures
+from toy import pose_figures
 from toy.experiments.result import Result
 from toy.faults import Case, Fault
 from toy.pose_files import make_folder, write_case
 from toy.pose_world import PoseWorld
 from toy.posterior import Posterior
-from toy.progress import bar
+from toy.progress import progress_bar
 from toy.table import check, table
 
 __all__ = ["run"]
@@ -37,27 +37,27 @@ def run(
     correlation: float = 0.0,
     hidden: float = 0.3,
 ) -> Result:
-    """Write the files of each fault, and draw poses of the last.
+    """Write the files of each fault, and plot poses of the last.
 
     Parameters
     ----------
     world : PoseWorld
-        Where poses are drawn.
+        The world.
     faults : sequence of Fault
-        What is wrong; every fault has the same truths.
+        The faults; all have the same truths.
     data : Path
         The folder for ``hyps.npz`` and ``gt.npz``, or, with several faults, for a folder for each.
     seed : int
-        Where draws start.
+        Random seed.
     N : int
-        Hypotheses.
+        Number of hypotheses.
     sequences, frames, correlation, hidden
         As in :meth:`toy.pose_world.PoseWorld.draw`.
 
     Returns
     -------
     Result
-        What the exact posterior is like, and what was written.
+        Properties of the exact posterior, and of the written files.
     """
     if len(faults) > 1:
         make_folder(data)
@@ -68,18 +68,19 @@ def run(
         return Case.of(world, scene, rng)
 
     exact = case()
-    every = np.asarray(exact.scene.observed.all(axis=1))
-    kinds = {name: chosen for name, chosen in (("every keypoint", every), ("some hidden", ~every)) if chosen.any()}
+    all_observed = np.asarray(exact.scene.observed.all(axis=1))
+    masks = (("every keypoint", all_observed), ("some hidden", ~all_observed))
+    kinds = {name: mask for name, mask in masks if mask.any()}
     root = Skeleton(world.joints).root
-    written: list[list[str | float]] = []
+    rows: list[list[str | float]] = []
     poses: list[tuple[str, Floats, Floats]] = []
-    for fault in bar(faults, "hypotheses"):
+    for fault in progress_bar(faults, "hypotheses"):
         folder = data / fault.name if len(faults) > 1 else data
         hypotheses, truth = write_case(folder, case(), fault, N)
         curve = calibration_curve(hypotheses, truth, root=root)
         best = float(min_mpjpe(hypotheses, truth).mean())
-        written.append([str(folder), curve.ece(), curve.ece("mean"), best, fault.says])
-        poses = [(name, hypotheses[:, m], truth[m]) for name, chosen in kinds.items() for m in [chosen.argmax()]]
+        rows.append([str(folder), curve.ece(), curve.ece("mean"), best, fault.description])
+        poses = [(name, hypotheses[:, m], truth[m]) for name, mask in kinds.items() for m in [mask.argmax()]]
 
     text = [
         _spreads(exact.posterior, kinds),
@@ -87,14 +88,14 @@ def run(
         _best_of(exact, N),
         table(
             f"wrote hyps.npz (N = {N}) and gt.npz; ECE (exchangeable) of the median joint, and mean over joints",
-            ["", "ECE", "mean", "minMPJPE, mm", "what is wrong"],
-            written,
+            ["", "ECE", "mean", "minMPJPE, mm", "fault"],
+            rows,
         ),
     ]
     names = [canonical_name(name) for name in world.joints]
     joint = names.index("RWrist") if "RWrist" in names else len(names) - 1
     bones = [(parent, child) for child, parent in enumerate(world.parents)]
-    return Result("\n".join(text), body_pictures.people(poses, bones, joint, world.joints[joint]))
+    return Result("\n".join(text), pose_figures.people(poses, bones, joint, world.joints[joint]))
 
 
 def _spreads(posterior: Posterior, kinds: dict[str, npt.NDArray[np.bool_]]) -> str:
@@ -103,8 +104,8 @@ def _spreads(posterior: Posterior, kinds: dict[str, npt.NDArray[np.bool_]]) -> s
         "standard deviation of a joint given the keypoints, mm",
         ["", "poses", "x", "y", "depth"],
         [
-            [name, str(chosen.sum()), *(float(sd) for sd in np.sqrt(variance[chosen].mean(axis=(0, 1))))]
-            for name, chosen in kinds.items()
+            [name, str(mask.sum()), *(float(sd) for sd in np.sqrt(variance[mask].mean(axis=(0, 1))))]
+            for name, mask in kinds.items()
         ],
     )
 
@@ -118,4 +119,4 @@ def _density(case: Case) -> str:
 
 def _best_of(case: Case, N: int) -> str:
     best, error = case.posterior.expected_min_mpjpe(N, case.rng)
-    return f"minMPJPE of {N} exact hypotheses, of other draws: {best:.2f} ± {error:.2f} mm"
+    return f"minMPJPE of {N} exact hypotheses, from other draws: {best:.2f} ± {error:.2f} mm"

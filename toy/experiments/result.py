@@ -1,4 +1,4 @@
-"""What a command hands over: the numbers as text, and the figure."""
+"""The result of a command: the numbers as text, and the figure."""
 
 from __future__ import annotations
 

@@ -34,13 +34,13 @@ def inputs(seed: int = 1) -> tuple[Tensor, Tensor, Tensor]:
     return keypoints, observed, poses
 
 
-def repeated(keypoints: Tensor, observed: Tensor) -> tuple[Tensor, Tensor]:
-    """Keypoints and observed once for every sample, as the naive twin wants them."""
+def repeat_per_sample(keypoints: Tensor, observed: Tensor) -> tuple[Tensor, Tensor]:
+    """Keypoints and observed once for every sample, the inputs of the naive twin."""
     return keypoints.repeat_interleave(SAMPLES, 0), observed.repeat_interleave(SAMPLES, 0)
 
 
-def below_a_hip(keypoints: Tensor, observed: Tensor) -> Context:
-    """Keypoints relative to the hip, as they lie in an image in which the hip is somewhere."""
-    somewhere = torch.tensor([[[500.0, -300.0]]], dtype=keypoints.dtype).expand(len(keypoints), 1, 2)
-    hips = torch.ones_like(observed[:, :1])
-    return Context(torch.cat([somewhere, keypoints + somewhere], dim=1), torch.cat([hips, observed], dim=1))
+def with_hip_keypoint(keypoints: Tensor, observed: Tensor) -> Context:
+    """A context of keypoints given relative to the hip, whose own keypoint is at (500, -300) pixels."""
+    hip = torch.tensor([[[500.0, -300.0]]], dtype=keypoints.dtype).expand(len(keypoints), 1, 2)
+    hip_observed = torch.ones_like(observed[:, :1])
+    return Context(torch.cat([hip, keypoints + hip], dim=1), torch.cat([hip_observed, observed], dim=1))

@@ -1,6 +1,7 @@
-"""How do estimates and trainings look? Figures in the style of :mod:`posecal.plot`; all drawn, nothing computed.
+"""Figures of estimates and trainings, in the style of :mod:`posecal.plot`.
 
-Every function gives a :class:`matplotlib.figure.Figure`. Poses are shown from the camera and from the side.
+Every function returns a :class:`matplotlib.figure.Figure` and computes nothing. Poses are shown from the camera and
+from the side.
 """
 
 from __future__ import annotations
@@ -45,27 +46,27 @@ def _style() -> AbstractContextManager[None]:
     return mpl.rc_context(settings)
 
 
-def reliability_grid(reports: Mapping[str, Report], *, across: int = 4) -> Figure:
-    """Draw a reliability diagram for each estimator.
+def reliability_grid(reports: Mapping[str, Report], *, columns: int = 4) -> Figure:
+    """Plot a reliability diagram for each estimator.
 
     Parameters
     ----------
     reports : mapping of str to Report
-        By the estimators' names.
-    across : int
-        Diagrams in a row.
+        Reports by the estimators' names.
+    columns : int
+        Maximum number of diagrams in a row.
 
     Returns
     -------
     Figure
         With the exchangeable ECE in each title.
     """
-    across = min(across, len(reports))
-    down = -(-len(reports) // across)
-    across = -(-len(reports) // down)
+    columns = min(columns, len(reports))
+    rows = -(-len(reports) // columns)
+    columns = -(-len(reports) // rows)
     with _style():
-        figure = Figure(figsize=(2.3 * across, 2.55 * down), layout="constrained")
-        axes = figure.subplots(down, across, squeeze=False)
+        figure = Figure(figsize=(2.3 * columns, 2.55 * rows), layout="constrained")
+        axes = figure.subplots(rows, columns, squeeze=False)
         for ax in axes.flat[len(reports) :]:
             ax.set_axis_off()
         for index, (name, report) in enumerate(reports.items()):
@@ -78,33 +79,33 @@ def reliability_grid(reports: Mapping[str, Report], *, across: int = 4) -> Figur
     return figure
 
 
-def _bones(ax: Axes, pose: Floats, skeleton: Skeleton, axis: int, **look: Any) -> None:
+def _plot_bones(ax: Axes, pose: Floats, skeleton: Skeleton, axis: int, **line_style: Any) -> None:
     ends = pose[np.array(skeleton.bones)][..., [axis, 1]] * (1, -1)
-    ax.add_collection(LineCollection(list(ends), capstyle="round", **look))
+    ax.add_collection(LineCollection(list(ends), capstyle="round", **line_style))
 
 
 def hypotheses(
     columns: Sequence[tuple[str, Floats, Floats]], joints: Sequence[str], *, cloud: str, drawn: int = 50
 ) -> Figure:
-    """Draw hypotheses (grey) against the truth (blue), one joint as a pink cloud.
+    """Plot hypotheses (grey) against the truth (blue), one joint as pink points.
 
     Parameters
     ----------
     columns : sequence of (str, ndarray, ndarray)
         For each image a title, hypotheses (N, K, 3) and truth (K, 3), mm, in the camera's frame.
     joints : sequence of str
-        K names, the root among them.
+        K names, the root included.
     cloud : str
         The joint whose hypotheses are shown as points.
     drawn : int
-        How many hypotheses are drawn.
+        Number of hypotheses that are shown.
 
     Returns
     -------
     Figure
         Each image from the camera above, from the side below.
     """
-    skeleton, spot = Skeleton(tuple(joints)), list(joints).index(cloud)
+    skeleton, joint = Skeleton(tuple(joints)), list(joints).index(cloud)
     with _style():
         figure = Figure(figsize=(1.35 * len(columns), 3.9), layout="constrained")
         axes = figure.subplots(2, len(columns), sharex=True, sharey=True, squeeze=False)
@@ -112,10 +113,11 @@ def hypotheses(
             for row, axis in enumerate((0, 2)):
                 ax = axes[row, index]
                 for pose in poses[:drawn]:
-                    _bones(ax, pose, skeleton, axis, color=FAINT, linewidth=0.4, alpha=0.5, zorder=1)
-                _bones(ax, truth, skeleton, axis, color=UNDER, linewidth=1.6, zorder=2)
-                ax.plot(poses[:drawn, spot, axis], -poses[:drawn, spot, 1], ".", color=OVER, markersize=2.5, alpha=0.8)
-                _empty(ax)
+                    _plot_bones(ax, pose, skeleton, axis, color=FAINT, linewidth=0.4, alpha=0.5, zorder=1)
+                _plot_bones(ax, truth, skeleton, axis, color=UNDER, linewidth=1.6, zorder=2)
+                points = poses[:drawn, joint]
+                ax.plot(points[:, axis], -points[:, 1], ".", color=OVER, markersize=2.5, alpha=0.8)
+                _hide_axes(ax)
             axes[0, index].set_title(title, fontsize=6.5)
         axes[0, 0].set_ylabel("from the camera")
         axes[1, 0].set_ylabel("from the side")
@@ -125,21 +127,21 @@ def hypotheses(
     return figure
 
 
-def _empty(ax: Axes) -> None:
+def _hide_axes(ax: Axes) -> None:
     ax.set(xlim=(-1000, 1000), ylim=(-1250, 1000), aspect="equal", xticks=[], yticks=[])
     for side in ax.spines.values():
         side.set_visible(False)
 
 
 def prior(poses: Floats, joints: Sequence[str]) -> Figure:
-    """Draw poses of which nothing was observed, each from the camera and from the side.
+    """Plot poses of the prior, each from the camera and from the side.
 
     Parameters
     ----------
     poses : ndarray
         (M, K, 3), mm.
     joints : sequence of str
-        K names, the root among them.
+        K names, the root included.
 
     Returns
     -------
@@ -162,7 +164,7 @@ def prior(poses: Floats, joints: Sequence[str]) -> Figure:
                         linewidth=1.4,
                         solid_capstyle="round",
                     )
-                _empty(axes[row, index])
+                _hide_axes(axes[row, index])
         axes[0, 0].set_ylabel("from the camera")
         axes[1, 0].set_ylabel("from the side")
         figure.supxlabel("pink: the left side · blue: the right side", fontsize=7)
@@ -170,17 +172,17 @@ def prior(poses: Floats, joints: Sequence[str]) -> Figure:
 
 
 def losses(curves: Mapping[str, npt.NDArray[np.void]]) -> Figure:
-    """Draw how the losses of trainings fell.
+    """Plot the loss curves of trainings.
 
     Parameters
     ----------
     curves : mapping of str to structured ndarray
-        For each training its ``losses.csv``.
+        The ``losses.csv`` of each training.
 
     Returns
     -------
     Figure
-        Training and validation loss of each epoch; the first, high ones are cut off.
+        Training and validation loss of each epoch; the first, high ones are outside the axes.
     """
     columns = min(len(curves), 4)
     rows = -(-len(curves) // columns)
@@ -203,7 +205,7 @@ def losses(curves: Mapping[str, npt.NDArray[np.void]]) -> Figure:
 
 
 def pendulum(samples: Mapping[str, Floats], truth: Floats, titles: Mapping[str, str]) -> Figure:
-    """Draw the zero-shot experiment: samples of three models around true pendulums.
+    """Plot the zero-shot experiment: samples of three models around true pendulums.
 
     Parameters
     ----------
@@ -212,7 +214,7 @@ def pendulum(samples: Mapping[str, Floats], truth: Floats, titles: Mapping[str, 
     truth : ndarray
         (M, 3, 2), m; the fixed node is the origin.
     titles : mapping of str to str
-        What stands above each model's row.
+        The title of each model's row.
 
     Returns
     -------
@@ -223,18 +225,18 @@ def pendulum(samples: Mapping[str, Floats], truth: Floats, titles: Mapping[str, 
     with _style():
         figure = Figure(figsize=(1.6 * len(truth), 1.9 * len(samples)), layout="constrained")
         rows = figure.subfigures(len(samples), 1, squeeze=False)[:, 0]
-        for part, (name, drawn) in zip(rows, samples.items(), strict=True):
-            part.suptitle(titles[name], x=0.02, ha="left", fontsize=7)
-            axes = part.subplots(1, len(truth), sharey=True, squeeze=False)[0]
+        for row, (name, drawn) in zip(rows, samples.items(), strict=True):
+            row.suptitle(titles[name], x=0.02, ha="left", fontsize=7)
+            axes = row.subplots(1, len(truth), sharey=True, squeeze=False)[0]
             for column, (ax, nodes) in enumerate(zip(axes, truth, strict=True)):
                 for node, colour in enumerate(colours):
-                    where = drawn[:, column, node]
-                    ax.plot(where[:, 0], where[:, 1], ".", color=colour, markersize=2, alpha=0.5, label=f"x{node + 1}")
+                    x, y = drawn[:, column, node].T
+                    ax.plot(x, y, ".", color=colour, markersize=2, alpha=0.5, label=f"x{node + 1}")
                 chain = np.concatenate([np.zeros((1, 2)), nodes])
                 ax.plot(chain[:, 0], chain[:, 1], "o-", color=INK, markersize=3, linewidth=1)
                 ax.set(xlim=(-3.2, 3.2), ylim=(-3.2, 3.2), aspect="equal", xticks=(-2, 0, 2), yticks=(-2, 0, 2))
             axes[0].set_ylabel("y (m)", fontsize=8)
-        marks, names = figure.axes[0].get_legend_handles_labels()
-        figure.legend(marks, names, loc="outside lower right", ncols=3, markerscale=3, handletextpad=0.1, fontsize=7)
+        handles, names = figure.axes[0].get_legend_handles_labels()
+        figure.legend(handles, names, loc="outside lower right", ncols=3, markerscale=3, handletextpad=0.1, fontsize=7)
         figure.supxlabel("x (m)", fontsize=8)
     return figure

@@ -1,6 +1,6 @@
-"""How are people and pendulums drawn? Figures of poses that others have drawn or solved.
+"""Figures of people and pendulums.
 
-Every function gives a :class:`matplotlib.figure.Figure` in the colours of :mod:`toy.style`.
+Every function returns a :class:`matplotlib.figure.Figure` in the colours of :mod:`toy.style`, and computes nothing.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Floats = npt.NDArray[np.floating]
 def people(
     poses: Sequence[tuple[str, Floats, Floats]], bones: Sequence[tuple[int, int]], joint: int, joint_name: str
 ) -> Figure:
-    """Draw hypotheses (grey) and truth (blue) from the front and from the side, one joint as a pink cloud.
+    """Plot hypotheses (grey) and truth (blue) from the front and from the side, one joint as pink points.
 
     Parameters
     ----------
@@ -32,12 +32,12 @@ def people(
     joint : int
         The joint whose hypotheses are shown as points.
     joint_name : str
-        Its name.
+        The joint's name.
 
     Returns
     -------
     Figure
-        Two views for each pose.
+        Two views of each pose.
     """
     with style():
         figure = Figure(figsize=(1.45 * 2 * len(poses), 2.9))
@@ -46,9 +46,9 @@ def people(
             for ax, axis, view in ((axes[2 * index], 0, "front"), (axes[2 * index + 1], 2, "side")):
                 for pose, colour, width, alpha in (*((h, FAINT, 0.5, 0.6) for h in hypotheses[:25]),
                                                    (truth, UNDER, 1.6, 1.0)):  # fmt: skip
-                    placed = np.concatenate([pose, np.zeros((1, 3))])  # index -1 is the origin
+                    with_origin = np.concatenate([pose, np.zeros((1, 3))])  # index -1 is the origin
                     for parent, child in bones:
-                        ends = placed[[parent, child]]
+                        ends = with_origin[[parent, child]]
                         ax.plot(ends[:, axis], -ends[:, 1], color=colour, linewidth=width, alpha=alpha,
                                 solid_capstyle="round")  # fmt: skip
                 cloud = hypotheses[:, joint]
@@ -63,7 +63,7 @@ def people(
 
 
 def pendulum(time: Floats, positions: Floats, observed: Floats, energy: Floats) -> Figure:
-    """Draw some pendulums with what was seen of them, and the drift of all energies.
+    """Plot some pendulums with their observations, and the drift of all energies.
 
     Parameters
     ----------
@@ -84,11 +84,11 @@ def pendulum(time: Floats, positions: Floats, observed: Floats, energy: Floats) 
     with style():
         figure = Figure(figsize=(7.0, 2.3))
         axes = figure.subplots(1, 4, width_ratios=[1, 1, 1, 1.15])
-        for ax, path, seen, number in zip(axes, positions, observed, range(1, 4), strict=False):
+        for ax, path, observations, number in zip(axes, positions, observed, range(1, 4), strict=False):
             for t, fade in zip(shown, np.linspace(0.15, 1, len(shown)), strict=True):
                 ax.plot(*path[t].T, "-o", color=INK, alpha=fade, linewidth=1, markersize=2.5)
-            for node in range(seen.shape[1]):
-                ax.plot(*seen[:, node].T, ".", color=colours[node % 3], markersize=3, label=f"c$_{node + 1}$")
+            for node in range(observations.shape[1]):
+                ax.plot(*observations[:, node].T, ".", color=colours[node % 3], markersize=3, label=f"c$_{node + 1}$")
             reach = 1.05 * (path.shape[1] - 1)
             ax.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel="x (m)", title=f"pendulum {number}")
             ax.set_aspect("equal")

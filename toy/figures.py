@@ -1,6 +1,6 @@
-"""How are the Gaussian toy results drawn? Figures of numbers that others have computed.
+"""Figures of the Gaussian toy results.
 
-Every function gives a :class:`matplotlib.figure.Figure` in the colours of :mod:`toy.style`.
+Every function returns a :class:`matplotlib.figure.Figure` in the colours of :mod:`toy.style`, and computes nothing.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ __all__ = ["collapse", "curves", "landscape", "mean", "sigma_map"]
 Floats = npt.NDArray[np.float64]
 
 
-def _bars(ax: Axes, values: tuple[float, float], label: str) -> None:
+def _plot_bars(ax: Axes, values: tuple[float, float], label: str) -> None:
     bars = ax.bar(["optimum", "oracle"], values, color=[OVER, GOLD], edgecolor=INK, linewidth=0.6)
     ax.bar_label(bars, [f"{value:.3g}" for value in values], padding=1, fontsize=7)
     ax.tick_params("x", labelsize=7)
@@ -36,22 +36,22 @@ def sigma_map(
     sigma: Floats,
     *,
     truth_sigma: float,
-    marked: tuple[int, int],
+    marker: tuple[int, int],
     min_mpjpe: tuple[float, float],
     nll: tuple[float, float],
 ) -> Figure:
-    """Draw Figure 1b: the map of minMPJPE-optimal spreads, and the optimum against the oracle.
+    """Plot Figure 1b: the map of minMPJPE-optimal spreads, and the optimum against the oracle.
 
     Parameters
     ----------
     dimensions, hypotheses : sequence of int
-        The D and N of the rows and columns, rising.
+        The D and N of the rows and columns, increasing.
     sigma : ndarray, shape (D, N)
         Optimal spreads.
     truth_sigma : float
         The true spread, in the same unit.
-    marked : tuple of int
-        D and N of the point that is like a pose.
+    marker : tuple of int
+        D and N of a typical pose.
     min_mpjpe, nll : tuple of float
         Of the optimum and of the oracle at that point.
 
@@ -68,9 +68,9 @@ def sigma_map(
             hypotheses, dimensions, sigma, cmap=CONFIDENCE, norm=norm, shading="gouraud", rasterized=True
         )
         map_ax.contour(hypotheses, dimensions, sigma, levels=[truth_sigma], colors=INK, linewidths=1)
-        map_ax.plot(marked[1], marked[0], "o", color=GOLD, markeredgecolor=INK, markersize=7)
-        place = {"textcoords": "offset points", "ha": "right", "va": "center"}
-        map_ax.annotate("a 3D pose", (marked[1], marked[0]), (-8, 0), **place)
+        map_ax.plot(marker[1], marker[0], "o", color=GOLD, markeredgecolor=INK, markersize=7)
+        alignment = {"textcoords": "offset points", "ha": "right", "va": "center"}
+        map_ax.annotate("a 3D pose", (marker[1], marker[0]), (-8, 0), **alignment)
         map_ax.text(0.3, 0.36, "overconfident", transform=map_ax.transAxes)
         map_ax.text(0.97, 0.06, "underconfident", transform=map_ax.transAxes, ha="right")
         map_ax.set(xscale="log", yscale="log")
@@ -86,15 +86,15 @@ def sigma_map(
         colours.set_ticks([0, truth_sigma / 2, truth_sigma, 1.5 * truth_sigma])
         colours.ax.set_yticklabels(["0", f"{truth_sigma / 2:g}", f"σ* = {truth_sigma:g}", f"{1.5 * truth_sigma:g}"])
         colours.ax.axhline(truth_sigma, color=INK, linewidth=1)
-        _bars(error_ax, min_mpjpe, "minMPJPE")
-        _bars(nll_ax, nll, "NLL (nats)")
-        error_ax.set_xlabel(f"D = {marked[0]}, N = {marked[1]}")
-        nll_ax.set_xlabel(f"D = {marked[0]}, N = {marked[1]}")
+        _plot_bars(error_ax, min_mpjpe, "minMPJPE")
+        _plot_bars(nll_ax, nll, "NLL (nats)")
+        error_ax.set_xlabel(f"D = {marker[0]}, N = {marker[1]}")
+        nll_ax.set_xlabel(f"D = {marker[0]}, N = {marker[1]}")
     return figure
 
 
 def landscape(surface: Landscape, N: int) -> Figure:
-    """Draw Figure 1d: minMPJPE and ECE over mean and spread, and minMPJPE along the valley of the ECE.
+    """Plot Figure 1d: minMPJPE and ECE over mean and spread, and minMPJPE along the valley of the ECE.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def landscape(surface: Landscape, N: int) -> Figure:
 def collapse(
     spread: Floats, mpjpe: Floats, squared: Floats, *, point: Floats, skewed_mpjpe: Floats, skewed_squared: Floats
 ) -> Figure:
-    """Draw supplement A.1: the mean MPJPE over the spread, and where it collapses to for a skewed truth.
+    """Plot supplement A.1: the mean MPJPE over the spread, and the point of collapse for a skewed truth.
 
     Parameters
     ----------
@@ -144,9 +144,9 @@ def collapse(
     mpjpe, squared : ndarray, shape (A,)
         Mean MPJPE and mean squared error, as multiples of the collapsed model's.
     point : ndarray, shape (B,)
-        Where the collapsed model is, in units of the exponential truth's mean.
+        Points of the collapsed model, in units of the exponential truth's mean.
     skewed_mpjpe, skewed_squared : ndarray, shape (B,)
-        Its expected distance and squared distance.
+        Their expected distance and squared distance.
 
     Returns
     -------
@@ -167,11 +167,11 @@ def collapse(
         right.fill_between(point, np.exp(-point), color="#E8E8E8", linewidth=0, label="the truth's density")
         right.plot(point, skewed_mpjpe, color=OVER, label="mean MPJPE")
         right.plot(point, skewed_squared, color=UNDER, linestyle="--", label="mean squared error")
-        lowest = ((skewed_mpjpe, OVER, "the median", -11), (skewed_squared, UNDER, "the mean", 7))
-        for values, colour, word, above in lowest:
-            best = values.argmin()
-            right.plot(point[best], values[best], "o", color=colour)
-            right.annotate(word, (point[best], values[best]), (0, above), textcoords="offset points", ha="center")
+        minima = ((skewed_mpjpe, OVER, "the median", -11), (skewed_squared, UNDER, "the mean", 7))
+        for values, colour, label, offset in minima:
+            lowest = values.argmin()
+            right.plot(point[lowest], values[lowest], "o", color=colour)
+            right.annotate(label, (point[lowest], values[lowest]), (0, offset), textcoords="offset points", ha="center")
         right.set(xlabel="where the model collapses to", ylabel="expected error", title="exponential truth")
         right.set(xlim=(0, 3), ylim=(0, 4.2))
         right.legend(loc="upper left")
@@ -186,7 +186,7 @@ def mean(
     derivative: Mapping[str, Floats],
     roots: Mapping[str, float],
 ) -> Figure:
-    """Draw supplement A.2: E[z*] with its sigmoids, their errors, and where the derivative vanishes.
+    """Plot supplement A.2: E[z*] with its sigmoids, their errors, and the roots of the derivative.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ def mean(
     derivative : mapping
         E[x] − μ − σ E[z*] at them, (B,), for each truth by its name.
     roots : mapping
-        Where it vanishes.
+        Its roots.
 
     Returns
     -------
@@ -232,14 +232,14 @@ def mean(
 
 
 def curves(panels: Sequence[tuple[str, Mapping[str, Floats]]], levels: Floats) -> Figure:
-    """Draw closed calibration curves.
+    """Plot closed-form calibration curves.
 
     Parameters
     ----------
     panels : sequence of (title, curves)
-        For each way to be wrong, its name and its curves (Q,) by the words that stand on them.
+        For each kind of error, its name and its curves (Q,) by their labels.
     levels : ndarray, shape (Q,)
-        The levels, rising.
+        The levels, increasing.
 
     Returns
     -------
@@ -252,11 +252,11 @@ def curves(panels: Sequence[tuple[str, Mapping[str, Floats]]], levels: Floats) -
             ax.fill_between([0, 1], [0, 1], 0, color=OVER, alpha=0.08, linewidth=0)
             ax.fill_between([0, 1], [0, 1], 1, color=UNDER, alpha=0.08, linewidth=0)
             ax.plot([0, 1], [0, 1], color=INK, linewidth=0.8)
-            for words, line in lines.items():
+            for label, line in lines.items():
                 ax.plot(levels, line, color=UNDER if line.mean() > levels.mean() else OVER)
-                crossing = np.searchsorted(levels + line, 1.0)  # where it meets the other diagonal
+                crossing = np.searchsorted(levels + line, 1.0)  # the intersection with the other diagonal
                 ax.text(
-                    levels[crossing], line[crossing], words, fontsize=6.5, ha="center", va="center",
+                    levels[crossing], line[crossing], label, fontsize=6.5, ha="center", va="center",
                     bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none"},
                 )  # fmt: skip
             if all(line.mean() < levels.mean() for line in lines.values()):

@@ -1,4 +1,4 @@
-"""Do these numbers look like people in millimetres? Metres taken for millimetres would be learned as dwarfs."""
+"""Check of the unit of poses: an error for metres where millimetres are expected."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ __all__ = ["check_millimetres"]
 
 
 def check_millimetres(poses: npt.NDArray[np.floating], which: str, advice: str = "") -> None:
-    """Refuse poses that must be in metres.
+    """Raise an error for poses that look like metres.
 
     Parameters
     ----------
     poses : ndarray
-        (M, K, 3), in what should be mm. Poses with joints that are not finite don't count.
+        (M, K, 3), expected in mm. Poses with joints that are not finite are ignored.
     which : str
-        Where they are from.
+        Their name in the message.
     advice : str
-        What to do, the end of the message.
+        The end of the message, with what to do.
 
     Raises
     ------
     PoseDataError
-        Where in half of the poses the joints lie less than 10 from the middle of the pose, root mean square.
+        Where the median size of the poses is below 10: the root mean square distance of the joints from their centre.
 
     Examples
     --------
