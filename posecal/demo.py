@@ -21,6 +21,7 @@ from posecal.data.skeleton import JOINT_SETS, Skeleton
 from posecal.data.write import write_file, write_members
 from posecal.errors import PoseFileError
 from posecal.evaluation import evaluate
+from posecal.report.format import short_number
 from posecal.report.html import write_html
 from posecal.report.report import Report
 from posecal.report.sheet import Sheet, Table
@@ -31,6 +32,9 @@ if TYPE_CHECKING:
 
 SAMPLERS = {"calibrated": 1.0, "overconfident": 0.5, "underconfident": 1.5}
 """The spread of each sampler, relative to the true one."""
+
+SHOWN = ("min_mpjpe", "mpjpe", "ece", "signed_area", "coverage_90", "radius_50")
+"""The metrics by which the samplers are compared."""
 
 ACTIONS = {"standing": 0.7, "walking": 1.0, "sitting": 1.3}
 """How uncertain the poses of an action are, relative to walking."""
@@ -105,34 +109,30 @@ def make_world(sequences: int = 24, frames: int = 25, seed: int = 0) -> World:
     """
     random = np.random.default_rng(seed)
     skeleton = Skeleton(JOINT_SETS["h36m-17"])
-    joints = len(skeleton.joints)
-    rest = skeleton.rest_pose
-    means, spreads, truths, occlusions = [], [], [], []
-    names = list(ACTIONS)
-    for number in range(sequences):
+    joints, names = len(skeleton.joints), list(ACTIONS)
+    mean, spread, truth = (np.empty((sequences, frames, joints, 3)) for _ in range(3))
+    occluded = np.empty((sequences, frames, joints), dtype=bool)
+    for s in range(sequences):
         motion = _along_the_tree(40 * _smooth_noise(random, frames, (joints, 3), 0.98), skeleton)
         turn = random.uniform(0, 2 * np.pi)
         around = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
-        mean = (rest + motion) @ around.T
-        hidden = np.repeat(random.random((1, joints)) < 0.12, frames, axis=0)
-        hidden[:, 0] = False
-        spread = np.full((frames, joints, 3), [14.0, 28.0, 14.0]) * ACTIONS[names[number % len(names)]]
-        spread[hidden] *= 2
-        spread[:, 0] = 0
-        mean -= mean[:, :1]
-        means.append(mean)
-        spreads.append(spread)
-        truths.append(mean + _along_the_tree(spread * _smooth_noise(random, frames, (joints, 3), 0.8), skeleton))
-        occlusions.append(hidden)
-    of_frame = np.repeat(np.arange(sequences), frames)
+        pose = (skeleton.rest_pose + motion) @ around.T
+        mean[s] = pose - pose[:, :1]
+        occluded[s] = random.random(joints) < 0.12
+        occluded[s, :, 0] = False
+        spread[s] = np.array([14.0, 28.0, 14.0]) * ACTIONS[names[s % len(names)]]
+        spread[s][occluded[s]] *= 2
+        spread[s, :, 0] = 0
+        truth[s] = mean[s] + _along_the_tree(spread[s] * _smooth_noise(random, frames, (joints, 3), 0.8), skeleton)
+    number = np.repeat(np.arange(sequences), frames)
     return World(
-        mean=np.concatenate(means),
-        spread=np.concatenate(spreads),
-        truth=np.concatenate(truths),
+        mean=mean.reshape(-1, joints, 3),
+        spread=spread.reshape(-1, joints, 3),
+        truth=truth.reshape(-1, joints, 3),
         skeleton=skeleton,
-        sequence=np.array([f"sequence {number:02d}" for number in of_frame]),
-        action=np.array(names)[of_frame % len(names)],
-        occluded=np.concatenate(occlusions),
+        sequence=np.array([f"sequence {s:02d}" for s in number]),
+        action=np.array(names)[number % len(names)],
+        occluded=occluded.reshape(-1, joints),
     )
 
 
@@ -191,26 +191,17 @@ def write_demo(folder: Path, world: World | None = None, n_hypotheses: int = 200
         Where a file can't be written.
     """
     world = world or make_world()
-    common = {"unit": np.array("mm"), "joints": np.array(world.skeleton.joints)}
-    common["frame_id"] = np.array([f"{name}/{number}" for number, name in enumerate(world.sequence)])
+    frames = np.array([f"{name}/{number}" for number, name in enumerate(world.sequence)])
+    common = {"unit": np.array("mm"), "joints": np.array(world.skeleton.joints), "frame_id": frames}
 
-    def write(name: str, members: dict[str, npt.NDArray[np.generic]]) -> Path:
+    def write(name: str, **members: npt.NDArray[np.generic]) -> Path:
         write_file(folder / name, lambda file: write_members(file, {**members, **common}))
         return folder / name
 
-    yield write(
-        "gt.npz",
-        {
-            "truth": world.truth.astype(np.float32),
-            "axes": np.array("MKD"),
-            "sequence": world.sequence,
-            "action": world.action,
-            "occluded": world.occluded,
-        },
-    )
+    labels = {"sequence": world.sequence, "action": world.action, "occluded": world.occluded}
+    yield write("gt.npz", truth=world.truth.astype(np.float32), axes=np.array("MKD"), **labels)
     for name, spread in SAMPLERS.items():
-        hypotheses = sample(world, n_hypotheses, spread)
-        yield write(f"{name}.npz", {"hypotheses": hypotheses, "axes": np.array("NMKD")})
+        yield write(f"{name}.npz", hypotheses=sample(world, n_hypotheses, spread), axes=np.array("NMKD"))
 
 
 def run_demo(folder: Path, write_line: Callable[[str], object]) -> None:
@@ -242,13 +233,12 @@ def run_demo(folder: Path, write_line: Callable[[str], object]) -> None:
     files = {path.stem: path for path in write_demo(folder, world)}
     reports = {}
     for name in SAMPLERS:
-        write_line(
-            f"$ posecal evaluate {name}.npz gt.npz --plot {name}.png --html {name}.html --save {name}-result.npz"
-        )
-        reports[name] = evaluate(files[name], files["gt"])
-        save(draw(reports[name], title=f"{name} sampler"), folder / f"{name}.png")
-        write_html(reports[name], folder / f"{name}.html", f"{name} sampler")
-        reports[name].save(folder / f"{name}-result.npz")
+        outputs = f"--plot {name}.png --html {name}.html --save {name}-result.npz"
+        write_line(f"$ posecal evaluate {name}.npz gt.npz {outputs}")
+        report = reports[name] = evaluate(files[name], files["gt"])
+        save(draw(report, title=f"{name} sampler"), folder / f"{name}.png")
+        write_html(report, folder / f"{name}.html", f"{name} sampler")
+        report.save(folder / f"{name}-result.npz")
     save(_together(reports), folder / "samplers.svg")
     write_line(f"\n{reports['calibrated']}\n")
     write_line(_summary_of(reports).text())
@@ -265,34 +255,29 @@ def _together(reports: Mapping[str, Report]) -> Figure:
 
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(9.2, 3.5))
-        for column, (name, report) in enumerate(reports.items()):
-            ax = figure.add_subplot(1, len(reports), column + 1)
+        axes = figure.subplots(1, len(reports), squeeze=False)[0]
+        for ax, (name, report) in zip(axes, reports.items(), strict=True):
             reliability(report, ax=ax)
-            minimum, ece = report["min_mpjpe"], report["ece"]
-            ax.set_title(f"{name}: minMPJPE {minimum:.1f} mm, ECE {ece:.3f}", fontsize=8.5)
+            ax.set_title(f"{name}: minMPJPE {report['min_mpjpe']:.1f} mm, ECE {report['ece']:.3f}", fontsize=8.5)
         figure.subplots_adjust(left=0.06, right=0.99, top=0.92, bottom=0.14, wspace=0.28)
     return figure
 
 
 def _summary_of(reports: Mapping[str, Report]) -> Sheet:
-    """What to notice about the three samplers."""
-    names = ("min_mpjpe", "mpjpe", "ece", "signed_area", "coverage_90", "radius_50")
-    some = reports["calibrated"].metrics
-    rows = []
-    for name, report in reports.items():
-        values = ((report[metric], some[metric].unit) for metric in names)
-        rows.append((name, *(f"{value:.1f} {unit}" if unit else f"{value:.3f}" for value, unit in values)))
+    """Say what to notice about the three samplers."""
+    metrics = [reports["calibrated"].metrics[name] for name in SHOWN]
+    rows = [
+        (name, *(f"{short_number(report[m.name], m.unit)} {m.unit}".rstrip() for m in metrics))
+        for name, report in reports.items()
+    ]
     best = min(reports, key=lambda name: reports[name]["min_mpjpe"])
-    headings = ("sampler", *(some[metric].label for metric in names))
+    notice = (
+        f"the {best} sampler has the best minMPJPE. A benchmark that ranks by minMPJPE prefers a model whose balls for "
+        f"9 truths in 10 hold {10 * reports[best]['coverage_90']:.1f} in 10."
+    )
     return Sheet(
         "That was the calibrated sampler. All three, and what posecal says of them",
         sentences=[f"{name}: {report.summary[0]}" for name, report in reports.items()],
-        tables=[Table("Samplers", headings, rows)],
-        definitions=[
-            (
-                "Notice",
-                f"the {best} sampler has the best minMPJPE. A benchmark that ranks by minMPJPE prefers a model whose "
-                f"balls for 9 truths in 10 hold {10 * reports[best]['coverage_90']:.1f} in 10.",
-            )
-        ],
+        tables=[Table("Samplers", ["sampler", *(metric.label for metric in metrics)], rows)],
+        definitions=[("Notice", notice)],
     )

@@ -1,4 +1,4 @@
-"""The command ``posecal-models``: arguments, progress and exit codes, nothing else.
+"""The command ``posecal-models``: arguments, progress and exit codes.
 
 Exit codes: 0 done, 2 a wrong call, 3 files or settings that don't work (one message, no traceback), 130 interrupted.
 PyTorch is imported by the commands that need it, so that ``--help`` is quick.

@@ -1,4 +1,4 @@
-"""Tests run alike everywhere: the same draws of hypothesis, one BLAS thread each, and Ctrl-C that is heard.
+"""Tests run alike everywhere: the same draws of hypothesis, one BLAS thread each, and SIGINT that interrupts.
 
 A test run in the background inherits an ignored SIGINT, and would hand it on to the commands that are interrupted.
 """

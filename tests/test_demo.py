@@ -1,6 +1,7 @@
-"""The demonstration is a world where the truth is known: each sampler is what its name says, and posecal sees it."""
+"""The demonstration: each sampler is what its name says in a world where the truth is known, and posecal finds it."""
 
 import re
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,13 +17,19 @@ from posecal.errors import PoseFileError
 JOINTS = JOINT_SETS["h36m-17"]
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """The demonstration as a user sees it: the folder, and all that it said."""
+@pytest.fixture(
+    scope="module", params=[pytest.param((24, 25), marks=pytest.mark.slow), (16, 3)], ids=["as it is", "without pages"]
+)
+def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The demonstration as a user sees it: the folder, and all that it writes."""
     folder = tmp_path_factory.mktemp("demo") / "made" / "anew"
-    said: list[str] = []
-    run_demo(folder, said.append)
-    return folder, "\n".join(said)
+    lines: list[str] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("posecal.demo.make_world", partial(make_world, *request.param))
+        if request.param != (24, 25):
+            patch.setattr("posecal.demo.write_html", lambda report, path, name: path.write_text(name))
+        run_demo(folder, lines.append)
+    return folder, "\n".join(lines)
 
 
 # --- the world ------------------------------------------------------------------------------------------------
@@ -106,6 +113,7 @@ def test_the_same_demonstration_gives_the_same_files(tmp_path: Path) -> None:
 # --- the run --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_it_leaves_files_pages_pictures_and_results(run: tuple[Path, str]) -> None:
     folder, _ = run
     names = {"gt.npz", "samplers.svg"}
@@ -113,33 +121,33 @@ def test_it_leaves_files_pages_pictures_and_results(run: tuple[Path, str]) -> No
     assert {path.name for path in folder.iterdir()} == names
 
 
-def test_posecal_sees_what_each_sampler_is(run: tuple[Path, str]) -> None:
-    folder, said = run
+def test_the_reports_name_what_each_sampler_is(run: tuple[Path, str]) -> None:
+    folder, text = run
     area = {name: posecal.Report(load_totals(folder / f"{name}-result.npz")).value("signed_area") for name in SAMPLERS}
     assert area["overconfident"] < -0.1 < area["calibrated"] < 0.1 < area["underconfident"]
-    assert re.search(r"^calibrated: Not miscalibrated beyond chance", said, re.MULTILINE)
-    assert re.search(r"^overconfident: Overconfident, beyond chance", said, re.MULTILINE)
-    assert re.search(r"^underconfident: Underconfident, beyond chance", said, re.MULTILINE)
+    assert re.search(r"^calibrated: Not miscalibrated beyond chance", text, re.MULTILINE)
+    assert re.search(r"^overconfident: Overconfident, beyond chance", text, re.MULTILINE)
+    assert re.search(r"^underconfident: Underconfident, beyond chance", text, re.MULTILINE)
 
 
-def test_it_says_that_the_best_benchmark_number_goes_to_the_wrong_sampler(run: tuple[Path, str]) -> None:
-    folder, said = run
+def test_it_notes_that_the_best_benchmark_number_goes_to_the_wrong_sampler(run: tuple[Path, str]) -> None:
+    folder, text = run
     best = {name: posecal.Report(load_totals(folder / f"{name}-result.npz")).value("min_mpjpe") for name in SAMPLERS}
     winner = min(best, key=lambda name: best[name])
     assert winner != "calibrated"
-    assert f"Notice: the {winner} sampler has the best minMPJPE." in said
+    assert f"Notice: the {winner} sampler has the best minMPJPE." in text
 
 
 def test_it_shows_the_commands_that_a_user_would_type(run: tuple[Path, str]) -> None:
-    folder, said = run
+    folder, text = run
     for name in SAMPLERS:
-        assert f"$ posecal evaluate {name}.npz gt.npz --plot {name}.png --html {name}.html --save {name}-re" in said
-    at = [said.index(f"$ posecal evaluate {name}") for name in SAMPLERS]
+        assert f"$ posecal evaluate {name}.npz gt.npz --plot {name}.png --html {name}.html --save {name}-re" in text
+    at = [text.index(f"$ posecal evaluate {name}") for name in SAMPLERS]
     assert all(one < two for one, two in pairwise(at))
-    assert f"In {folder}: the files, a page (.html)" in said
+    assert f"In {folder}: the files, a page (.html)" in text
 
 
-def test_a_folder_that_can_not_be_made_is_said(tmp_path: Path) -> None:
+def test_a_folder_that_can_not_be_made_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("here already")
     with pytest.raises(PoseFileError, match=r"file.*: can't be made \(.+\)\.$"):
         run_demo(tmp_path / "file" / "inside", print)

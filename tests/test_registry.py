@@ -123,6 +123,8 @@ def test_without_scores_there_is_no_weighted_pose_and_a_mode_only_by_its_index()
 def test_min_mpjpe_is_given_at_round_numbers_up_to_n() -> None:
     names = [name for name in known_metrics(Protocol(), PERSON) if name.startswith("min_mpjpe_at_")]
     assert names == ["min_mpjpe_at_1", "min_mpjpe_at_2", "min_mpjpe_at_5"]
+    many = [name for name in known_metrics(Protocol(), replace(PERSON, n_hypotheses=3000)) if "min_mpjpe_at_" in name]
+    assert many == [f"min_mpjpe_at_{d * 10**k}" for k in range(4) for d in (1, 2, 5) if d * 10**k <= 1000]
 
 
 @pytest.mark.parametrize(

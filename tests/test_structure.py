@@ -171,7 +171,17 @@ def test_a_public_function_documents_what_goes_in_and_comes_out(name: str) -> No
     assert " ".join(doc["Summary"]).endswith(".")
     taken = set(inspect.signature(function).parameters)
     described = documented(doc, "Parameters")
-    obvious = {"path", "figure", "report", "comparison", "data", "text", "some", "suffix", "map_"}  # one sentence says it all
+    obvious = {
+        "path",
+        "figure",
+        "report",
+        "comparison",
+        "data",
+        "text",
+        "some",
+        "suffix",
+        "map_",
+    }  # one sentence says it all
     assert described <= taken
     assert taken - described <= (set() if described else obvious)
     if described:
@@ -215,9 +225,9 @@ def test_a_public_class_and_its_methods_are_documented(name: str) -> None:
         assert inspect.getdoc(method), f"{name}.{method}"
     if not issubclass(found, Exception):
         fields = getattr(found, "__dataclass_fields__", {})
-        assert {key for key, entry in fields.items() if "about" not in entry.metadata and not key.startswith("_")} <= documented(
-            doc, "Attributes"
-        ) | documented(doc, "Parameters")
+        assert {
+            key for key, entry in fields.items() if "about" not in entry.metadata and not key.startswith("_")
+        } <= documented(doc, "Attributes") | documented(doc, "Parameters")
 
 
 @pytest.mark.parametrize("name", [name for name in MODULES if name != "posecal.__main__"])

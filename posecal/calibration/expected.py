@@ -22,6 +22,9 @@ from posecal.calibration.ranks import DEFINITIONS, LEVELS, Definition, rank_weig
 from posecal.data.arrays import FloatArray, checked_choice, checked_number
 from posecal.engine.protocol import OverJoints
 
+MAX_VALUES = 4_000_000
+"""At most so many values of curves are drawn for a floor: 200 test sets of up to 952 joints."""
+
 
 @dataclass(frozen=True)
 class Floor:
@@ -135,7 +138,8 @@ def perfect_sampler(
     over : str
         The summary over joints; see :func:`posecal.ece`.
     draws : int
-        Test sets drawn, from a fixed seed.
+        Test sets drawn, from a fixed seed; of thousands of joints fewer, but at least 20, since their summary varies
+        little from one test set to another.
 
     Returns
     -------
@@ -182,6 +186,7 @@ def _floor(N: int, M: int, K: int, definition: Definition, over: OverJoints, dra
         chances = np.diff(edges)
         weights = np.tri(LEVELS.size + 1, LEVELS.size, -1)[::-1, ::-1]
     random = np.random.default_rng(0)
+    draws = min(draws, max(20, MAX_VALUES // (K * LEVELS.size)))
     counts = random.multinomial(M, chances, size=(draws, K))
     curves = counts @ weights / M
     errors = ece_over_joints(np.concatenate([curves, curves.mean(axis=1, keepdims=True)], axis=1), over)

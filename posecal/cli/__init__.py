@@ -29,7 +29,7 @@ app = typer.Typer(
 def options(
     *,
     version: Annotated[bool, typer.Option("--version", help="The version.")] = False,
-    explain: Annotated[str | None, typer.Option(metavar="METRIC", help="What a metric is, and how to read it.")] = None,
+    explain: Annotated[str | None, typer.Option(metavar="METRIC", help="What a metric is, how to read it.")] = None,
 ) -> None:
     """Give the options of posecal itself; they act by themselves."""
     if not version and explain is None:

@@ -17,9 +17,7 @@ def evaluate(
     *,
     by: opt.By = None,
     scoring: opt.ScoringOptions,
-    skill: Annotated[
-        str | None, opt.option("Add skill scores: climatology, or a file of hypotheses.", metavar="REFERENCE")
-    ] = None,
+    skill: Annotated[str | None, opt.option("Add skill scores: climatology or a file.", metavar="REFERENCE")] = None,
     prerank: Annotated[
         list[str] | None, opt.option("Add a rank test of your own. Repeatable.", metavar="FILE.py:FUNCTION")
     ] = None,

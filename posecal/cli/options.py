@@ -38,9 +38,7 @@ Result = Annotated[Path, argument("A result of evaluate --save.")]
 Output = Annotated[Path, option("The file to write.", "--output", "-o", show_default=False)]
 Threads = Annotated[int | None, option("Threads.", min=1, show_default="one per core")]
 By = Annotated[list[str] | None, option("Group by a label, predicted_spread (terciles) or occlusion. Repeatable.")]
-OwnMetrics = Annotated[
-    list[str] | None, option("Add a metric of your own. Repeatable.", "--metric", metavar="FILE.py:NAME")
-]
+OwnMetrics = Annotated[list[str] | None, option("Add your own metric. Repeatable.", "--metric", metavar="FILE.py:NAME")]
 Form = Annotated[Literal["text", "markdown", "csv", "json", "latex"], writing("How it is written.", "--format")]
 
 
@@ -93,7 +91,7 @@ class DataOptions(HypothesesOptions):
 class ScoringOptions:
     """What is measured, and by which protocol."""
 
-    where: Annotated[Literal["all", "occluded", "visible"] | None, option("Joints to score.", show_default="all")] = (
+    where: Annotated[Literal["all", "occluded", "visible"] | None, option("The joints to score; all by default.")] = (
         None
     )
     scored: Annotated[

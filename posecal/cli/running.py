@@ -36,11 +36,10 @@ def command(
 
     def add(function: Callable[..., None]) -> Callable[..., None]:
         signature = inspect.signature(function, eval_str=True)
-        groups: dict[str, Any] = {
-            p.name: p.annotation for p in signature.parameters.values() if is_dataclass(p.annotation)
-        }
+        parameters = signature.parameters.values()
+        groups: dict[str, Any] = {p.name: p.annotation for p in parameters if is_dataclass(p.annotation)}
         options: list[inspect.Parameter] = []
-        for parameter in signature.parameters.values():
+        for parameter in parameters:
             if kind := groups.get(parameter.name):
                 hints = get_type_hints(kind, include_extras=True)
                 parts = [parameter.replace(name=f.name, default=f.default) for f in fields(kind)]

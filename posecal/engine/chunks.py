@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
 
@@ -43,17 +43,15 @@ class Chunk:
 
     def select(self, poses: slice | Indices) -> Chunk:
         """Keep some poses, by a range or by their numbers."""
-        members = {name: getattr(self, name) for name in _NAMES}
         parts: dict[str, Any] = {
             name: values if values is None else values[:, poses] if name in _HYPOTHESES else values[poses]
-            for name, values in members.items()
+            for name, values in vars(self).items()
         }
         return Chunk(**parts)
 
     def copy(self) -> Chunk:
         """Copy the poses into memory of their own: who gave them may write over theirs."""
-        members = {name: getattr(self, name) for name in _NAMES}
-        copies = {name: None if values is None else np.array(values, order="C") for name, values in members.items()}
+        copies: dict[str, Any] = {n: None if v is None else np.array(v, order="C") for n, v in vars(self).items()}
         return Chunk(**copies)
 
     def block(
@@ -84,7 +82,6 @@ class Chunk:
         )
 
 
-_NAMES = tuple(field.name for field in fields(Chunk))
 _HYPOTHESES = ("hypotheses", "scores", "reference")
 """The members whose second axis is poses."""
 
@@ -93,7 +90,7 @@ def join_chunks(chunks: Sequence[Chunk]) -> Chunk:
     """Put chunks one after another, laid out as one that was read at once: rounding depends on it."""
     if len(chunks) == 1:
         return chunks[0]
-    members = {name: [getattr(chunk, name) for chunk in chunks] for name in _NAMES}
+    members = {name: [getattr(chunk, name) for chunk in chunks] for name in vars(chunks[0])}
     joined: dict[str, Any] = {}
     for name, parts in members.items():
         axis = int(name in _HYPOTHESES)

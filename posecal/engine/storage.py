@@ -52,7 +52,7 @@ def save_totals(totals: Totals, path: str | os.PathLike[str]) -> None:
     members |= {f"cell/{name}": values for name, values in totals.cells.items()}
     for name in totals.sums:
         members[f"sum/{name}"], members[f"count/{name}"] = totals.sums[name], totals.counts[name]
-    members |= {f"per_pose/{name}": values.astype(np.float32) for name, values in totals.per_pose.items()}
+    members |= {f"per_pose/{name}": values for name, values in totals.per_pose.items()}
     members["cell_of"] = totals.cell_of.astype(np.int32)
     write_file(path, lambda file: write_members(file, members, compressed=True))
 

@@ -76,7 +76,7 @@ def brier_score(
     hypotheses, truth, where, root
         As for :func:`posecal.metrics.energy_score`.
     threshold : float
-        Largest distance that is right, mm.
+        Distance below which a joint is right, mm.
 
     Returns
     -------

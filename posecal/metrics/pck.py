@@ -118,8 +118,8 @@ def joint_score(
     return scores
 
 
-def _least_of_each_rank(errors: FloatArray) -> FloatArray:
-    """Sort (K, B, N) errors over the K joints and give the smallest of the N hypotheses, (K, B).
+def least_of_each_rank(errors: FloatArray) -> FloatArray:
+    """Sort (K, B, N) errors over the K joints, in place, and give the smallest of the N hypotheses, (K, B).
 
     Few joints are sorted by a network of comparisons, each of two rows of memory.
     """
@@ -155,7 +155,7 @@ def _best_ordered(block: Block, align: Alignment, joints: BoolArray | None, fit:
         rows, counted = rows[chosen], counted[chosen]
         if not counted.all():
             rows[~counted] = np.inf
-        return _least_of_each_rank(rows).T
+        return least_of_each_rank(rows).T
 
     masks = (None if mask is None else mask.tobytes() for mask in (joints, fit))
     return block.share(("best_ordered", align, *masks), compute)

@@ -7,6 +7,7 @@ the most uncertain poses are dropped.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -70,10 +71,9 @@ def rank_correlation(spread: npt.ArrayLike, error: npt.ArrayLike) -> float:
     >>> rank_correlation([10, 20, 30], [5, 40, 20])
     0.5
     """
-    s, e = _pair(spread, error)
-    if len(np.unique(s)) < 2 or len(np.unique(e)) < 2:
-        return float("nan")
-    return round(float(np.corrcoef(shared_ranks(s), shared_ranks(e))[0, 1]), 12)
+    s, e = (shared_ranks(values) - (len(values) - 1) / 2 for values in _pair(spread, error))
+    square = float((s * s).sum() * (e * e).sum())
+    return round(float((s * e).sum()) / math.sqrt(square), 12) if square > 0 else math.nan
 
 
 def sparsification(spread: npt.ArrayLike, error: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:

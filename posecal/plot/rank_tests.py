@@ -9,15 +9,13 @@ import numpy as np
 from posecal.calibration import LEVELS
 from posecal.errors import PoseDataError, option
 from posecal.plot.style import FAINT, INK, ORANGE, STYLE
+from posecal.stats.resampling import LEVEL
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from posecal.report.report import Report
-
-LEVEL = 0.05
-"""Adjusted p-values below this are drawn in colour."""
 
 
 def rank_test(report: Report, test: str, *, ax: Axes) -> Axes:

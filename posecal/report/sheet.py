@@ -132,7 +132,7 @@ class Sheet:
             The text, without a final line break.
         """
         out = io.StringIO()
-        console = Console(file=out, width=width, force_terminal=colour, no_color=not colour, highlight=False)
+        console = Console(file=out, width=width, force_terminal=colour)
         console.print(Text(self.title, style="bold"), *map(Text, self.words), sep="\n")
         for part in (part for table in self.tables for part in table.parts(width)):
             console.print("", part, sep="\n")

@@ -8,13 +8,10 @@ from typing import TYPE_CHECKING
 
 from posecal.errors import for_python
 from posecal.report.format import p_value
-from posecal.stats.resampling import MIN_SEQUENCES
+from posecal.stats.resampling import LEVEL, MIN_SEQUENCES
 
 if TYPE_CHECKING:
     from posecal.report.report import Report
-
-LEVEL = 0.05
-"""P-values below this are called beyond chance."""
 
 ONE_SIDED = 0.5
 """Share of an ECE above which the signed area names a side: |∫ (ω − q) dq| ≤ ∫ |ω − q| dq, and where it is more than
@@ -100,8 +97,10 @@ def side_of(area: float, error: float) -> str:
     >>> side_of(-0.03, 0.04), side_of(0.01, 0.04)
     ('overconfident', 'miscalibrated, on neither side throughout')
     """
-    if abs(area) <= ONE_SIDED * error:
-        return NEITHER
+    return NEITHER if abs(area) <= ONE_SIDED * error else _sign_of(area)
+
+
+def _sign_of(area: float) -> str:
     return "overconfident" if area < 0 else "underconfident"
 
 
@@ -111,8 +110,7 @@ def _of_curve(report: Report) -> str:
     if "coverage_90" in report.metrics:
         share = f"; the 90\u00a0% balls hold {100 * report['coverage_90']:.0f}\u00a0% of the truths"
     if math.isnan(test.p):
-        side = "overconfident" if area < 0 else "underconfident"
-        return f"Looks {side} (signed area {area:+.3f}{share}); whether by chance can't be tested here."
+        return f"Looks {_sign_of(area)} (signed area {area:+.3f}{share}); whether by chance can't be tested here."
     if test.p < LEVEL:
         return (
             f"{side_of(area, error).capitalize()}, beyond chance: ECE {error:.3f} where a calibrated sampler would "

@@ -14,6 +14,7 @@ from posecal.errors import for_python
 from posecal.report.format import MISSING, counted, number, short_number, short_p, span
 from posecal.report.sheet import Sheet, Table
 from posecal.report.summary import remarks
+from posecal.stats.resampling import MESH
 
 if TYPE_CHECKING:
     from posecal.report.report import Report
@@ -111,7 +112,7 @@ def _tests(report: Report, title: str, metrics: list[Metric]) -> Table:
         null = (MISSING, MISSING, "no test")
         if not math.isnan(p):
             null = (short_number(test.mean), short_number(test.high), short_p(p))
-        if f"{metric.name}_floor" in report.auxiliary:
+        if f"{metric.name}_floor" in report.auxiliary and len(report.totals.spec.joints) <= MESH:
             brief += f"; {report[f'{metric.name}_floor']:.4f} if frames were independent"
         rows.append((metric.label, number(report[metric.name]), *null, ARROWS[metric.direction], brief))
     return Table(title, headings, rows, ("", WHAT))

@@ -23,14 +23,11 @@ from posecal.engine.totals import Totals, difference_of_signatures, sum_by
 from posecal.errors import PoseDataError, did_you_mean, option
 from posecal.registry import metrics_of
 from posecal.stats.jackknife import Interval, jackknife, leave_one_out, paired_p
-from posecal.stats.resampling import Null, holm
+from posecal.stats.resampling import LEVEL, Null, holm
 from posecal.stats.uncertainty import null
 
 if TYPE_CHECKING:
     import pandas as pd
-
-LEVEL = 0.05
-"""Differences with an adjusted p-value below this count in the ranks."""
 
 FORMATS = ("csv", "json", "latex", "markdown")
 

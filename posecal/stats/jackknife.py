@@ -6,9 +6,11 @@ once, in slices of bounded memory. Time is linear in the number of cells, also w
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
+from itertools import chain, islice
 
 import numpy as np
 import numpy.typing as npt
@@ -199,8 +201,25 @@ def _averaged_without(totals: Totals, metric: Metric, cells: Cells) -> FloatArra
     return np.where(number > 0, total / np.maximum(number, 1), np.nan)
 
 
-def _means_without(totals: Totals, statistic: Statistic, cells: Cells) -> Iterator[FloatArray]:
+_LAST: list[tuple[weakref.ref[Totals], str, Cells, list[FloatArray]]] = []
+"""The means that were last made, which several metrics are read off."""
+
+
+def _means_without(totals: Totals, statistic: Statistic, cells: Cells) -> Iterable[FloatArray]:
     """Give the means of a statistic with each sequence left out in turn, in slices (s, …) of the sequences."""
+    for of, name, same, means in _LAST:
+        if of() is totals and name == statistic.name and same is cells:
+            return means
+    made = _make_means_without(totals, statistic, cells)
+    means = list(islice(made, 1))
+    more = next(made, None)
+    if more is not None:  # too large to be kept
+        return chain(means, [more], made)
+    _LAST[:] = [(weakref.ref(totals), statistic.name, cells, means)]
+    return means
+
+
+def _make_means_without(totals: Totals, statistic: Statistic, cells: Cells) -> Iterator[FloatArray]:
     if totals.protocol.average == "poses":
         sums, counts = totals.by_sequence(statistic, cells)
         total, number = sums.sum(axis=0), counts.sum(axis=0)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from posecal.calibration.ranks import LEVELS
 from posecal.data.arrays import FloatArray
 from posecal.engine.metric import Metric, Statistic
-from posecal.engine.totals import Cells, Counts, Totals
+from posecal.engine.totals import Cells, Counts, Totals, slices
 from posecal.stats.jackknife import Interval, jackknife, jackknife_columns, joint_leave_one_out, leave_one_out
-from posecal.stats.resampling import Null, effective_poses, sign_flips, sign_flips_of_each, squared_error
+from posecal.stats.resampling import LEVEL, Null, counting, n_patterns, sign_flips, sign_flips_of_each, thin
 
 
 def interval(totals: Totals, metric: Metric, cells: Cells = None) -> Interval:
@@ -66,8 +68,9 @@ def null(totals: Totals, metric: Metric, cells: Cells = None) -> Null:
     """
     if metric.deviation is None:
         raise ValueError(f"{metric.name} is no calibration error")
-    deviations, counts = sequence_deviations(totals, metric.statistic, cells, metric.offset)
-    return sign_flips(deviations, counts, metric.deviation, offset=metric.offset)
+    judged = slice(metric.deviation.first, metric.deviation.last)
+    deviations, counts = sequence_deviations(totals, metric.statistic, cells, metric.offset, judged)
+    return sign_flips(deviations, counts, replace(metric.deviation, first=None, last=None), offset=metric.offset)
 
 
 def joint_p_values(totals: Totals, metric: Metric, cells: Cells = None) -> FloatArray:
@@ -81,8 +84,12 @@ def joint_p_values(totals: Totals, metric: Metric, cells: Cells = None) -> Float
     Returns
     -------
     array (K,)
-        p-values, not adjusted for their number; NaN where the joint counts in too few sequences.
+        p-values, not adjusted for their number; NaN where the joint counts in too few sequences, and where there are
+        so many joints for so few sign patterns that none could be significant after the adjustment (a mesh, say).
     """
+    joints = int((totals.counts[metric.statistic.name][:, :-1] > 0).any(axis=0).sum())
+    if joints > LEVEL * n_patterns(totals.n_sequences, joints * LEVELS.size):
+        return np.full(len(totals.spec.joints), np.nan)
     deviations, counts = sequence_deviations(totals, metric.statistic, cells, metric.offset)
     return sign_flips_of_each(deviations[:, :-1], counts[:, :-1], offset=metric.offset)
 
@@ -100,11 +107,104 @@ def unbiased_squared_error(totals: Totals, statistic: Statistic, cells: Cells = 
 
 
 def sequence_deviations(
-    totals: Totals, statistic: Statistic, cells: Cells = None, offset: FloatArray | None = None
+    totals: Totals,
+    statistic: Statistic,
+    cells: Cells = None,
+    offset: FloatArray | None = None,
+    judged: slice | None = None,
 ) -> tuple[FloatArray, Counts]:
-    """Sum the deviations from calibration over each sequence, (S, J, Q), and their counts (S, J)."""
+    """Sum the deviations from calibration over each sequence, (S, J, Q), and their counts (S, J).
+
+    Of all curves, or of those that a test judges: at most :data:`posecal.stats.resampling.MESH` of a range of them.
+    """
     sums, counts = totals.by_sequence(statistic, cells)
     inner = int(np.prod(sums.shape[2:-1], dtype=int))  # axes of a joint, say
     counts = np.repeat(counts, inner, axis=1)
+    sums = sums.reshape(len(sums), counts.shape[1], LEVELS.size)
+    if judged is not None:
+        some = np.arange(counts.shape[1])[judged][thin(counts[:, judged])]
+        sums, counts = sums[:, some], counts[:, some]
     expected = LEVELS if offset is None else LEVELS + offset
-    return sums.reshape(len(sums), counts.shape[1], LEVELS.size) - counts[..., None] * expected, counts
+    return sums - counts[..., None] * expected, counts
+
+
+# --- variance between sequences -----------------------------------------------------------------------------------
+
+
+def _variances(deviations: FloatArray, counts: Counts) -> tuple[FloatArray, FloatArray]:
+    """Mean deviations (J, Q), and their variances over sequences."""
+    S, total = len(deviations), counts.sum(axis=0)[:, None]
+    mean = deviations.sum(axis=0) / total
+    squares = np.zeros(mean.shape)
+    for some in slices(S, mean.nbytes):
+        squares += ((deviations[some] - counts[some, :, None] * mean) ** 2).sum(axis=0)
+    return mean, S / (S - 1) * squares / total**2
+
+
+def squared_error(deviations: FloatArray, counts: Counts) -> float:
+    r"""Mean squared distance of the curves from the diagonal, without what chance adds to it.
+
+    .. math:: \operatorname{mean}_{k,q} \big( (\omega_k(q) - q)^2 - \widehat{\operatorname{Var}}\, \omega_k(q) \big)
+
+    Parameters
+    ----------
+    deviations, counts
+        As for :func:`posecal.stats.resampling.sign_flips`.
+
+    Returns
+    -------
+    float
+        About 0 for a calibrated model, on either side; NaN with fewer than two sequences.
+
+    Notes
+    -----
+    Differs from the published code: none; ours.
+
+    Examples
+    --------
+    >>> squared_error(np.full((4, 1, 21), 0.5), np.ones((4, 1), int))
+    0.25
+    """
+    deviations, counts = counting(deviations, counts)
+    if len(deviations) < 2:
+        return float("nan")
+    mean, variance = _variances(deviations, counts)
+    return float((mean**2 - variance).mean())
+
+
+def effective_poses(deviations: FloatArray, counts: Counts) -> float:
+    r"""Number of independent poses whose calibration curve would vary as much as that of these sequences.
+
+    .. math:: \sum_{k,q} \omega_k(q) (1 - \omega_k(q)) \Big/ \sum_{k,q} \widehat{\operatorname{Var}}\, \omega_k(q)
+
+    Parameters
+    ----------
+    deviations, counts
+        As for :func:`posecal.stats.resampling.sign_flips`.
+
+    Returns
+    -------
+    float
+        At most as many as there are poses; NaN with fewer than two sequences.
+
+    Notes
+    -----
+    Differs from the published code: none; ours.
+
+    Examples
+    --------
+    Two sequences that deviate oppositely, whatever their number of frames, count as about two poses.
+
+    >>> deviations = np.stack([np.full((1, 21), 3.0), np.full((1, 21), -3.0)])
+    >>> round(effective_poses(deviations, np.full((2, 1), 10)), 1)
+    1.9
+    """
+    deviations, counts = counting(deviations, counts)
+    if len(deviations) < 2:
+        return float("nan")
+    mean, variance = _variances(deviations, counts)
+    inner = slice(1, LEVELS.size - 1)
+    coverage = np.clip(mean + LEVELS, 0, 1)[:, inner]
+    chance = variance[:, inner].sum()
+    poses = float(counts.sum(axis=0).max())
+    return min(poses, float((coverage * (1 - coverage)).sum() / chance)) if chance > 0 else poses

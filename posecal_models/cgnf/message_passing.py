@@ -107,8 +107,8 @@ class MessagePassing(nn.Module):
 
     Notes
     -----
-    Differs from the published code: it holds maps that nothing uses (child to parent, and the last layer's maps of
-    context and root); they are not here.
+    Differs from the published code: its unused maps (child to parent, and the last layer's maps of context and root)
+    are left out.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""How much memory does ``posecal evaluate`` take for a file larger than memory should have to hold?
+"""Peak memory of ``posecal evaluate`` for a file larger than memory should have to hold.
 
     python tests/benchmarks/memory.py --gigabytes 4
 
@@ -48,25 +48,25 @@ def write(folder: Path, gigabytes: float, kind: str) -> tuple[Path, Path]:
     poses = poses_of(gigabytes)
     names = np.array(JOINT_SETS["h36m-17"])
     sequence = np.char.add("s", (np.arange(poses) * 20 // poses).astype(np.str_))
-    ours, theirs = folder / f"{kind}.npz", folder / "gt.npz"
-    np.savez(theirs, truth=np.resize(cycle(-1), (poses, K, 3)), unit="mm", joints=names, sequence=sequence)
+    hypotheses, truth = folder / f"{kind}.npz", folder / "gt.npz"
+    np.savez(truth, truth=np.resize(cycle(-1), (poses, K, 3)), unit="mm", joints=names, sequence=sequence)
 
     def pieces() -> Iterator[Array]:
         if kind == "MNKD":
-            whole = np.stack([cycle(n) for n in range(N)], axis=1)
+            repeated = np.stack([cycle(n) for n in range(N)], axis=1)
             for start in range(0, poses, CYCLE):
-                yield whole[: poses - start]
+                yield repeated[: poses - start]
         else:
             for n in range(N):
                 yield np.resize(cycle(n), (poses, K, 3))
 
     shape = (poses, N, K, 3) if kind == "MNKD" else (N, poses, K, 3)
-    with ours.open("wb") as file, Archive(file, compressed=kind == "compressed") as archive:
+    with hypotheses.open("wb") as file, Archive(file, compressed=kind == "compressed") as archive:
         archive.add_pieces("hypotheses", shape, np.dtype(np.float32), pieces())
         archive.add("axes", np.array("MNKD" if kind == "MNKD" else "NMKD"))
         archive.add("unit", np.array("mm"))
         archive.add("joints", names)
-    return ours, theirs
+    return hypotheses, truth
 
 
 WATCH = (

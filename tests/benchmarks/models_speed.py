@@ -1,4 +1,4 @@
-"""How fast are the models? Medians of log_prob, samples and a training step, beside the plain formulas in the same run.
+"""Speed of the models: medians of log_prob, samples and a training step, and of the plain formulas in the same run.
 
     python tests/benchmarks/models_speed.py [--sizes small large xlarge] [--device cpu] [--threads 1]
 

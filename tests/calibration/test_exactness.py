@@ -70,6 +70,7 @@ def tolerance(mean: Array, M: int) -> Array:
     return 5 * np.sqrt(mean * (1 - mean) / M)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("D", [1, 2, 3])
 @pytest.mark.parametrize("N", SIZES)
 def test_the_exchangeable_curve_of_a_perfect_sampler_is_the_diagonal(N: int, D: int) -> None:

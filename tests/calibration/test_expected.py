@@ -54,6 +54,7 @@ def simulated(N: int, definition: str) -> tuple[Array, Array]:
     return inside.mean(axis=0), inside.std(axis=0) / np.sqrt(draws)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("definition", ["paper", "reference"])
 @pytest.mark.parametrize("N", [2, 3, 5, 10, 20, 40])
 def test_the_expected_curve_is_the_simulated_one(N: int, definition: Definition) -> None:

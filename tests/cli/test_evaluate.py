@@ -25,6 +25,7 @@ def test_evaluate_writes_the_report_to_stdout_with_flags_in_its_remarks(monkeypa
         assert f"note: {remark[:40]}" in found.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["markdown", "csv", "json"])
 def test_other_formats_are_those_of_the_report(form: Any) -> None:
     text = done("evaluate", "hyps.npz", "gt.npz", "--format", form, "--by", "action", "--by", "occlusion")

@@ -52,6 +52,7 @@ def test_results_of_shards_merge_into_that_of_one_run() -> None:
         np.testing.assert_allclose(np.nan if got is None else got, expected, rtol=1e-6, atol=1e-9, err_msg=str(key))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["reliability", "joints", "errors", "pck", "sparsification", "event", "rank-tests"])
 def test_a_saved_result_is_drawn(kind: str) -> None:
     done(*EVALUATE, "--metrics=default,rank_tests,scores", "--save=all.npz")

@@ -107,6 +107,7 @@ def test_a_fault_of_posecal_s_own_is_not_hidden(monkeypatch: pytest.MonkeyPatch)
         run("evaluate", "hyps.npz", "gt.npz")
 
 
+@pytest.mark.slow
 def test_an_interruption_is_said_and_leaves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt

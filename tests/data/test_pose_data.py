@@ -329,7 +329,7 @@ def test_an_argument_that_can_not_be_is_refused(arguments: dict[str, Any], words
         (np.zeros((M, K, 3), complex), "dtype complex128; expected real numbers such as float32."),
         (np.ma.masked_less(truth(), 0), "masked numbers; expected an array without."),
     ],
-    ids=str,
+    ids=lambda value: type(value).__name__ if not isinstance(value, str) else "",
 )
 def test_what_is_no_array_of_numbers_is_refused(side: Any, words: str) -> None:
     if words == "nothing":

@@ -265,6 +265,7 @@ def test_metrics_that_no_data_could_have_are_refused_before_the_first_batch() ->
         posecal.Evaluation(protocol=3)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_number_of_batches() -> None:
     random = np.random.default_rng(0)
     truth = random.normal(0, 300, (64, 16, 3)).astype(np.float32)

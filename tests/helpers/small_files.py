@@ -49,7 +49,7 @@ def npy(folder: Path, name: str, array: Any) -> Path:
 
 def save(path: Path, **members: Any) -> Path:
     """Write an .npz file."""
-    np.savez(path, allow_pickle=False, **members)
+    np.savez(path, **members)
     return path
 
 

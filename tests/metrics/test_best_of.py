@@ -49,6 +49,20 @@ def test_the_curve_is_known_from_one_to_all_and_at_round_numbers(n_all: int) -> 
     assert len(sizes) <= 40 + len(ROUND_SIZES)
 
 
+@pytest.mark.parametrize("power", [6, 12])
+def test_the_curve_s_sizes_rise_at_equal_ratios(power: int) -> None:
+    n_all, round_sizes = 2**power, {d * 10**k for d in (1, 2, 5) for k in range(3)} | {1000}
+    assert set(curve_sizes(n_all, power + 1).tolist()) == {2**i for i in range(power + 1)} | {
+        n for n in round_sizes if n <= n_all
+    }
+
+
+def test_the_curve_has_forty_sizes_beside_the_round_ones() -> None:
+    sizes = set(curve_sizes(10**9).tolist())
+    assert {round(10 ** (9 * i / 39)) for i in range(40)} <= sizes
+    assert len(sizes - set(ROUND_SIZES)) == 40 - 4  # 1, 2, 5 and 1000 are round
+
+
 # --- of arrays --------------------------------------------------------------------------------------------------------
 
 

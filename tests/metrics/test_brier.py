@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from posecal.engine.block import Block
 from posecal.metrics import brier_score
-from posecal.metrics.brier import reliability
+from posecal.metrics.brier import brier_counts, fair_brier, reliability
 from tests.helpers.random_worlds import skewed
 from tests.helpers.score_oracles import isotonic, near_median
 
@@ -22,6 +23,37 @@ def test_the_brier_score_is_of_the_share_of_hypotheses_with_every_joint_near_the
         expected.append((p - happened) ** 2 - p * (1 - p) / 7)
     assert len({round(value, 9) for value in expected}) > 5
     np.testing.assert_allclose(brier_score(x, y), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("truth", "score"), [(150.0, 4 / 9 - 1 / 9), (0.0, 1 / 9 - 1 / 9), (300.0, 0.0)])
+def test_a_joint_at_the_threshold_is_wrong(truth: float, score: float) -> None:
+    """Hypotheses at 0, 150 and 300 mm: one of three lies within 150 mm of the median, p (1 - p) / (N - 1) = 1/9."""
+    x = np.array([0.0, 150.0, 300.0]).reshape(3, 1, 1, 1)
+    np.testing.assert_allclose(brier_score(x, np.full((1, 1, 1), truth)), score, atol=1e-15)
+
+
+def test_of_two_hypotheses_there_is_a_score_and_of_one_there_is_none() -> None:
+    x, y = np.array([0.0, 500.0]).reshape(2, 1, 1, 1), np.zeros((1, 1, 1))
+    np.testing.assert_allclose(fair_brier(Block(x, y)), 0)  # none is near their median of 250, and it is wrong
+    assert np.isnan(fair_brier(Block(x[:1], y)))
+
+
+def test_poses_are_counted_by_the_hypotheses_near_the_median_and_by_the_outcome() -> None:
+    x, y = skewed(17, 6, 30, 4)
+    where = np.random.default_rng(17).random((30, 4)) < 0.8
+    joints = np.array([True, True, False, True])
+    where[7] = ~joints  # no joint that counts
+    table = brier_counts(Block(x, y, where), joints, 150.0)
+    assert table.shape == (30, 7, 2)
+    assert np.flatnonzero(np.isnan(table).all(axis=(1, 2))).tolist() == [7]
+    outcomes = set()
+    for m in set(range(30)) - {7}:
+        scored = where[m] & joints
+        inner, happened = near_median(x[:, m][:, scored], y[m, scored], 150)
+        assert np.argwhere(table[m]).tolist() == [[inner, int(happened)]]
+        assert table[m].sum() == 1
+        outcomes.add((inner, happened))
+    assert len(outcomes) > 4
 
 
 @given(st.lists(st.tuples(st.integers(0, 9), st.integers(0, 9)), min_size=2, max_size=9))

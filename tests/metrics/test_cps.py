@@ -9,9 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from posecal.engine.protocol import Protocol
+from posecal.engine.scope import DataSpec, Scope
 from posecal.geometry.procrustes import Alignment
 from posecal.metrics import cps
-from posecal.metrics.cps import cps_area
+from posecal.metrics.cps import cps_area, cps_metrics
 from posecal.metrics.pck import SELECTIONS, Selection
 from tests.helpers import oracles
 from tests.helpers.random_worlds import Mask, mostly, skewed
@@ -61,3 +63,13 @@ def test_cps_is_the_loop_over_300_thresholds(select: Selection, align: Alignment
     moved = oracles.aligned(x, y, where, align)
     expected = oracles.cps(oracles.joint_errors(moved, y), where, select, link)
     np.testing.assert_allclose(cps(x, y, select=select, align=align, where=where), expected)
+
+
+@pytest.mark.parametrize(
+    ("unit", "shown", "most", "number"), [("mm", "mm", "0 to 299 mm", 190.0), ("share", "", "0 to 299/300", 190 / 300)]
+)
+def test_cps_is_an_area_or_a_share_of_300_mm(unit: str, shown: str, most: str, number: float) -> None:
+    (metric,) = cps_metrics(Scope(Protocol(cps_unit=unit), DataSpec(4, ("a", "b", "c"), root=None)))  # type: ignore[arg-type]
+    assert (metric.unit, metric.range) == (shown, most)
+    assert metric.definition.endswith("; over 300 mm") == (unit == "share")
+    assert metric.finish(np.array(190.0)) == pytest.approx(number)

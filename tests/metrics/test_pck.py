@@ -11,7 +11,15 @@ from posecal.engine.block import Block
 from posecal.errors import PoseDataError
 from posecal.metrics import auc, cps, pck
 from posecal.metrics.cps import cps_area, pose_score
-from posecal.metrics.pck import SELECTIONS, Selection, auc_share, correct_joints, correct_share, joint_score
+from posecal.metrics.pck import (
+    SELECTIONS,
+    Selection,
+    auc_share,
+    correct_joints,
+    correct_share,
+    joint_score,
+    least_of_each_rank,
+)
 from tests.helpers import oracles
 from tests.helpers.random_worlds import Array, Mask, mostly, skewed
 
@@ -127,6 +135,14 @@ def test_pck_and_auc_take_the_best_hypothesis_of_each_threshold() -> None:
     np.testing.assert_allclose(auc(x, y), (18 / 2 + 10) / 31)
     np.testing.assert_allclose(pck(x, y, threshold=50), 0.5)
     np.testing.assert_allclose(pck(x, y, threshold=150), 1)
+
+
+@pytest.mark.parametrize("K", [*range(1, 20), 31, 32, 33, 40, 41, 60])
+def test_errors_are_put_in_order_however_many_joints_there_are(K: int) -> None:
+    errors = np.random.default_rng(K).permutation(K * 8 * 30).reshape(K, 8, 30) % 97.0
+    errors[-1, 2] = np.inf
+    expected = np.sort(errors, axis=0).min(axis=-1)
+    np.testing.assert_array_equal(least_of_each_rank(errors), expected)
 
 
 def test_a_pose_without_a_joint_that_counts_has_no_share(arrays: tuple[Array, Array], where: Mask) -> None:

@@ -82,6 +82,7 @@ def test_a_cell_is_mean_and_standard_deviation():
     assert "| a | 2.0 ± 1.00 | – |" in benchmark.markdown([row])
 
 
+@pytest.mark.slow
 def test_table_numbers_and_figures_are_written_to_the_folder(motion_file, baseline, noisy, tmp_path):
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)

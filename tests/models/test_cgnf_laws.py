@@ -82,6 +82,7 @@ def test_the_log_determinant_is_that_of_autograd_s_jacobian(options):
     np.testing.assert_allclose(log_determinant.sum().detach(), expected.detach(), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_gradients_of_the_pose_equal_finite_differences():
     flow, (keypoints, observed, poses) = random_flow(), inputs()
     conditioned = flow.condition(flow.embed(keypoints[:2], observed[:2]))
@@ -90,7 +91,7 @@ def test_gradients_of_the_pose_equal_finite_differences():
     assert torch.autograd.gradcheck(lambda p: conditioned.inverse(p), pose)
 
 
-@pytest.mark.parametrize("size", ["small", "xlarge"])
+@pytest.mark.parametrize("size", ["small", pytest.param("xlarge", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("scale", "reach"), [("sigmoid", 0.1), ("exp", 0.02)])
 def test_inverse_of_forward_is_the_pose_within_1e_4_in_single_precision(size, scale, reach):
     with torch.random.fork_rng(devices=[]):

@@ -39,6 +39,7 @@ def gradients(model: CGNF) -> dict[str, torch.Tensor]:
     return {name: p.grad.clone() for name, p in model.named_parameters()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [{}, {"sample_weight": 0.1}, {"per_node": True}])
 def test_the_loss_is_the_formula_and_its_gradient_autograd_s(options):
     model, (context, truth) = estimator(), batch()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import os
 import shutil
@@ -10,6 +12,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -26,32 +29,56 @@ def posecal_models(*arguments: object, cwd: Path) -> subprocess.CompletedProcess
     return subprocess.run(command, cwd=cwd, env=ENVIRONMENT, capture_output=True, text=True, timeout=300)
 
 
+def in_this_process(*arguments: object, cwd: Path) -> subprocess.CompletedProcess:
+    """The same without starting a process."""
+    command, output, errors = ["posecal-models", *map(str, arguments)], io.StringIO(), io.StringIO()
+    with (
+        contextlib.chdir(cwd),
+        mock.patch.object(sys, "argv", command),
+        contextlib.redirect_stdout(output),
+        contextlib.redirect_stderr(errors),
+        pytest.raises(SystemExit) as ended,
+    ):
+        main()
+    return subprocess.CompletedProcess(command, ended.value.code or 0, output.getvalue(), errors.getvalue())
+
+
+README = (
+    ("motion", "-o", "motion.npz", "--subjects", 3, "--clips", 2, "--frames", 20),
+    ("train", "cgnf-tiny", "--data", "motion.npz", "-o", "tiny", "--set", 'data.test_subjects=["S3"]',
+     "--set", "train.epochs=1", "--threads", 1),
+    ("project", "motion.npz", "-o", "test.npz", "--subject", "S3"),
+    ("sample", "tiny/weights.safetensors", "test.npz", "-o", "hyps.npz", "--n", 5),
+)  # fmt: skip
+"""The commands of README, smaller: motion, a training, images of the test subject, hypotheses."""
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
-    """The commands of README, smaller: motion, a training, images of the test subject, hypotheses."""
+    """A folder with the results of README's commands."""
     where = tmp_path_factory.mktemp("readme")
-    for arguments in (
-        ("motion", "-o", "motion.npz", "--subjects", 3, "--clips", 2, "--frames", 20),
-        ("train", "cgnf-tiny", "--data", "motion.npz", "-o", "tiny", "--set", 'data.test_subjects=["S3"]',
-         "--set", "train.epochs=1", "--threads", 1),
-        ("project", "motion.npz", "-o", "test.npz", "--subject", "S3"),
-        ("sample", "tiny/weights.safetensors", "test.npz", "-o", "hyps.npz", "--n", 5),
-    ):  # fmt: skip
-        done = posecal_models(*arguments, cwd=where)
+    for arguments in README:
+        done = in_this_process(*arguments, cwd=where)
         assert done.returncode == 0, done.stderr
         assert done.stdout == ""
     return where
 
 
-def test_readme_s_commands_end_in_a_file_that_posecal_evaluates(folder):
+@pytest.mark.slow
+def test_readme_s_commands_end_in_a_file_that_posecal_evaluates(tmp_path):
+    for arguments in README:
+        done = posecal_models(*arguments, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert done.stdout == ""
     command = [sys.executable, "-m", "posecal", "evaluate", "hyps.npz", "test.npz", "--format", "json"]
-    done = subprocess.run(command, cwd=folder, env=ENVIRONMENT, capture_output=True, text=True, check=True)
+    done = subprocess.run(command, cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True, check=True)
     report = json.loads(done.stdout)
     assert (report["hypotheses"], report["poses"]) == (5, 2 * 20 * 4)
 
 
+@pytest.mark.slow
 def test_a_line_per_epoch_is_printed_where_there_is_no_terminal(folder):
-    done = posecal_models(
+    done = in_this_process(
         "train", "cgnf-tiny", "--data", "motion.npz", "-o", "run", "--set", "train.epochs=2", "--set", "data.every=10",
         cwd=folder,
     )  # fmt: skip
@@ -65,8 +92,9 @@ def test_losses_are_drawn(folder, monkeypatch):
     assert (folder / "losses.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_describing_weights_gives_json(folder):
-    about = json.loads(posecal_models("describe", "tiny/weights.safetensors", cwd=folder).stdout)
+    about = json.loads(in_this_process("describe", "tiny/weights.safetensors", cwd=folder).stdout)
     assert about["estimator"]["kind"] == "cgnf"
     assert about["notes"]["config"]["data"]["test_subjects"] == ["S3"]
 
@@ -112,6 +140,7 @@ def test_bad_input_gives_one_message_exit_3_and_no_file(folder, monkeypatch, cap
     assert sorted(path.name for path in folder.iterdir()) == before
 
 
+@pytest.mark.slow
 def test_bad_input_shows_no_traceback_in_a_process_of_its_own(folder):
     done = posecal_models("sample", "none.safetensors", "test.npz", "-o", "h.npz", cwd=folder)
     assert (done.returncode, done.stdout) == (3, "")
@@ -119,6 +148,7 @@ def test_bad_input_shows_no_traceback_in_a_process_of_its_own(folder):
     assert len(done.stderr.splitlines()) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "left"),
     [
@@ -169,26 +199,28 @@ def test_a_wrong_call_exits_with_2(arguments, words, tmp_path, monkeypatch):
     assert words in done.output
 
 
+@pytest.mark.slow
 def test_keypoints_that_a_file_lacks_are_named(folder):
     with np.load(folder / "test.npz") as whole:
         members = dict(whole)
     keep = [k for k, name in enumerate(members["joints"]) if name not in {"LWrist", "Spine"}]
     np.savez(folder / "fewer.npz", keypoints_2d=members["keypoints_2d"][:, keep], joints=members["joints"][keep])
-    done = posecal_models("sample", "tiny/weights.safetensors", "fewer.npz", "-o", "fewer-h.npz", "--n", 2, cwd=folder)
+    done = in_this_process("sample", "tiny/weights.safetensors", "fewer.npz", "-o", "fewer-h.npz", "--n", 2, cwd=folder)
     assert done.returncode == 0
     assert "note: fewer.npz has no keypoint Spine, LWrist: missing in every image." in done.stderr.splitlines()
     twice = members["joints"].copy()
     twice[5] = twice[2]
     np.savez(folder / "twice.npz", keypoints_2d=members["keypoints_2d"], joints=twice)
-    done = posecal_models("sample", "tiny/weights.safetensors", "twice.npz", "-o", "twice-h.npz", cwd=folder)
+    done = in_this_process("sample", "tiny/weights.safetensors", "twice.npz", "-o", "twice-h.npz", cwd=folder)
     assert (done.returncode, done.stderr) == (
         3,
         "posecal-models: twice.npz: names of the keypoints name RKnee more than once; expected each joint once.\n",
     )
 
 
+@pytest.mark.slow
 def test_a_benchmark_on_training_subjects_prints_a_note(folder, tmp_path):
-    done = posecal_models(
+    done = in_this_process(
         "benchmark", "--data", "motion.npz", "--model", "t=tiny/weights.safetensors", "--subject", "S3",
         "--subject", "S1", "-o", tmp_path / "out", "--n", 2, "--every", 10, "--seeds", 1, cwd=folder,
     )  # fmt: skip
@@ -196,6 +228,7 @@ def test_a_benchmark_on_training_subjects_prints_a_note(folder, tmp_path):
     assert "note: the training of t did not hold out S1; on the same data this is no test." in done.stderr.splitlines()
 
 
+@pytest.mark.slow
 def test_ctrl_c_exits_with_130_and_leaves_a_checkpoint_that_is_whole(folder):
     command = [
         sys.executable,
@@ -226,14 +259,15 @@ def test_ctrl_c_exits_with_130_and_leaves_a_checkpoint_that_is_whole(folder):
     assert read_tensors(folder / "stopped" / "checkpoint.safetensors")[1]["training"]["step"] > 0
 
 
+@pytest.mark.slow
 def test_converting_a_released_checkpoint_lists_its_unused_tensors(tmp_path):
     import torch
 
     with np.load(ROOT / "tests" / "fixtures" / "reference_models" / "tiny_state.npz") as file:
         torch.save({name: torch.from_numpy(file[name]) for name in file.files}, tmp_path / "model.pt")
-    done = posecal_models("convert", "model.pt", "-o", "w.safetensors", cwd=tmp_path)
+    done = in_this_process("convert", "model.pt", "-o", "w.safetensors", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "transform_net.layers.1.layers.c.weight (8, 8)" in done.stderr
     # per block: child to parent (2·8 + 8) + (8·8 + 8), last updates 2·(8·8 + 8), attention (4 + 1) + (16 + 1)
     assert "24 tensors with 524 unused parameters" in done.stderr
-    assert posecal_models("describe", "w.safetensors", cwd=tmp_path).returncode == 0
+    assert in_this_process("describe", "w.safetensors", cwd=tmp_path).returncode == 0

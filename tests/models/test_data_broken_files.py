@@ -114,6 +114,7 @@ def damaged(contents: bytes, chance: random.Random) -> bytes:
     return bytes(changed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("write", "read"), READERS)
 def test_a_file_damaged_at_random_is_read_or_refused(tmp_path, write, read):
     path = write(tmp_path)
@@ -286,7 +287,7 @@ def test_a_broken_file_gives_one_message_exit_3_and_no_file(tmp_path, monkeypatc
     assert not (tmp_path / "o.npz").exists()
 
 
-def test_human36m_is_imported_at_the_paper_s_rates_unless_told_otherwise(tmp_path, monkeypatch):
+def test_human36m_is_imported_at_the_paper_s_rates_by_default(tmp_path, monkeypatch):
     for subject in ("S1", "S9"):
         for kind, columns in (("D3_Positions_mono", 3), ("D2_Positions", 2)):
             cdf(tmp_path / "h36m" / subject / kind / "Walking 1.54138969.cdf", numbers(130, 32, columns))

@@ -38,6 +38,7 @@ def of(folder: Path, rank: int) -> dict[str, dict[str, torch.Tensor]]:
     return torch.load(folder / f"of_{rank}.pt", weights_only=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", list(two_processes.KINDS))
 def test_two_processes_compute_the_gradients_of_one(motion_file, folder, kind):
     one = two_processes.one_step(kind, str(motion_file), folder, ProcessGroup())
@@ -49,6 +50,7 @@ def test_two_processes_compute_the_gradients_of_one(motion_file, folder, kind):
             np.testing.assert_allclose(two[name], tensor, rtol=1e-4, atol=scale, err_msg=name)
 
 
+@pytest.mark.slow
 def test_two_processes_end_with_the_same_weights_and_learning_rates(folder):
     first, second = (of(folder, rank)["to the end"] for rank in range(2))
     assert sorted(first) == sorted(second)
@@ -57,6 +59,7 @@ def test_two_processes_end_with_the_same_weights_and_learning_rates(folder):
     assert len(first["progress"][:, 1].unique()) > 1, "the learning rate never fell; the test is void"
 
 
+@pytest.mark.slow
 def test_two_processes_train_as_one_does(motion_file, folder):
     one = two_processes.to_the_end(str(motion_file), folder, ProcessGroup())["progress"]
     two = of(folder, 0)["to the end"]["progress"]

@@ -56,13 +56,14 @@ def test_the_log_density_is_scipy_s(spread):
     np.testing.assert_allclose(model(context(5)).log_prob(poses).detach(), expected, rtol=1e-5)
 
 
-@pytest.mark.parametrize("spread", ["joint", "coordinate"])
+@pytest.mark.parametrize("spread", ["joint", pytest.param("coordinate", marks=pytest.mark.slow)])
 def test_likelihood_training_finds_the_closed_form(spread):
     model, poses = noise_model(spread), truth(400, (60.0, 140.0))
     minimise(Likelihood(model), poses, 300)
     np.testing.assert_allclose(model.log_sigma.detach().exp(), likelihood_optimum(poses, spread=spread), rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_min_mpjpe_training_finds_the_sigma_of_the_quadrature():
     """One joint in 3D with N = 20: the best σ follows from the noncentral chi-squared law (paper section 3.2)."""
     many, hypotheses, true_sigma = 4000, 20, 100.0

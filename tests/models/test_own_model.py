@@ -28,6 +28,7 @@ def test_the_example_is_short():
     assert len(example().splitlines()) <= 30
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not DOCS.exists(), reason="an installed package has no docs")
 def test_the_example_runs_and_posecal_evaluates_it(motion_file, tmp_path):
     seen = MocapPoses(motion_file)

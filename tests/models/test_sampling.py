@@ -45,6 +45,7 @@ def estimator(pairs) -> CGNF:
     return model.eval()
 
 
+@pytest.mark.slow
 def test_posecal_reads_what_was_sampled(pairs, estimator, tmp_path):
     pairs.save(tmp_path / "gt.npz")
     sample_to_file(estimator, KeypointSet.load(tmp_path / "gt.npz"), tmp_path / "hyps.npz", n=6)
@@ -86,6 +87,7 @@ def test_keypoints_are_joined_by_name(pairs, estimator, tmp_path):
         np.testing.assert_array_equal(one["hypotheses"], two["hypotheses"])
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_poses(estimator, tmp_path):
     """100 MB of hypotheses more, in a process of its own: its peak grows by less than a quarter of that."""
     script = """

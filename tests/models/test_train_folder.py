@@ -73,6 +73,7 @@ def test_a_folder_that_can_t_be_written_into_is_noticed_before_any_work(tmp_path
 # --- other data -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_other_data_are_refused_and_the_differences_named(motion_file, tmp_path, monkeypatch, capsys):
     training(motion_file, tmp_path / "run").run(max_steps=2)
     with np.load(motion_file) as file:

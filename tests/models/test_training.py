@@ -43,7 +43,10 @@ def final(run) -> dict[str, torch.Tensor]:
     return {name: tensor.clone() for name, tensor in run.estimator.state_dict().items()}
 
 
-@pytest.mark.parametrize(("table", "stop"), [(CGNF, 1), (CGNF, 20), (CGNF, 35), (BASELINE, 13)])
+@pytest.mark.parametrize(
+    ("table", "stop"),
+    [*(pytest.param(CGNF, stop, marks=pytest.mark.slow) for stop in (1, 20, 35)), (BASELINE, 13)],
+)
 def test_a_training_that_was_stopped_goes_on_to_the_same_result(motion_file, tmp_path, table, stop):
     whole = training(table, motion_file, tmp_path / "whole")
     whole.run()
@@ -58,6 +61,7 @@ def test_a_training_that_was_stopped_goes_on_to_the_same_result(motion_file, tmp
         assert torch.equal(tensor, final(whole)[name]), name
 
 
+@pytest.mark.slow
 def test_a_training_survives_kill_9_at_any_moment(motion_file, tmp_path):
     """The command itself, killed three times while it computes or writes, and resumed."""
     settings = [
@@ -116,12 +120,14 @@ def test_the_seed_decides_the_result(motion_file, tmp_path):
     assert losses[0] != losses[2]
 
 
+@pytest.mark.slow
 def test_the_loss_falls(motion_file, tmp_path):
     run = training(CGNF, motion_file, tmp_path / "a", epochs=6, schedule="cosine", learning_rate=3e-3)
     run.run()
     assert np.mean(run.step_losses[-10:]) < np.mean(run.step_losses[:10]) - 5
 
 
+@pytest.mark.slow
 def test_saving_changes_nothing_in_the_training(motion_file, tmp_path):
     run = training(CGNF, motion_file, tmp_path / "a")
     run.run(max_steps=run.steps_per_epoch + 3)
@@ -140,6 +146,7 @@ def test_a_loss_that_is_not_finite_stops_the_training_and_names_the_step(motion_
     assert (tmp_path / "a/checkpoint.safetensors").read_bytes() == before
 
 
+@pytest.mark.slow
 def test_the_saved_weights_are_those_of_the_lowest_validation_loss(motion_file, tmp_path):
     run = training(CGNF, motion_file, tmp_path / "a", learning_rate=5e-3, schedule="cosine", epochs=4)
     run.run()
@@ -187,6 +194,7 @@ def test_a_checkpoint_of_another_configuration_is_refused(motion_file, tmp_path)
         training(CGNF, motion_file, tmp_path / "a", resume=True, learning_rate=0.5)
 
 
+@pytest.mark.slow
 def test_a_training_can_be_made_longer(motion_file, tmp_path):
     training(CGNF, motion_file, tmp_path / "a", epochs=1).run()
     run = training(CGNF, motion_file, tmp_path / "a", epochs=2, resume=True)
@@ -201,6 +209,7 @@ def test_a_longer_cosine_falls_to_zero_at_its_new_end(motion_file, tmp_path):
     assert run.schedule.learning_rate(2 * run.steps_per_epoch) == pytest.approx(0.5e-3)
 
 
+@pytest.mark.slow
 def test_a_training_may_start_from_weights(motion_file, tmp_path):
     training(CGNF, motion_file, tmp_path / "first", epochs=1).run()
     weights = str(tmp_path / "first" / "weights.safetensors")

@@ -127,6 +127,7 @@ def test_a_description_of_something_else_is_refused():
         build({"kind": "cgnf"})
 
 
+@pytest.mark.slow
 def test_a_full_disk_leaves_what_was_there(tmp_path):
     """In a process of its own whose files may not grow beyond 20 kB, as on a disk without space."""
     write_tensors(tmp_path / "w.safetensors", {"a": torch.zeros(10)}, {"estimator": {}})

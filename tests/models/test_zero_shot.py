@@ -20,6 +20,7 @@ def test_only_the_first_model_is_trained_with_three_nodes():
     assert len(zero_shot.PENDULUM_MODELS["cGNF, trained with at most two observed"]) == 1 + 3 + 3
 
 
+@pytest.mark.slow
 def test_the_pendulum_s_models_are_evaluated_with_all_nodes_observed():
     steps = []
     result = zero_shot.pendulum(steps=3, batch=20, samples=5, progress=steps.append)
@@ -44,6 +45,7 @@ def test_poses_whose_latents_overflow_are_counted_and_count_as_impossible():
     )
 
 
+@pytest.mark.slow
 def test_no_model_has_a_higher_log_density_than_the_true_posterior():
     """The gap is a Kullback-Leibler divergence: not negative, but for the chance of 300 poses; training closes it."""
     few, more = (zero_shot.pose_world(steps=steps, batch=50, poses=300) for steps in (5, 60))
@@ -79,6 +81,7 @@ def test_without_the_toy_world_it_says_what_to_do(monkeypatch):
         zero_shot.pendulum(steps=1)
 
 
+@pytest.mark.slow
 def test_the_command_prints_a_line_for_each_model_and_draws_the_figure(tmp_path):
     picture = tmp_path / "pendulum.png"
     done = CliRunner().invoke(app, ["zero-shot", "pendulum", "--steps", "2", "-o", str(picture)])

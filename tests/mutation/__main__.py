@@ -13,6 +13,7 @@ import sys
 import tempfile
 import tomllib
 from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 
 from tests import mutation
@@ -20,13 +21,22 @@ from tests.mutation.mutants import Mutant, mutants_of
 from tests.mutation.runner import BaselineError, Outcome, Runner
 
 ALSO = {
-    "posecal/calibration/": ("test_definitions.py", "test_laws.py"),
+    "posecal/calibration/": ("test_definitions.py", "test_laws.py", "test_registry.py", "test_wrong_arguments.py"),
     "posecal/data/": ("test_match_layouts.py", "test_unreadable_files.py"),
     "posecal/engine/": ("test_definitions.py", "test_laws.py"),
     "posecal/geometry/": ("test_definitions.py", "test_laws.py"),
-    "posecal/metrics/": ("test_definitions.py", "test_laws.py"),
+    "posecal/metrics/": ("test_definitions.py", "test_laws.py", "test_registry.py", "test_wrong_arguments.py"),
 }
 """Test files, wherever they lie, that check every module of a folder, beside each module's own."""
+
+DEFAULT = (
+    *("posecal/metrics", "posecal/calibration", "posecal/geometry", "posecal/stats", "posecal/engine"),
+    *("posecal/registry.py", "posecal/report/summary.py", "posecal/report/table.py", "posecal/report/explain.py"),
+    *("posecal/data/checks.py", "posecal/data/units.py", "posecal/data/match.py", "posecal/data/declarations.py"),
+)
+"""What computes, says, checks and matches: the modules of a run that names none."""
+EACH = 5
+"""Mutants of each of them."""
 
 
 def find_tests(path: str, root: Path) -> list[str]:
@@ -69,9 +79,10 @@ def options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="python -m tests.mutation",
         description=mutation.__doc__,
+        epilog=f"Without modules: {EACH} mutants of each in {', '.join(DEFAULT)}.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("modules", nargs="+", type=Path, help="files or folders, relative to the root")
+    parser.add_argument("modules", nargs="*", help="files or folders, relative to the root (default: see below)")
     parser.add_argument("--sample", type=int, metavar="N", help="at most N mutants of each module, drawn at random")
     parser.add_argument("--seed", type=int, default=0, help="of the draw (default 0)")
     parser.add_argument("--tests", type=shlex.split, help="test files or folders, instead of those of the modules")
@@ -83,7 +94,10 @@ def options() -> argparse.Namespace:
     parser.add_argument("--list", action="store_true", help="print the mutants and run nothing")
     parser.add_argument("--root", type=Path, default=Path(), help="of the tree (default: the current folder)")
     parser.add_argument("--survivors", type=Path, default=Path(__file__).with_name("survivors.toml"))
-    return parser.parse_args()
+    said = parser.parse_args()
+    if not said.modules:
+        said.modules, said.sample = list(DEFAULT), said.sample or EACH
+    return said
 
 
 def drawn(mutants: list[Mutant], most: int | None, seed: int) -> list[Mutant]:
@@ -96,6 +110,12 @@ def drawn(mutants: list[Mutant], most: int | None, seed: int) -> list[Mutant]:
 def described(mutant: Mutant) -> str:
     """One line for a mutant."""
     return f"{mutant.path}:{mutant.line} {mutant.within}: {mutant.change}"
+
+
+def totals(outcomes: Iterable[Outcome]) -> tuple[int, int, Counter[str]]:
+    """How many were killed, of how many that are not accepted, and each result's number."""
+    counts = Counter(outcome.result for outcome in outcomes)
+    return counts["killed"] + counts["timeout"], counts.total() - counts["accepted"], counts
 
 
 def main() -> int:
@@ -132,8 +152,10 @@ def main() -> int:
                     print(f"SURVIVED {described(mutant)}\n         {mutant.text}", flush=True)
     if said.list:
         return 0
-    counts = Counter(outcome.result for _, outcome in outcomes)
-    killed, judged = counts["killed"] + counts["timeout"], len(outcomes) - counts["accepted"]
+    for path in dict.fromkeys(mutant.path for mutant, _ in outcomes):
+        killed, judged, _ = totals(outcome for mutant, outcome in outcomes if mutant.path == path)
+        print(f"{path}: {killed} of {judged} killed")
+    killed, judged, counts = totals(outcome for _, outcome in outcomes)
     share = 100 * killed / judged if judged else 100.0
     if said.report:
         rows = [{**mutant._asdict(), **outcome._asdict()} for mutant, outcome in outcomes]

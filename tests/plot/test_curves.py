@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
-from matplotlib.collections import FillBetweenPolyCollection
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
@@ -102,8 +102,8 @@ def test_a_sampler_s_line_lies_in_the_region_of_its_name(spread: float, sign: in
     assert (sign * (drawn[:, 1] - drawn[:, 0]) > 0).all()
 
 
-def band(ax: Axes) -> FillBetweenPolyCollection | None:
-    found = [c for c in ax.collections if isinstance(c, FillBetweenPolyCollection) and c.get_gid() == "band"]
+def band(ax: Axes) -> PolyCollection | None:
+    found = [c for c in ax.collections if isinstance(c, PolyCollection) and c.get_gid() == "band"]
     return found[0] if found else None
 
 

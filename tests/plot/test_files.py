@@ -21,6 +21,7 @@ def words_of(kind: str, **how: str) -> str:
     return " ".join(" ".join(text.get_text() for text in draw(report_of(**how), kind).texts).split())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", STARTS)
 def test_a_picture_is_written_in_the_form_of_its_ending(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"picture{suffix.upper()}"

@@ -98,6 +98,7 @@ def test_every_registered_metric_has_a_twin() -> None:
     assert set(twin("defaults").by_joint) == {name for name, metric in registered.items() if metric.by_joint}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_registered_numbers_are_what_the_naive_formulas_give(protocol: str) -> None:
     found = measured(protocol)[0]

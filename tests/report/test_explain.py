@@ -78,6 +78,7 @@ def test_the_definition_is_written_out_for_the_options() -> None:
     assert "80 mm" in explain("pck", Protocol(pck_threshold=80.0))
 
 
+@pytest.mark.slow
 def test_every_number_that_a_report_prints_is_explained_by_its_own_label() -> None:
     for row in report_of(metrics="all", by=("occlusion",)).rows:
         assert explain(row.metric).splitlines()[0] == f"{row.metric}: {row.label}"

@@ -66,6 +66,7 @@ def written() -> str:
     return as_html(report_of(metrics="all", by=("action",)), "hyps.npz")
 
 
+@pytest.mark.slow
 def test_the_page_is_well_formed_and_closes_what_it_opens() -> None:
     text = written()
     assert text.startswith("<!DOCTYPE html>")
@@ -164,6 +165,7 @@ def test_notebooks_show_sentences_remarks_and_tables() -> None:
         assert all(list(row) in page.cells for row in table.rows)
 
 
+@pytest.mark.slow
 def test_remarks_stand_on_the_page_and_name_flags_where_they_are_asked_to() -> None:
     report = unlabelled()
     assert report.remarks
@@ -179,12 +181,14 @@ def test_a_report_that_lacks_pictures_is_a_page_all_the_same() -> None:
     assert "calibration and spread need at least 2 hypotheses; there is 1." in page.text
 
 
+@pytest.mark.slow
 def test_the_page_is_written_whole_and_is_the_same_each_time(tmp_path: Path) -> None:
     write_html(report_of(metrics="all", by=("action",)), tmp_path / "page.html", "hyps.npz")
     assert (tmp_path / "page.html").read_text(encoding="utf-8") == written()
     assert [path.name for path in tmp_path.iterdir()] == ["page.html"]
 
 
+@pytest.mark.slow
 def test_a_page_that_can_not_be_written_is_said(tmp_path: Path) -> None:
     with pytest.raises(PoseFileError, match=r"the folder .*nowhere does not exist\. Make it first\."):
         write_html(report_of(), tmp_path / "nowhere" / "page.html", "hyps.npz")

@@ -17,7 +17,7 @@ from posecal.errors import PoseDataError, for_command_line
 from posecal.report import report as report_module
 from posecal.report.report import Report
 from posecal.stats.resampling import holm
-from tests.helpers.reports import FRAMES, SEQUENCES, N, report_of, unlabelled, world
+from tests.helpers.reports import FRAMES, SEQUENCES, N, report_of, world
 
 HOW: dict[str, Any] = {"axes": "NMKD", "unit": "mm"}
 
@@ -380,47 +380,6 @@ def test_a_report_without_calibration_has_no_curves_and_says_so() -> None:
         plain.sparsification()
     assert plain.joint_tests() == {}
     assert plain.to_dict()["curves"] == []
-
-
-# --- remarks --------------------------------------------------------------------------------------------------
-
-
-def test_one_hypothesis_is_accurate_but_has_no_spread() -> None:
-    remarks = " ".join(unlabelled(n=1).remarks)
-    assert "calibration and spread need at least 2 hypotheses; there is 1." in remarks
-
-
-def test_few_hypotheses_are_remarked_on_up_to_twenty() -> None:
-    few = "N = 19 hypotheses are few: look at what a perfect sampler would show before reading an ECE (paper)."
-    assert few in unlabelled(n=19).remarks
-    assert not any("are few" in remark for remark in unlabelled(n=20).remarks)
-
-
-def test_poses_without_sequences_are_remarked_on() -> None:
-    (remark,) = (remark for remark in unlabelled().remarks if remark.startswith("no sequence labels: "))
-    assert remark == "no sequence labels: 5 frames are taken as independent. In a video they are not."
-    (remark,) = (r for r in unlabelled(poses=201).remarks if r.startswith("no sequence labels: "))
-    assert "51 runs of consecutive frames are taken as independent" in remark
-    assert not any("sequence" in remark for remark in some().remarks)
-
-
-def test_one_sequence_is_one_sequence() -> None:
-    here = world()
-    one = posecal.evaluate(sample(here, 2)[:, :3], here.truth[:3], labels={"sequence": here.sequence[:3]}, **HOW)
-    assert any(remark.startswith("1 sequence allows no test: ") for remark in one.remarks)
-
-
-def test_too_few_sequences_for_a_test_are_remarked_on() -> None:
-    """With 3 sequences, 2 of 8 choices of signs make the error as large, whatever it is."""
-    here = world()
-    three = slice(0, 3 * FRAMES)
-    report = posecal.evaluate(
-        sample(here, N)[:, three], here.truth[three], joints="h36m-17", labels={"sequence": here.sequence[three]}, **HOW
-    )
-    (remark,) = (remark for remark in report.remarks if "sequences allow no test" in remark)
-    assert remark.startswith("3 sequences allow no test: ")
-    assert "in 25% of cases" in remark
-    assert math.isnan(report.test("ece").p)
 
 
 # --- signature ------------------------------------------------------------------------------------------------

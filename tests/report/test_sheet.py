@@ -106,6 +106,50 @@ def test_headings_are_on_one_line_where_there_is_room() -> None:
     assert "a long heading" not in Sheet("", tables=[table]).text(16)
 
 
+def test_columns_stand_two_blanks_apart() -> None:
+    lines = Sheet("", tables=[Table("t", ("name", "x", "note"), [("a", "1.5", "b")], ["note"])]).text(40).splitlines()
+    assert lines[2:] == ["name    x  note", "───────────────", "a     1.5  b"]
+
+
+LONG = Table("t", ("n", "first second"), [("a", "1")])
+
+
+@pytest.mark.parametrize(("width", "one_line"), [(15, True), (14, False)])
+def test_a_table_that_just_fits_is_not_squeezed(width: int, one_line: bool) -> None:
+    lines = Sheet("", tables=[LONG]).text(width).splitlines()
+    assert ("n  first second" in lines) is one_line
+    assert max(map(len, lines)) <= width
+
+
+WIDE = Table("t", ("name", "aaaa", "bbbb"), [("x", "1", "2")])
+
+
+@pytest.mark.parametrize(("width", "parts"), [(16, 1), (15, 2)])
+def test_a_table_that_just_fits_is_not_cut(width: int, parts: int) -> None:
+    text = Sheet("", tables=[WIDE]).text(width)
+    assert text.count("name") == parts
+    assert max(map(len, text.splitlines())) <= width
+    assert {"1", "2"} <= set(text.split())
+
+
+def test_a_number_stands_beside_the_first_column_however_narrow() -> None:
+    assert Sheet("", tables=[WIDE]).text(5).count("a") >= 4
+
+
+def test_text_is_a_hundred_and_twenty_columns_wide_by_default() -> None:
+    assert [len(line) for line in Sheet(" ".join(["x"] * 120)).text().splitlines()] == [119, 119]
+
+
+def test_numbers_have_no_colour_of_their_own() -> None:
+    text = Sheet("title 1", tables=[NUMBERS]).text(200, colour=True)
+    assert set(re.findall(r"\x1b\[([\d;]*)m", text)) == {"0", "1"}
+
+
+def test_numbers_in_markdown_stay_as_they_are_written() -> None:
+    text = Sheet("", tables=[Table("t", ("n", "x"), [("1e3", "0.500"), ("b", "1,234")])]).markdown()
+    assert {"1e3", "0.500", "1,234"} <= set(text.split())
+
+
 def test_an_empty_table_has_its_headings() -> None:
     assert "first number" in Sheet("", tables=[Table("t", NUMBERS.headings, [])]).text(200)
 

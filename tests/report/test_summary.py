@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -9,13 +10,16 @@ import numpy as np
 import pytest
 
 import posecal
+from posecal.demo import sample
 from posecal.errors import for_command_line
 from posecal.report.report import Report
 from posecal.report.summary import NEITHER, ONE_SIDED, remarks, side_of, summarize
-from tests.helpers.reports import unlabelled
+from tests.helpers.reports import FRAMES, report_of, unlabelled, world
+from tests.helpers.reports import N as FEW
 from tests.helpers.samplers import gaussian, sequences
 
 Array = np.ndarray
+HOW: dict[str, Any] = {"axes": "NMKD", "unit": "mm"}
 M, K, N = 240, 4, 19
 JOINTS = ("Head", "LWrist", "RKnee", "LFoot")
 
@@ -120,9 +124,9 @@ class Known:
 
     def __init__(self, error: float, area: float, p: float, joints: dict[str, tuple[float, float, float]]) -> None:
         self.numbers = {"ece": error, "signed_area": area}
-        self.metrics = dict.fromkeys(self.numbers)
-        self.p = p
+        self.p = {"ece": p}
         self.joints = joints
+        self.ranks: dict[str, float] = {}
         self.totals = SimpleNamespace(units=lambda number: f"{number} sequences")
 
     def __getitem__(self, name: str) -> float:
@@ -131,14 +135,18 @@ class Known:
     def value(self, name: str, *, joint: str) -> float:
         return self.joints[joint][0]
 
+    @property
+    def metrics(self) -> dict[str, SimpleNamespace]:
+        return {name: SimpleNamespace(label=name, rejection="why") for name in (*self.numbers, *self.ranks)}
+
     def test(self, name: str) -> SimpleNamespace:
-        return SimpleNamespace(p=self.p, mean=0.01, high=0.02, sequences=40)
+        return SimpleNamespace(p=self.p[name], mean=0.01, high=0.02, sequences=40)
 
     def joint_tests(self) -> dict[str, tuple[float, float]]:
         return {joint: (area, p) for joint, (_, area, p) in self.joints.items()}
 
     def rank_tests(self) -> dict[str, Any]:
-        return {}
+        return {name: (None, p) for name, p in self.ranks.items()}
 
 
 def sentences(error: float, area: float, p: float, **joints: tuple[float, float, float]) -> list[str]:
@@ -196,10 +204,54 @@ def test_of_more_joints_six_are_named_and_the_rest_counted() -> None:
     assert joints == "Joint by joint: underconfident at j0, j1, j2, j3, j4, j5 and 3 more (adjusted for 9 joints)."
 
 
-@pytest.mark.parametrize(("area", "side"), [(-0.001, "overconfident"), (0.001, "underconfident")])
+@pytest.mark.parametrize(
+    ("area", "side"), [(-0.001, "overconfident"), (0.0, "underconfident"), (0.1, "underconfident")]
+)
 def test_where_nothing_can_be_tested_the_sign_alone_is_said(area: float, side: str) -> None:
     (first,) = sentences(0.04, area, float("nan"))
     assert first == f"Looks {side} (signed area {area:+.3f}); whether by chance can't be tested here."
+
+
+@pytest.mark.parametrize(("coverage", "share"), [(0.916, "92"), (0.0, "0"), (1.0, "100")])
+def test_the_coverage_of_the_90_percent_balls_is_said_in_percent(coverage: float, share: str) -> None:
+    known = Known(0.04, 0.03, 0.5, {})
+    known.numbers["coverage_90"] = coverage
+    (first,) = summarize(cast(Report, known))
+    assert first.endswith(f"; the 90\u00a0% balls hold {share}\u00a0% of the truths.")
+
+
+@pytest.mark.parametrize(
+    ("p", "p_mean", "hides"), [(0.5, 0.049, True), (0.05, 0.049, True), (0.049, 0.01, False), (0.5, 0.05, False)]
+)
+def test_the_median_hides_what_the_mean_of_the_joints_shows(p: float, p_mean: float, hides: bool) -> None:
+    known = Known(0.04, 0.03, p, {})
+    known.numbers["ece_mean"], known.p["ece_mean"] = 0.06, p_mean
+    _, *rest = summarize(cast(Report, known))
+    assert (
+        rest == [f"The median over joints hides it: the joints' own errors average 0.060 (p = {p_mean:.3f})."] * hides
+    )
+
+
+NOTHING = "No rank test rejects. A model that ignores the image would pass them too: look at a proper score."
+
+
+@pytest.mark.parametrize(
+    ("p", "ranks", "last"),
+    [
+        (0.04, {"a": 0.049, "b": 0.5}, "Rank tests reject as well: a. Recalibrate the spread first, then rerun"),
+        (0.05, {"a": 0.049, "b": 0.01}, "Rank tests reject what the ECE can't see (a, b): why."),
+        (0.5, {"a": 0.05, "b": 0.5}, NOTHING),
+        (0.04, {"a": 0.05}, NOTHING),
+        (0.5, {"a": 0.5, "b": float("nan")}, "Not miscalibrated"),
+        (0.5, {}, "Not miscalibrated"),
+    ],
+)
+def test_what_rank_tests_add_depends_on_whether_the_ece_is_beyond_chance(
+    p: float, ranks: dict[str, float], last: str
+) -> None:
+    known = Known(0.04, 0.03, p, {})
+    known.ranks = ranks
+    assert summarize(cast(Report, known))[-1].startswith(last)
 
 
 # --- remarks --------------------------------------------------------------------------------------------------
@@ -211,3 +263,60 @@ def test_remarks_name_parameters_or_flags() -> None:
     (python,) = (remark for remark in remarks(report) if "root_joint" in remark)
     (flags,) = (remark for remark in remarks(report, for_command_line) if "--root-joint" in remark)
     assert python.replace("root_joint", "--root-joint") == flags
+
+
+@pytest.mark.parametrize(("metrics", "few"), [("default", True), ("mpjpe", False)])
+def test_few_hypotheses_matter_to_calibration_only(metrics: str, few: bool) -> None:
+    x, y = gaussian(0, 2, 24, K)
+    report = posecal.evaluate(x, y, metrics=metrics, axes="NMKD", unit="mm")
+    assert any(remark.startswith("N = 2 hypotheses are few") for remark in report.remarks) is few
+    assert not any("at least 2 hypotheses" in remark for remark in report.remarks)
+
+
+def test_one_hypothesis_is_accurate_but_has_no_spread() -> None:
+    remarks = " ".join(unlabelled(n=1).remarks)
+    assert "calibration and spread need at least 2 hypotheses; there is 1." in remarks
+
+
+def test_few_hypotheses_are_remarked_on_up_to_twenty() -> None:
+    few = "N = 19 hypotheses are few: look at what a perfect sampler would show before reading an ECE (paper)."
+    assert few in unlabelled(n=19).remarks
+    assert not any("are few" in remark for remark in unlabelled(n=20).remarks)
+
+
+def test_poses_without_sequences_are_remarked_on() -> None:
+    (remark,) = (remark for remark in unlabelled().remarks if remark.startswith("no sequence labels: "))
+    assert remark == "no sequence labels: 5 frames are taken as independent. In a video they are not."
+    (remark,) = (r for r in unlabelled(poses=201).remarks if r.startswith("no sequence labels: "))
+    assert "51 runs of consecutive frames are taken as independent" in remark
+    assert not any("sequence" in remark for remark in report_of().remarks)
+
+
+def test_one_sequence_is_one_sequence() -> None:
+    here = world()
+    one = posecal.evaluate(sample(here, 2)[:, :3], here.truth[:3], labels={"sequence": here.sequence[:3]}, **HOW)
+    assert any(remark.startswith("1 sequence allows no test: ") for remark in one.remarks)
+
+
+def test_too_few_sequences_for_a_test_are_remarked_on() -> None:
+    """With 3 sequences, 2 of 8 choices of signs make the error as large, whatever it is."""
+    here = world()
+    three = slice(0, 3 * FRAMES)
+    report = posecal.evaluate(
+        sample(here, FEW)[:, three],
+        here.truth[three],
+        joints="h36m-17",
+        labels={"sequence": here.sequence[three]},
+        **HOW,
+    )
+    (remark,) = (remark for remark in report.remarks if "sequences allow no test" in remark)
+    assert remark.startswith("3 sequences allow no test: ")
+    assert "in 25% of cases" in remark
+    assert math.isnan(report.test("ece").p)
+
+
+@pytest.mark.parametrize(("number", "few"), [(5, True), (6, False)])
+def test_six_sequences_are_enough_for_a_test(number: int, few: bool) -> None:
+    x, y = gaussian(0, 4, 24, K)
+    report = posecal.evaluate(x, y, labels={"sequence": sequences(24, number)}, **HOW)
+    assert any("allow no test" in remark for remark in report.remarks) is few

@@ -74,6 +74,7 @@ def test_a_difference_is_left_one_sequence_out(metric: str) -> None:
     )
 
 
+@pytest.mark.slow
 def test_intervals_of_differences_cover_the_truth_as_often_as_they_say() -> None:
     times, frames, held, certain = 120, 3, 0, 0
     for time in range(times):

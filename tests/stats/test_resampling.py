@@ -1,4 +1,4 @@
-"""Sign-flips, the variance between sequences and Holm, against loops, enumeration and textbooks."""
+"""Sign-flips and Holm, against loops, enumeration and textbooks."""
 
 from __future__ import annotations
 
@@ -20,12 +20,10 @@ from posecal.stats.resampling import (
     MAX_VALUES,
     MIN_DRAWS,
     MIN_SEQUENCES,
-    effective_poses,
     holm,
     n_draws,
     sign_flips,
     sign_flips_of_each,
-    squared_error,
 )
 from tests.benchmarks.level import BAND, Design, rejection_rates
 
@@ -96,6 +94,7 @@ def test_few_sequences_are_flipped_in_every_way(over: str, offset: Array | None)
     assert found.sequences == 7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("over", ["median", "mean", "worst"])
 def test_many_sequences_are_flipped_at_random_as_if_in_every_way(over: str) -> None:
     D, counts, draws = *some(4, S=11, J=2), 500
@@ -214,6 +213,25 @@ def test_the_number_of_patterns_is_bounded_for_a_mesh_and_not_for_a_skeleton() -
     assert n_draws(50, 50_000 * Q) == 50
 
 
+@pytest.mark.parametrize("J", [1001, 2048, 3000])
+@pytest.mark.parametrize("kind", ["smooth", "lattice"])
+def test_the_median_curve_of_a_mesh_is_that_of_its_joints(J: int, kind: str) -> None:
+    random = np.random.default_rng(J)
+    D = random.normal(0.2, 1, (9, J, Q)) * np.sqrt(LEVELS * (1 - LEVELS))
+    if kind == "lattice":
+        D = np.round(2 * D) / 2
+    counts = np.ones((9, J))
+    errors, sups = [], []
+    for signs in itertools.product((1, -1), repeat=8):
+        curve = np.median((np.array([1, *signs]) @ D.reshape(9, -1)).reshape(J, Q) / 9, axis=0)
+        errors.append(np.abs(curve).mean())
+        sups.append(np.max(np.abs(curve[1:-1]) / np.sqrt(LEVELS[1:-1] * (1 - LEVELS[1:-1]))))
+    null = sign_flips(D, counts, Deviation(over="median"))
+    expected = (errors[0], np.mean(errors), np.quantile(errors, 0.95), np.quantile(sups, 0.95))
+    np.testing.assert_allclose((null.observed, null.mean, null.high, null.band), expected, rtol=3e-3, atol=2e-5)
+    assert null.p == pytest.approx(np.mean(np.array(errors) >= errors[0] * (1 - 1e-5)), abs=1.5 / 256)
+
+
 # --- what is kept of the level ----------------------------------------------------------------------------------------
 
 
@@ -260,61 +278,6 @@ def test_a_spread_that_is_a_tenth_too_narrow_is_found_more_often_with_more_seque
     )
     assert many > few
     assert many >= stats.binom(60, 0.7).ppf(5e-4)
-
-
-# --- what chance adds, and what poses are worth -----------------------------------------------------------------------
-
-
-def test_the_squared_error_is_the_square_of_the_mean_less_its_variance() -> None:
-    D, counts = some(10)
-    S, expected = len(D), []
-    for j in range(D.shape[1]):
-        n = counts[:, j].sum()
-        for q in range(Q):
-            mean = sum(D[s, j, q] for s in range(S)) / n
-            residuals = [D[s, j, q] - counts[s, j] * mean for s in range(S)]
-            expected.append(mean**2 - S / (S - 1) * sum(r**2 for r in residuals) / n**2)
-    np.testing.assert_allclose(squared_error(D, counts), np.mean(expected), rtol=1e-9)
-
-
-def test_the_squared_error_of_a_calibrated_model_is_0_but_for_chance() -> None:
-    random = np.random.default_rng(11)
-    found = [squared_error(random.normal(size=(10, 2, Q)), np.full((10, 2), 3)) for _ in range(600)]
-    assert abs(np.mean(found)) < 4 * np.std(found) / math.sqrt(len(found))
-    assert min(found) < 0 < max(found)
-
-
-@pytest.mark.parametrize("frames", [1, 7])
-def test_sequences_of_like_frames_are_worth_one_pose_each_but_one(frames: int) -> None:
-    # W is 0 or 1 and the same in all frames of a sequence. Then the variance of ω over sequences is estimated as
-    # S/(S-1) Σ(W-ω)²/S² = ω(1-ω)/(S-1), so the poses are worth S - 1.
-    random = np.random.default_rng(12)
-    S = 40
-    inside = random.random((S, 3, 1)) <= LEVELS
-    D = frames * (inside - LEVELS)
-    np.testing.assert_allclose(effective_poses(D, np.full((S, 3), frames)), S - 1, rtol=1e-9)
-
-
-def test_poses_are_never_worth_more_than_there_are() -> None:
-    random = np.random.default_rng(13)
-    even = (np.arange(20) + random.random()) / 20  # more even than chance: hardly any variance between sequences
-    D = (even[:, None, None] <= LEVELS) - LEVELS
-    pairs = D[:10] + D[::-1][:10]
-    assert effective_poses(pairs, np.full((10, 1), 2)) == 20
-    assert effective_poses(np.zeros((4, 1, Q)), np.full((4, 1), 5)) == 20
-
-
-def test_a_sequence_without_a_pose_that_counts_changes_neither() -> None:
-    D, counts = some(14)
-    empty_D, empty = np.insert(D, 3, 0.0, axis=0), np.insert(counts, 3, 0, axis=0)
-    np.testing.assert_allclose(squared_error(empty_D, empty), squared_error(D, counts), rtol=1e-12)
-    np.testing.assert_allclose(effective_poses(empty_D, empty), effective_poses(D, counts), rtol=1e-12)
-
-
-@pytest.mark.parametrize("number", [squared_error, effective_poses])
-def test_one_sequence_or_none_that_counts_says_nothing_of_chance(number: object) -> None:
-    assert math.isnan(number(np.ones((1, 2, Q)), np.ones((1, 2), int)))  # type: ignore[operator]
-    assert math.isnan(number(np.zeros((4, 2, Q)), np.zeros((4, 2), int)))  # type: ignore[operator]
 
 
 # --- p-values ---------------------------------------------------------------------------------------------------------

@@ -11,15 +11,18 @@ from posecal.calibration import LEVELS
 from posecal.engine.metric import Deviation, Statistic
 from posecal.engine.protocol import Protocol
 from posecal.engine.totals import Totals
+from posecal.stats import uncertainty
 from posecal.stats.jackknife import jackknife, joint_leave_one_out, leave_one_out
-from posecal.stats.resampling import effective_poses, sign_flips, squared_error
+from posecal.stats.resampling import sign_flips
 from posecal.stats.uncertainty import (
+    effective_poses,
     effective_sample_size,
     interval,
     joint_intervals,
     joint_p_values,
     null,
     sequence_deviations,
+    squared_error,
     unbiased_squared_error,
 )
 from tests.helpers.example_totals import HEIGHT, JOINTS, metric, random_totals
@@ -120,3 +123,74 @@ def test_of_one_sequence_nothing_is_uncertain() -> None:
     assert math.isnan(null(few, ECE).p)
     assert not math.isnan(null(few, ECE).observed)
     assert np.isnan(joint_p_values(few, ECE)).all()
+
+
+# --- variance between sequences ---------------------------------------------------------------------------------------
+
+
+def leaning(seed: int, S: int = 7, J: int = 3) -> tuple[Array, Array]:
+    """Deviations (S, J, Q) that lean to one side, and counts."""
+    random = np.random.default_rng(seed)
+    counts = random.integers(1, 30, (S, J))
+    bridge = random.normal(0.4, 1, (S, J, 1)) * np.sqrt(LEVELS * (1 - LEVELS)) + 0.1 * random.normal(size=(S, J, Q))
+    return bridge * np.sqrt(counts)[..., None], counts
+
+
+def test_the_squared_error_is_the_square_of_the_mean_less_its_variance() -> None:
+    D, counts = leaning(10)
+    S, expected = len(D), []
+    for j in range(D.shape[1]):
+        n = counts[:, j].sum()
+        for q in range(Q):
+            mean = sum(D[s, j, q] for s in range(S)) / n
+            residuals = [D[s, j, q] - counts[s, j] * mean for s in range(S)]
+            expected.append(mean**2 - S / (S - 1) * sum(r**2 for r in residuals) / n**2)
+    np.testing.assert_allclose(squared_error(D, counts), np.mean(expected), rtol=1e-9)
+
+
+def test_the_squared_error_of_a_calibrated_model_is_0_but_for_chance() -> None:
+    random = np.random.default_rng(11)
+    found = [squared_error(random.normal(size=(10, 2, Q)), np.full((10, 2), 3)) for _ in range(600)]
+    assert abs(np.mean(found)) < 4 * np.std(found) / math.sqrt(len(found))
+    assert min(found) < 0 < max(found)
+
+
+@pytest.mark.parametrize("frames", [1, 7])
+def test_sequences_of_like_frames_count_as_one_pose_each_but_one(frames: int) -> None:
+    # W is 0 or 1 and the same in all frames of a sequence. Then the variance of ω over sequences is estimated as
+    # S/(S-1) Σ(W-ω)²/S² = ω(1-ω)/(S-1), so the effective number of poses is S - 1.
+    random = np.random.default_rng(12)
+    S = 40
+    inside = random.random((S, 3, 1)) <= LEVELS
+    D = frames * (inside - LEVELS)
+    np.testing.assert_allclose(effective_poses(D, np.full((S, 3), frames)), S - 1, rtol=1e-9)
+
+
+def test_there_are_never_more_effective_poses_than_poses() -> None:
+    random = np.random.default_rng(13)
+    even = (np.arange(20) + random.random()) / 20  # more even than chance: hardly any variance between sequences
+    D = (even[:, None, None] <= LEVELS) - LEVELS
+    pairs = D[:10] + D[::-1][:10]
+    assert effective_poses(pairs, np.full((10, 1), 2)) == 20
+    assert effective_poses(np.zeros((4, 1, Q)), np.full((4, 1), 5)) == 20
+
+
+def test_a_sequence_without_a_pose_that_counts_changes_neither() -> None:
+    D, counts = leaning(14)
+    empty_D, empty = np.insert(D, 3, 0.0, axis=0), np.insert(counts, 3, 0, axis=0)
+    np.testing.assert_allclose(squared_error(empty_D, empty), squared_error(D, counts), rtol=1e-12)
+    np.testing.assert_allclose(effective_poses(empty_D, empty), effective_poses(D, counts), rtol=1e-12)
+
+
+@pytest.mark.parametrize("number", [squared_error, effective_poses])
+def test_one_sequence_or_none_that_counts_says_nothing_of_chance(number: object) -> None:
+    assert math.isnan(number(np.ones((1, 2, Q)), np.ones((1, 2), int)))  # type: ignore[operator]
+    assert math.isnan(number(np.zeros((4, 2, Q)), np.zeros((4, 2), int)))  # type: ignore[operator]
+
+
+def test_sequences_in_slices_vary_as_much(monkeypatch: pytest.MonkeyPatch) -> None:
+    D, counts = leaning(15, S=9)
+    expected = squared_error(D, counts), effective_poses(D, counts)
+    slices = uncertainty.slices
+    monkeypatch.setattr(uncertainty, "slices", lambda length, row_bytes: slices(length, row_bytes, 2 * row_bytes))
+    np.testing.assert_allclose((squared_error(D, counts), effective_poses(D, counts)), expected, rtol=1e-12)

@@ -70,14 +70,21 @@ class TestExpectedMinMpjpe:
         np.testing.assert_allclose(found, exact, rtol=1e-6)
 
     @pytest.mark.parametrize(
-        ("D", "N", "sigma"), [(45, 200, 0.1973), (45, 200, 0.5), (10, 200, 0.37), (2, 50, 0.55), (100, 500, 0.15)]
+        ("D", "N", "sigma"),
+        [
+            pytest.param(45, 200, 0.1973, marks=pytest.mark.slow),
+            pytest.param(45, 200, 0.5, marks=pytest.mark.slow),
+            pytest.param(10, 200, 0.37, marks=pytest.mark.slow),
+            (2, 50, 0.55),
+            pytest.param(100, 500, 0.15, marks=pytest.mark.slow),
+        ],
     )
     def test_agrees_with_an_independent_quadrature_to_1e_4(self, D: int, N: int, sigma: float) -> None:
         found = best_of.expected_min_mpjpe(sigma, N=N, D=D)
         np.testing.assert_allclose(found, trapezoid_min_mpjpe(sigma, N, D, 0.5), rtol=1e-4)
 
-    @pytest.mark.parametrize("D", [1, 4, 45, 100])
-    @pytest.mark.parametrize("N", [2, 30, 500])
+    @pytest.mark.parametrize("D", [1, 4, *(pytest.param(D, marks=pytest.mark.slow) for D in (45, 100))])
+    @pytest.mark.parametrize("N", [2, pytest.param(30, marks=pytest.mark.slow), 500])
     def test_agrees_with_a_quadrature_of_higher_order_to_3e_5(self, D: int, N: int) -> None:
         for sigma in (0.05, 0.2, 0.5, 1.0):
             coarse = best_of.expected_min_mpjpe(sigma, N=N, D=D)
@@ -94,6 +101,7 @@ class TestExpectedMinMpjpe:
         found = best_of.expected_min_mpjpe(sigma, N=N, D=D, truth_sigma=2.0, offset=offset)
         np.testing.assert_allclose(found, drawn.mean(), rtol=0, atol=4 * error)
 
+    @pytest.mark.slow
     def test_at_the_pose_like_point_agrees_with_a_large_simulation(self) -> None:
         rng = np.random.default_rng(2)
         for sigma in (0.1973, 0.5):
@@ -139,6 +147,7 @@ class TestOptimalSigma:
     def test_of_one_hypothesis_is_none(self) -> None:
         assert best_of.optimal_sigma(N=1, D=45) == 0
 
+    @pytest.mark.slow
     def test_of_two_in_high_dimensions_follows_from_the_expansion_for_small_spreads(self) -> None:
         # ‖x − σz‖ ≈ ρ − σ z₁ + σ²(D−1)/(2ρ), the best of two gains σ/√π, so σ = ρ/(√π (D−1)) with ρ ≈ √D σ*
         D = 2_000

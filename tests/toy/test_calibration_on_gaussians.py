@@ -85,6 +85,7 @@ def test_a_truth_in_fewer_dimensions_shows_its_closed_curve(seed: int, D: int, d
     np.testing.assert_array_less(np.abs(measured - exact)[INNER], tolerance[INNER])
 
 
+@pytest.mark.slow
 @settings(drawn, max_examples=25)
 @given(
     seed=seeds,
@@ -110,7 +111,7 @@ def test_exchangeable_ranks_are_uniform_for_every_number_of_hypotheses(seed: int
     np.testing.assert_array_less(np.abs(measured - LEVELS)[INNER], 5 * error(LEVELS, M)[INNER])
 
 
-@pytest.mark.parametrize("N", [2, 3, 5, 10, 20])
+@pytest.mark.parametrize("N", [2, *(pytest.param(N, marks=pytest.mark.slow) for N in (3, 5, 10, 20))])
 def test_exchangeable_ranks_of_few_hypotheses_are_uniform_to_a_tenth_of_a_rank(N: int) -> None:
     M, K = 60_000, 4
     measured = calibration_curve(*sampler(N, N=N, M=M, K=K, D=3)).joints.mean(axis=0)
@@ -126,6 +127,7 @@ def test_overconfident_curves_lie_below_the_diagonal_everywhere(seed: int, D: in
     assert (measured[INNER] < LEVELS[INNER]).all()
 
 
+@pytest.mark.slow
 @settings(drawn, max_examples=10)
 @given(seed=seeds, D=dimensions, N=st.integers(40, 120), wide=st.floats(1.35, 3))
 def test_underconfident_curves_lie_above_the_diagonal_everywhere(seed: int, D: int, N: int, wide: float) -> None:
@@ -133,7 +135,9 @@ def test_underconfident_curves_lie_above_the_diagonal_everywhere(seed: int, D: i
     assert (measured[INNER] > LEVELS[INNER]).all()
 
 
-@pytest.mark.parametrize("definition", ["exchangeable", "paper", "reference"])
+@pytest.mark.parametrize(
+    "definition", ["exchangeable", *(pytest.param(name, marks=pytest.mark.slow) for name in ("paper", "reference"))]
+)
 def test_all_definitions_show_the_closed_curve_when_there_are_many_hypotheses(definition: str) -> None:
     N, M, K = 700, 800, 6
     hypotheses, truth = sampler(5, N=N, M=M, K=K, D=3, spread=0.7)

@@ -71,6 +71,7 @@ class TestNearestZ:
     def test_of_one_is_its_mean(self) -> None:
         np.testing.assert_allclose(mean.nearest_z([-2.0, 0.3, 5.0], N=1), 0, atol=1e-10)
 
+    @pytest.mark.slow
     def test_of_two_is_a_plain_double_integral(self) -> None:
         u, z = 0.8, np.linspace(-9, 9, 3601)
         pair = np.where(np.abs(z[:, None] - u) < np.abs(z - u), z[:, None], z)
@@ -111,6 +112,7 @@ class TestExpectedZ:
         exact = 2 * (a - sigma * mean.expected_z(a, sigma=sigma, truth_sigma=1.0, N=N))
         np.testing.assert_allclose(slope, exact, rtol=1e-5)
 
+    @pytest.mark.slow
     def test_slope_vanishes_at_the_mean_of_a_gaussian_truth_alone(self) -> None:
         offset = np.linspace(-5, 5, 101)
         for N in (2, 10, 200):

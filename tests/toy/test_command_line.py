@@ -22,6 +22,7 @@ SMALL = {
     "pose-world": ["--sequences", "4", "--frames", "2", "--hypotheses", "10"],
     "pendulum": ["--pendulums", "4"],
 }
+SLOW = ("sigma-map", "landscape", "mean", "pendulum")
 NUMBERS = {
     "sigma-map": ["0.1973", "3.06478", "3.55927", "112.83", "32.66"],
     "landscape": ["4.0003", "4.538"],
@@ -42,7 +43,9 @@ def in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-@pytest.mark.parametrize("command", SMALL)
+@pytest.mark.parametrize(
+    "command", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in SMALL]
+)
 def test_every_command_prints_its_numbers_and_writes_a_figure(command: str) -> None:
     result = run(command, *SMALL[command])
     assert result.exit_code == 0, result.output
@@ -52,12 +55,16 @@ def test_every_command_prints_its_numbers_and_writes_a_figure(command: str) -> N
     assert result.stderr == ""
 
 
-@pytest.mark.parametrize(("ending", "magic"), [("svg", b"<?xml"), ("png", b"\x89PNG"), ("pdf", b"%PDF")])
+@pytest.mark.parametrize(
+    ("ending", "magic"),
+    [("svg", b"<?xml"), ("png", b"\x89PNG"), pytest.param("pdf", b"%PDF", marks=pytest.mark.slow)],
+)
 def test_the_ending_chooses_the_format(ending: str, magic: bytes) -> None:
     assert run("collapse", "--poses", "50", "-o", f"here.{ending}").exit_code == 0
     assert Path(f"here.{ending}").read_bytes().startswith(magic)
 
 
+@pytest.mark.slow
 def test_the_seed_decides_the_check_and_the_figure_is_the_same_again() -> None:
     first = run("collapse", "--poses", "500")
     figure = Path("collapse.svg").read_bytes()
@@ -66,6 +73,7 @@ def test_the_seed_decides_the_check_and_the_figure_is_the_same_again() -> None:
     assert run("collapse", "--poses", "500", "--seed", "1").stdout != first.stdout
 
 
+@pytest.mark.slow
 def test_pose_world_writes_files_of_the_named_fault() -> None:
     assert run("pose-world", *SMALL["pose-world"], "--fault", "spread-0.5", "--data", "half").exit_code == 0
     assert run("pose-world", *SMALL["pose-world"], "--data", "whole").exit_code == 0
@@ -76,6 +84,7 @@ def test_pose_world_writes_files_of_the_named_fault() -> None:
         np.testing.assert_array_equal(half["truth"], whole["truth"])
 
 
+@pytest.mark.slow
 def test_pose_world_writes_all_faults_into_a_folder_each() -> None:
     result = run("pose-world", *SMALL["pose-world"], "--fault", "all", "--world", "independent-joints")
     assert result.exit_code == 0, result.output
@@ -85,6 +94,7 @@ def test_pose_world_writes_all_faults_into_a_folder_each() -> None:
         assert fault.description in result.stdout
 
 
+@pytest.mark.slow
 def test_the_table_of_faults_names_the_joint_correlation() -> None:
     small = ("fault-table", "--hypotheses", "5", "--poses", "12")
     independent, correlated = (run(*small, *options).stdout for options in ((), ("--joint-correlation", "0.3")))
@@ -103,6 +113,7 @@ def test_pose_world_lists_its_faults_and_writes_nothing(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_pendulum_writes_its_data() -> None:
     assert run("pendulum", "--pendulums", "4", "--timesteps", "6", "--data", "four.npz").exit_code == 0
     with np.load("four.npz", allow_pickle=False) as stored:
@@ -160,6 +171,7 @@ def test_ctrl_c_ends_in_130(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "Traceback" not in result.output
 
 
+@pytest.mark.slow
 def test_it_runs_from_a_checkout_as_a_module(tmp_path: Path) -> None:
     checkout = Path(toy.__file__).parents[1]
     arguments = [sys.executable, "-m", "toy", "curves", "--poses", "50", "-o", str(tmp_path / "curves.png")]

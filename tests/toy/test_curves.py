@@ -74,6 +74,7 @@ def test_a_shift_and_a_wider_spread_cancel() -> None:
     assert curves.ece(offset=1.2) > 0.12
 
 
+@pytest.mark.slow
 def test_few_hypotheses_bend_the_curve_as_the_expansion_says() -> None:
     # One dimension, the median of N and its ranks drawn: 1.2 million poses, N = 30
     rng = np.random.default_rng(0)

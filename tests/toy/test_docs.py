@@ -19,7 +19,8 @@ COMMANDS = [
 ]
 
 
-def test_examples_give_what_the_page_says() -> None:
+@pytest.mark.slow
+def test_the_examples_of_the_page_run() -> None:
     failed, tried = doctest.testfile(str(PAGE), module_relative=False, encoding="utf-8", optionflags=doctest.ELLIPSIS)
     assert tried > 5
     assert failed == 0

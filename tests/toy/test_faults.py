@@ -50,7 +50,12 @@ CLOSED = {
 joints of which 8 lie low and 8 high is the mean of the two in the middle: the mean of a low and a high curve."""
 
 
-@pytest.mark.parametrize("name", FAULTS)
+FAST = ("perfect", "shifted", "cancelling-joints")
+
+
+@pytest.mark.parametrize(
+    "name", [name if name in FAST else pytest.param(name, marks=pytest.mark.slow) for name in FAULTS]
+)
 def test_the_ece_of_each_fault_is_that_of_the_closed_curves(name: str) -> None:
     hypotheses, truth = FAULTS[name].apply(case(), N)
     curve = calibration_curve(hypotheses, truth)
@@ -63,6 +68,7 @@ def test_the_ece_of_each_fault_is_that_of_the_closed_curves(name: str) -> None:
     assert abs(curve.ece("mean") - mean) < 1.5 * noise
 
 
+@pytest.mark.slow
 def test_the_published_table_is_reproduced() -> None:
     # ECE (paper's summary) and mean over joints of the project's table, which was simulated with other draws
     table = {
@@ -94,7 +100,7 @@ def together(correlation: float, n_poses: int = M) -> Case:
     return Case.of(world, scene, rng, joint_correlation=correlation)
 
 
-@pytest.mark.parametrize("correlation", [0.3, 0.8])
+@pytest.mark.parametrize("correlation", [0.3, pytest.param(0.8, marks=pytest.mark.slow)])
 def test_truths_and_perfect_hypotheses_move_together_as_asked_and_each_joint_as_before(correlation: float) -> None:
     planted = together(correlation)
     pairs = ~np.eye(K, dtype=bool)
@@ -112,6 +118,7 @@ def test_the_truth_of_a_case_is_one_draw() -> None:
     np.testing.assert_array_equal(together(0.3).truth_deviation, before)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FAULTS)
 def test_the_ece_of_each_fault_is_the_same_where_joints_move_together(name: str) -> None:
     # A fault is an act on each joint, whatever the others do; only the noise of the median curve is larger.
@@ -153,6 +160,7 @@ def rms(values: np.ndarray, *, keep: int) -> np.ndarray:
     return np.sqrt((values**2).mean(axis=axes))
 
 
+@pytest.mark.slow
 def test_shifted_is_1_2_too_deep_and_1_23_too_wide() -> None:
     model, _ = deviations("shifted")
     np.testing.assert_allclose(model.mean(axis=(0, 1, 2)), [0, 0, 1.2], atol=5 * 1.23 / math.sqrt(N * M * K))
@@ -183,6 +191,7 @@ def test_mixed_poses_alternate() -> None:
     np.testing.assert_allclose(rms(model[:, 1::2], keep=3), 1.24, rtol=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "of_truth", "of_model"), [("missing-correlation", 0.9, 0.0), ("excess-correlation", 0.5, 0.95)]
 )
@@ -231,6 +240,7 @@ def test_every_fault_works_on_a_person_with_hidden_keypoints() -> None:
         np.testing.assert_array_equal(truth[:, 0], 0)
 
 
+@pytest.mark.slow
 def test_faults_that_keep_every_distance_keep_the_ece_of_a_person_low() -> None:
     # Of a person's joints depth is far wider than the image: only acts that keep the distances stay unseen
     planted = case(PoseWorld.person())
@@ -239,6 +249,7 @@ def test_faults_that_keep_every_distance_keep_the_ece_of_a_person_low() -> None:
         assert calibration_curve(*FAULTS[name].apply(planted, N)).ece() < 3 * noise
 
 
+@pytest.mark.slow
 def test_a_spread_has_the_closed_curve() -> None:
     hypotheses, truth = spread(0.4).apply(case(), N)
     measured = calibration_curve(hypotheses, truth).joints.mean(axis=0)

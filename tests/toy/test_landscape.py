@@ -17,6 +17,7 @@ def paper() -> Landscape:
     return landscape(np.linspace(-2, 2, 40), np.linspace(3, 7, 40), N=N)
 
 
+@pytest.mark.slow
 def test_min_mpjpe_is_the_double_integral(paper: Landscape) -> None:
     # Trapezoids over the truth x and the distance r, with P(|x̂ − x| > r) from the normal distribution function
     column, row = 30, 12
@@ -31,6 +32,7 @@ def test_min_mpjpe_is_the_double_integral(paper: Landscape) -> None:
     np.testing.assert_allclose(paper.min_mpjpe[row, column], expected, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_ece_is_the_mean_gap_of_21_levels(paper: Landscape) -> None:
     column, row, normal = 5, 25, NormalDist(0, 4)
     mu, sigma = paper.mu[column], paper.sigma[row]

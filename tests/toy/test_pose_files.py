@@ -61,6 +61,7 @@ def test_members_are_not_compressed_so_that_they_can_be_mapped(tmp_path: Path, c
         assert {member.compress_type for member in stored.infolist()} == {ZIP_STORED}
 
 
+@pytest.mark.slow
 def test_posecal_evaluates_the_files_as_they_are(tmp_path: Path) -> None:
     world = PoseWorld.person()
     rng = np.random.default_rng(1)
