@@ -275,6 +275,12 @@ def test_metrics_say_which_tables_show_them() -> None:
     known = known_metrics(Protocol(), EVERYTHING)
     by_group = [name for name, metric in known.items() if metric.in_group_table]
     by_joint = [name for name, metric in known.items() if metric.in_joint_table]
+    headlines = [name for name, metric in known.items() if metric.headline]
+    assert headlines == [
+        *("min_mpjpe", "mpjpe", "mean_pose_mpjpe", "pa_min_mpjpe", "pck", "auc", "cps", "ece", "ece_paper"),
+        *("signed_area", "coverage_50", "coverage_80", "coverage_90", "coverage_95"),
+        *("radius_50", "radius_90", "diversity", "spread_error_correlation"),
+    ]
     assert by_group == ["min_mpjpe", "mpjpe", "pa_min_mpjpe", "pck", "ece", "signed_area", "coverage_90", "radius_50"]
     assert by_joint == [
         *("min_mpjpe", "mpjpe", "ece", "signed_area", "coverage_50", "coverage_90", "radius_50", "radius_90"),

@@ -12,8 +12,8 @@ Numbers of occluded joints take the pooled curve instead.
 
 from __future__ import annotations
 
-import weakref
 from dataclasses import dataclass
+from functools import partial
 from typing import get_args
 
 import numpy as np
@@ -123,28 +123,22 @@ def joint_median(curves: FloatArray) -> FloatArray:
     return np.asarray((pair[..., 0, :] + pair[..., 1, :]) / 2)
 
 
-_LAST_MEDIAN: list[tuple[weakref.ref[FloatArray], FloatArray]] = []
-"""The median curves of resamples that were last made, which signed area and coverages are read off."""
-
-
 def summary_curve(table: FloatArray, over: OverJoints) -> FloatArray:
     """Summarize each table, (..., K + 1, Q), by one curve, (..., Q); NaN where no joint counts."""
     curves = table[..., :-1, :]
     if over == "pooled":
         return table[..., -1, :]
     if over == "median":
-        for of, median in _LAST_MEDIAN:
-            if of() is table:
-                return median
-        median = joint_median(curves)
-        if table.ndim > 2:
-            _LAST_MEDIAN[:] = [(weakref.ref(table), median)]
-        return median
+        return joint_median(curves)
     if over == "mean":
         return mean_over_joints(curves.swapaxes(-1, -2))
     errors = joint_ece(curves)
     worst = np.where(np.isnan(errors), -np.inf, errors).argmax(axis=-1)
     return np.take_along_axis(curves, worst[..., None, None], axis=-2)[..., 0, :]
+
+
+SUMMARIES = {over: partial(summary_curve, over=over) for over in OVER_JOINTS}
+""":func:`summary_curve` by the summary over joints."""
 
 
 def ece_over_joints(table: FloatArray, over: OverJoints) -> FloatArray:

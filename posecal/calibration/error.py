@@ -10,17 +10,17 @@ import numpy.typing as npt
 
 from posecal.calibration.curve import (
     OVER_JOINTS,
+    SUMMARIES,
     calibration_curve,
     ece_over_joints,
     inside_table,
     joint_ece,
     signed_area,
-    summary_curve,
 )
 from posecal.calibration.expected import expected_curve
 from posecal.calibration.ranks import DEFINITIONS, LEVELS, Definition
 from posecal.data.arrays import FloatArray, checked_choice
-from posecal.engine.metric import Deviation, Metric, Statistic, per_joint
+from posecal.engine.metric import Deviation, Metric, ReadOff, Statistic, entry, per_joint
 from posecal.engine.protocol import OverJoints
 from posecal.engine.scope import Scope
 
@@ -170,7 +170,7 @@ def _errors(scope: Scope, definition: Definition) -> Iterator[Metric]:
             brief=f"{definition}; {_OVER[how][1]} {scope.number(scope.moving)}",
             definition=f"{meaning}; {definition} definition, N={n}, {LEVELS.size} levels",
             statistic=statistic,
-            finish=partial(ece_over_joints, over=how),
+            finish=partial(ece_over_joints, over=how) if how == "mean" else ReadOff(SUMMARIES[how], joint_ece),
             by_joint=None if ending else (statistic, _of_joints(joint_ece)),
             headline=definition != "reference" and not ending,
             in_group_table=plain and not ending,
@@ -193,7 +193,7 @@ def _areas(scope: Scope) -> Iterator[Metric]:
         definition=f"∫ (ω(q) − q) dq, exchangeable, ω: {_OVER[over][0]} {joints}; negative: overconfident, positive: "
         "underconfident",
         statistic=statistic,
-        finish=lambda table: signed_area(summary_curve(table, over)),
+        finish=ReadOff(SUMMARIES[over], signed_area),
         by_joint=(statistic, _of_joints(signed_area)),
         headline=True,
         in_group_table=True,
@@ -225,7 +225,7 @@ def _coverages(scope: Scope) -> Iterator[Metric]:
             definition=f"share of truths inside the ball that holds {percent} % of the hypotheses, exchangeable, "
             f"{_OVER[over][0]} {joints}; best: {percent / 100:g}",
             statistic=statistic,
-            finish=lambda table, index=index: summary_curve(table, over)[..., index],
+            finish=ReadOff(SUMMARIES[over], entry(index)),
             by_joint=(statistic, _of_joints(per_joint(index))),
             headline=True,
             in_group_table=percent == 90,

@@ -68,6 +68,27 @@ class Deviation:
 
 
 @dataclass(frozen=True)
+class ReadOff:
+    """Finish by reading a number off what several metrics share, such as the median curve.
+
+    Attributes
+    ----------
+    summary : callable
+        From means of the statistic, ``(..., *shape)``, to what is shared, ``(..., *other)``: computed once for all
+        metrics of the statistic that have this very function.
+    read : callable
+        From that, which it must leave unchanged, to numbers, ``(...)``.
+    """
+
+    summary: Callable[[FloatArray], FloatArray]
+    read: Callable[[FloatArray], FloatArray]
+
+    def __call__(self, means: FloatArray) -> FloatArray:
+        """Finish means of the statistic."""
+        return self.read(self.summary(means))
+
+
+@dataclass(frozen=True)
 class Metric:
     """A reported number, with everything that one must know to read it.
 
@@ -90,8 +111,8 @@ class Metric:
     statistic : Statistic
         What is summed over poses.
     finish : callable
-        From means of the statistic, ``(..., *shape)``, to numbers, ``(...)``: leading axes are resamples or groups. Where
-        the values of all poses are kept, from those, (M, ...), to one number.
+        From means of the statistic, ``(..., *shape)``, to numbers, ``(...)``: leading axes are resamples or groups.
+        Where the values of all poses are kept, from those, (M, ...), to one number.
     by_joint : tuple of Statistic and callable, or None
         What is summed, and from its means ``(..., *shape)`` to one number per joint, (..., K); NaN for joints that
         don't count.

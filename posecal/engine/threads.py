@@ -6,9 +6,8 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from numbers import Integral
 from typing import TypeVar
-
-import numpy as np
 
 from posecal.errors import PoseDataError
 
@@ -41,7 +40,7 @@ def run_in_order(tasks: Iterable[Callable[[], Result]], threads: int | None = No
     in the order of the poses: numbers don't depend on the number of threads.
     """
     threads = available_cores() if threads is None else threads
-    if not isinstance(threads, (int, np.integer)) or threads < 1:
+    if not isinstance(threads, Integral) or threads < 1:
         raise PoseDataError(f"threads: {threads!r}; expected a whole number, at least 1.")
     if threads == 1:
         for task in tasks:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, TypeVar
@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import FloatArray
-from posecal.engine.metric import Metric, Statistic
+from posecal.engine.metric import Metric, ReadOff, Statistic
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec
 from posecal.errors import PoseDataError, did_you_mean
@@ -33,6 +33,7 @@ Counts = npt.NDArray[np.number[Any]]
 """Numbers of poses, or sums of their weights."""
 
 Number = TypeVar("Number", bound=np.generic)
+Finish = Callable[[FloatArray], npt.ArrayLike]
 
 
 @dataclass
@@ -77,6 +78,10 @@ class Totals:
     per_pose: dict[str, FloatArray] = field(default_factory=dict)
     cell_of: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     own_metrics: tuple[Metric, ...] = ()
+    _shared: dict[Hashable, tuple[Cells, FloatArray]] = field(default_factory=dict, init=False, compare=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_shared": {}}  # what was computed is neither pickled nor copied
 
     # --- adding -----------------------------------------------------------------------------------------------
 
@@ -97,6 +102,7 @@ class Totals:
             self.counts[name] = np.zeros((len(self.poses), *counts.shape[1:]), dtype=np.int64)
         np.add.at(self.sums[name], cells, sums)
         np.add.at(self.counts[name], cells, counts)
+        self._shared.clear()
 
     # --- groups of cells --------------------------------------------------------------------------------------
 
@@ -224,10 +230,26 @@ class Totals:
         off the mean of the groups' curves.
         """
         if metric.family in CURVES:
-            return float(np.asarray(metric.finish(self.averaged(metric.statistic, cells))))
+            means = self.averaged
+            return float(self.finished(metric, cells, "value", lambda finish: finish(means(metric.statistic, cells))))
         if self.protocol.average == "poses":
             return self.pooled(metric, cells)
         return mean_of_known(self.group_values(metric, cells))
+
+    def finished(self, metric: Metric, cells: Cells, what: str, apply: Callable[[Finish], npt.ArrayLike]) -> FloatArray:
+        """Finish means of some cells by ``apply``; ``what`` says which means these are.
+
+        What a ``ReadOff`` shares is computed for the first of its metrics, and again where other cells are asked
+        for or sums were added.
+        """
+        finish = metric.finish
+        if not isinstance(finish, ReadOff):
+            return np.asarray(apply(finish))
+        key = what, metric.statistic.name, finish.summary
+        shared = self._shared.get(key)
+        if shared is None or shared[0] is not cells:
+            shared = self._shared[key] = cells, np.asarray(apply(finish.summary))
+        return finish.read(shared[1])
 
     def group_values(self, metric: Metric, cells: Cells = None) -> FloatArray:
         """Give a metric for each of the G groups among some cells by the option ``average``, (G,)."""
@@ -340,6 +362,8 @@ def split_by(codes: Indices, n: int) -> list[Indices]:
 
 def sum_by(codes: Indices, n: int, values: npt.NDArray[Number]) -> npt.NDArray[Number]:
     """Sum rows (R, …) by their codes (R,) to (n, …); each code of 0 … n - 1 occurs."""
+    if n == len(codes) and (codes[1:] > codes[:-1]).all():  # they are 0 … n - 1
+        return values
     total = np.zeros((n, *values.shape[1:]), dtype=values.dtype)
     if n == len(codes):
         total[codes] = values
@@ -350,8 +374,8 @@ def sum_by(codes: Indices, n: int, values: npt.NDArray[Number]) -> npt.NDArray[N
 
 def mean_of(sums: FloatArray, counts: Counts) -> FloatArray:
     """Divide sums by counts; NaN where nothing counts."""
-    number = np.expand_dims(counts, tuple(range(np.ndim(counts), np.ndim(sums))))
-    return np.where(number > 0, sums / np.where(number > 0, number, 1), np.nan)
+    number = np.where(np.greater(counts, 0), counts, np.nan)
+    return np.asarray(sums / np.expand_dims(number, tuple(range(number.ndim, np.ndim(sums)))))
 
 
 def mean_of_known(values: FloatArray) -> float:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from posecal.engine.metric import Metric
 from posecal.engine.presets import PRESETS
-from posecal.engine.protocol import Protocol
+from posecal.engine.protocol import CHOICES, Protocol
 from posecal.errors import for_python
 from posecal.report.format import MISSING, counted, number, short_number, short_p, span
 from posecal.report.sheet import Sheet, Table
@@ -103,8 +103,9 @@ def _values(report: Report, title: str, metrics: list[Metric]) -> Table:
 
 def _tests(report: Report, title: str, metrics: list[Metric]) -> Table:
     """Lay out errors with those of a calibrated sampler and p-values, of rank tests the adjusted ones."""
-    adjusted = {name: p for name, (_, p) in report.rank_tests().items()} if metrics[0].family == "rank_tests" else {}
-    headings = (title, "value", "null mean", "null 95 %", "adjusted p" if adjusted else "p", "", WHAT)
+    adjusted = {name: p for name, (_, p) in report.rank_tests().items()}
+    p_heading = "adjusted p" if any(metric.name in adjusted for metric in metrics) else "p"
+    headings = (title, "value", "null mean", "null 95 %", p_heading, "", WHAT)
     rows = []
     for metric in metrics:
         test, brief = report.test(metric.name), metric.brief
@@ -123,7 +124,7 @@ def _by_label(report: Report, label: str) -> Table:
     metrics = {n: m for n, m in report.metrics_in(groups[0]).items() if m.in_group_table}
     rows = []
     for group in groups:
-        poses = max((report.count(name, group) for name in metrics), default=0)
+        poses = max(report.count(name, group) for name in metrics or report.metrics_in(group))
         values = (short_number(report.value(name, group), metric.unit) for name, metric in metrics.items())
         rows.append((str(group).partition("=")[2], f"{poses:,}", *values))
     return Table(f"By {label}", (label, "poses", *(metric.label for metric in metrics.values())), rows)
@@ -192,9 +193,8 @@ def presets_sheet() -> Sheet:
     ]
     options = []
     for option in fields(Protocol):
-        about = option.metadata
-        values = " | ".join(about["choices"]) if "choices" in about else about["form"]
-        options.append((option.name, str(option.default), values, about["about"]))
+        values = " | ".join(CHOICES.get(option.name, ())) or option.metadata["form"]
+        options.append((option.name, str(option.default), values, option.metadata["about"]))
     headings = ("preset", "follows", "sets", "note"), ("option", "default", "values", "what it says")
     return Sheet(
         "Published protocols, each with the options that it sets, and all options",

@@ -6,11 +6,9 @@ once, in slices of bounded memory. Time is linear in the number of cells, also w
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from functools import cache
-from itertools import chain, islice
+from functools import cache, partial
 
 import numpy as np
 import numpy.typing as npt
@@ -78,7 +76,7 @@ def leave_one_out(totals: Totals, metric: Metric, cells: Cells = None) -> FloatA
     if totals.protocol.average == "poses":
         return _pooled_without(totals, metric, cells)
     if metric.family in CURVES:
-        return _finish(metric.finish, _means_without(totals, metric.statistic, cells))
+        return _finish_each(totals, metric, cells)
     return _averaged_without(totals, metric, cells)
 
 
@@ -93,6 +91,11 @@ def joint_leave_one_out(totals: Totals, metric: Metric, cells: Cells = None) -> 
     return _finish(finish, _means_without(totals, statistic, cells)).reshape(shape), counts > 0
 
 
+def _finish_each(totals: Totals, metric: Metric, cells: Cells) -> FloatArray:
+    means = partial(_means_without, totals, metric.statistic, cells)
+    return totals.finished(metric, cells, "without each sequence", lambda finish: _finish(finish, means()))
+
+
 def _finish(finish: Callable[[FloatArray], npt.ArrayLike], means: Iterable[FloatArray]) -> FloatArray:
     parts = [np.asarray(finish(some), dtype=np.float64) for some in means]
     return np.concatenate(parts) if parts else np.zeros(0)
@@ -104,7 +107,7 @@ def _pooled_without(totals: Totals, metric: Metric, cells: Cells) -> FloatArray:
         return _orders_without(totals, metric, cells)
     if metric.sequences_per_batch:
         return _batches_without(metric, *totals.sequences_in_order(metric.statistic, cells))
-    return _finish(metric.finish, _means_without(totals, metric.statistic, cells))
+    return _finish_each(totals, metric, cells)
 
 
 def _orders_without(totals: Totals, metric: Metric, cells: Cells) -> FloatArray:
@@ -201,25 +204,8 @@ def _averaged_without(totals: Totals, metric: Metric, cells: Cells) -> FloatArra
     return np.where(number > 0, total / np.maximum(number, 1), np.nan)
 
 
-_LAST: list[tuple[weakref.ref[Totals], str, Cells, list[FloatArray]]] = []
-"""The means that were last made, which several metrics are read off."""
-
-
-def _means_without(totals: Totals, statistic: Statistic, cells: Cells) -> Iterable[FloatArray]:
+def _means_without(totals: Totals, statistic: Statistic, cells: Cells) -> Iterator[FloatArray]:
     """Give the means of a statistic with each sequence left out in turn, in slices (s, …) of the sequences."""
-    for of, name, same, means in _LAST:
-        if of() is totals and name == statistic.name and same is cells:
-            return means
-    made = _make_means_without(totals, statistic, cells)
-    means = list(islice(made, 1))
-    more = next(made, None)
-    if more is not None:  # too large to be kept
-        return chain(means, [more], made)
-    _LAST[:] = [(weakref.ref(totals), statistic.name, cells, means)]
-    return means
-
-
-def _make_means_without(totals: Totals, statistic: Statistic, cells: Cells) -> Iterator[FloatArray]:
     if totals.protocol.average == "poses":
         sums, counts = totals.by_sequence(statistic, cells)
         total, number = sums.sum(axis=0), counts.sum(axis=0)

@@ -101,7 +101,7 @@ def n_draws(draws: int, values: int) -> int:
 
 def n_patterns(sequences: int, values: int, draws: int = DRAWS) -> int:
     """How many sign patterns a test of so many sequences has, where each gives so many values."""
-    return min(2 ** min(max(sequences - 1, 0), 60), n_draws(draws, values))
+    return min(1 << min(max(sequences - 1, 0), 60), n_draws(draws, values))
 
 
 def thin(counts: Counts) -> npt.NDArray[np.intp]:

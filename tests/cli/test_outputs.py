@@ -70,7 +70,7 @@ def test_a_picture_of_what_the_result_lacks_is_refused() -> None:
 def test_a_page_names_flags_in_its_remarks() -> None:
     np.save("h.npy", np.load("hyps.npz")["hypotheses"])
     np.save("g.npy", np.load("gt.npz")["truth"] + 100)
-    done("evaluate", "h.npy", "g.npy", "--axes=NMKD", "--unit=mm", "--metrics=default", "--html=h.html")
+    done("evaluate", "h.npy", "g.npy", "--axes=NMKD", "--unit=mm", "--metrics=mpjpe", "--html=h.html")
     page = Path("h.html").read_text(encoding="utf-8")
     assert "--root-joint names one." in page
     assert "root_joint names one." not in page

@@ -10,11 +10,12 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from posecal.engine.metric import Metric, Statistic
 from posecal.engine.protocol import Protocol
 from posecal.engine.storage import is_result, load_totals, save_totals
 from posecal.errors import PoseFileError
 from posecal.registry import known_metrics
-from tests.helpers.example_totals import totals
+from tests.helpers.example_totals import metric, totals
 from tests.helpers.random_worlds import world
 
 
@@ -40,6 +41,18 @@ def test_a_file_gives_back_what_was_saved(tmp_path: Path) -> None:
     metrics = known_metrics(after.protocol, after.spec)
     for name, metric_ in metrics.items():
         np.testing.assert_array_equal(after.value(metric_), before.value(metric_), err_msg=name)
+
+
+@pytest.mark.parametrize("by_joint", [False, True])
+def test_metrics_of_the_user_s_own_come_back_as_they_are_described(by_joint: bool, tmp_path: Path) -> None:
+    own = Metric.from_function(np.cross, name="own", unit="cm", definition="odd · «x»", by_joint=by_joint)
+    other = metric(Statistic("kept", lambda block: block.truth, per_pose=True), name="other", rejection="No.")
+    save_totals(totals(own_metrics=(own, other)), tmp_path / "result.npz")
+    first, second = load_totals(tmp_path / "result.npz").own_metrics
+    assert (first.description, second.description) == (own.description, other.description)
+    assert (first.unit, first.definition, first.by_joint is not None) == ("cm", "odd · «x»", by_joint)
+    assert second.statistic.per_pose
+    np.testing.assert_array_equal(first.finish(np.full((2, 3), 2.0)), np.full(2 if by_joint else (2, 3), 2.0))
 
 
 def test_a_saved_result_is_known_as_one(tmp_path: Path) -> None:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from posecal.engine.block import Block
+from posecal.engine.protocol import Protocol
+from posecal.engine.scope import DataSpec, Scope
 from posecal.errors import PoseDataError
 from posecal.metrics import auc, cps, pck
-from posecal.metrics.cps import cps_area, pose_score
+from posecal.metrics.cps import cps_area, cps_curve, pose_score
 from posecal.metrics.pck import (
     SELECTIONS,
     Selection,
@@ -19,6 +23,7 @@ from posecal.metrics.pck import (
     correct_share,
     joint_score,
     least_of_each_rank,
+    pck_curve,
 )
 from tests.helpers import oracles
 from tests.helpers.random_worlds import Array, Mask, mostly, skewed
@@ -145,6 +150,13 @@ def test_errors_are_put_in_order_however_many_joints_there_are(K: int) -> None:
     np.testing.assert_array_equal(least_of_each_rank(errors), expected)
 
 
+def test_a_joint_at_the_threshold_is_wrong_unless_it_is_asked_for() -> None:
+    block = Block(np.array([0.0, 90.0]).reshape(1, 1, 2, 1), np.zeros((1, 2, 1)))
+    assert correct_joints(block, 90.0).tolist() == correct_joints(block, 90.0, strict=True).tolist() == [0.5]
+    assert correct_joints(block, 90.0, strict=False).tolist() == [1]
+    assert correct_share(np.array([0.0, 90.0]), 90.0).tolist() == [1, 0]
+
+
 def test_a_pose_without_a_joint_that_counts_has_no_share(arrays: tuple[Array, Array], where: Mask) -> None:
     for metric in (pck, auc, cps):
         for select in SELECTIONS:
@@ -195,6 +207,24 @@ def test_a_score_may_add_thresholds_as_a_last_axis(arrays: tuple[Array, Array], 
     for place, t in enumerate(thresholds):
         np.testing.assert_allclose(joints[:, place], oracles.pck(d, where, t, select, link))
         np.testing.assert_allclose(poses[:, place], oracles.complete(d, where, t, select, link))
+
+
+@pytest.mark.parametrize("rule", ["<", "<="])
+@pytest.mark.parametrize("select", SELECTIONS)
+def test_the_curves_are_the_loops_at_each_threshold(select: Selection, rule: Literal["<", "<="]) -> None:
+    """CPS's threshold is never right; errors are at the thresholds 50, 100, ... mm."""
+    x, y = lattice(5)
+    options = {"pck_joints": "all", "pck_best": select, "cps_best": select, "cps_align": "none", "pck_rule": rule}
+    scope = Scope(Protocol(**options), DataSpec(N, tuple("abcde"), root=None))  # type: ignore[arg-type]
+    w, d = np.ones((M, K), dtype=bool), oracles.joint_errors(x, y)
+    link = oracles.links(oracles.pose_errors(x, y, w))
+    joints, poses = (curve.statistic.compute(Block(x, y)) for curve in (pck_curve(scope), cps_curve(scope)))
+    assert pck_curve(scope).at.tolist() == cps_curve(scope).at.tolist() == [10 * i for i in range(31)]
+    assert f"‖x − y‖ {rule} τ, " in pck_curve(scope).definition
+    for place, t in enumerate(range(0, 301, 10)):
+        share = oracles.pck(d, w, t, select, link, strict=rule == "<")
+        np.testing.assert_allclose(joints[:, place], share, atol=1e-12)
+        np.testing.assert_allclose(poses[:, place], oracles.complete(d, w, t, select, link), atol=1e-12)
 
 
 # --- words -----------------------------------------------------------------------------------------------------------

@@ -7,8 +7,11 @@ import math
 import numpy as np
 import pytest
 
+from posecal.engine.protocol import Protocol
+from posecal.engine.scope import DataSpec, Scope
 from posecal.errors import PoseDataError
 from posecal.metrics import mpjve
+from posecal.metrics.velocity import velocity_metrics
 from tests.helpers import oracles
 from tests.helpers.random_worlds import Array, Mask, mostly, skewed
 
@@ -86,3 +89,16 @@ def test_a_velocity_refuses_what_is_not_finite(arrays: tuple[Array, Array]) -> N
 def test_a_velocity_refuses_a_root_beyond_the_joints(arrays: tuple[Array, Array]) -> None:
     with pytest.raises(PoseDataError, match=r"root: 5; expected the index of one of 5 joints"):
         mpjve(*arrays, root=5)
+
+
+@pytest.mark.parametrize(
+    ("velocity", "fps", "unit", "number"),
+    [("frame", 25.0, "mm/frame", 4), ("frame", None, "mm/frame", 4), ("second", 25.0, "mm/s", 100)],
+)
+def test_a_velocity_is_per_frame_or_per_second(velocity: str, fps: float | None, unit: str, number: float) -> None:
+    spec = DataSpec(3, ("a", "b"), None, ("sequence",), fps)
+    found = list(velocity_metrics(Scope(Protocol(velocity=velocity), spec)))  # type: ignore[arg-type]
+    assert [metric.name for metric in found] == ["mpjve", "mean_pose_mpjve"]
+    for metric in found:
+        assert metric.unit == unit
+        assert metric.finish(np.array(4.0)) == number

@@ -26,8 +26,9 @@ ALSO = {
     "posecal/engine/": ("test_definitions.py", "test_laws.py"),
     "posecal/geometry/": ("test_definitions.py", "test_laws.py"),
     "posecal/metrics/": ("test_definitions.py", "test_laws.py", "test_registry.py", "test_wrong_arguments.py"),
+    "posecal/metrics/uncertainty.py": ("test_orders.py",),
 }
-"""Test files, wherever they lie, that check every module of a folder, beside each module's own."""
+"""Test files, wherever they lie, that check every module of a folder, or another one, beside each module's own."""
 
 DEFAULT = (
     *("posecal/metrics", "posecal/calibration", "posecal/geometry", "posecal/stats", "posecal/engine"),

@@ -107,7 +107,8 @@ def _places(node: ast.AST, within: str) -> Iterator[tuple[ast.AST, str, int | No
         for index, child in enumerate(value) if isinstance(value, list) else [(None, value)]:
             if isinstance(child, ast.AST) and not _is_left_alone(child):
                 yield node, field, index, child, within
-                yield from _places(child, within)
+                if not isinstance(child, ast.UnaryOp) or not isinstance(child.operand, ast.Constant):
+                    yield from _places(child, within)
 
 
 def _is_left_alone(node: ast.AST) -> bool:
@@ -148,6 +149,10 @@ def _faults(node: ast.AST, field: str, strings: bool) -> Iterator[ast.AST]:
             yield _with(node, op=OPERATORS[type(operator)]())
         case ast.BoolOp(op=operator):
             yield _with(node, op=ast.Or() if isinstance(operator, ast.And) else ast.And())
+        case ast.UnaryOp(ast.USub(), ast.Constant(int(value))):  # of a table, 1 would be the same axis as -1
+            yield from map(ast.Constant, (1 - value, -1 - value))
+        case ast.UnaryOp(ast.USub(), ast.Constant(float(value))):
+            yield from map(ast.Constant, (value, -2 * value))
         case ast.UnaryOp(ast.Not() | ast.USub() | ast.Invert(), operand):
             yield operand
         case ast.Constant(value=value):

@@ -75,6 +75,7 @@ def changes(source: str, strings: bool = False) -> list[str]:
         ("a = 0.5, 0.0, True", ["0.5 -> 1.0", "0.0 -> 1.0", "True -> False"]),
         ("not a", ["not a -> a"]),
         ("-a", ["-a -> a"]),
+        ("a[-1] = -0.5", ["-1 -> 0", "-1 -> -2", "-0.5 -> 0.5", "-0.5 -> -1.0"]),
         ("y = x.min(axis=a)", ["-> x.max(axis=a)", "-> x.min()"]),
         ("y = np.var(x, ddof=a)", ["-> np.std(x, ddof=a)", "-> np.var(x)"]),
         ("y = np.where(a, b, c)", ["-> np.where(a, c, b)"]),

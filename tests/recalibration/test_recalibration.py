@@ -49,6 +49,7 @@ def median_error(spread: float, N: int) -> float:
     return 0.5 * abs(spread**2 - 1) * STRAY / N
 
 
+@pytest.mark.slow
 def test_a_spread_of_0_4_is_found_and_undone_to_2_percent() -> None:
     N, M, K = 100, 800, 8
     x, y = gaussian(1, N, M, K, spread=0.4, dtype="f4")

@@ -10,6 +10,7 @@ import pytest
 from scipy import stats
 
 import posecal
+from posecal.calibration import perfect_sampler
 from posecal.demo import sample
 from posecal.engine.protocol import Protocol
 from posecal.engine.totals import difference_of_signatures
@@ -17,6 +18,7 @@ from posecal.errors import PoseDataError, for_command_line
 from posecal.report import report as report_module
 from posecal.report.report import Report
 from posecal.stats.resampling import holm
+from posecal.stats.uncertainty import effective_sample_size, unbiased_squared_error
 from tests.helpers.reports import FRAMES, SEQUENCES, N, report_of, world
 
 HOW: dict[str, Any] = {"axes": "NMKD", "unit": "mm"}
@@ -155,6 +157,38 @@ def test_numbers_beside_metrics_are_numbers_without_intervals(name: str) -> None
     assert (row.value, row.definition) == (some()[name], some().definition(name))
 
 
+def test_numbers_beside_metrics_are_defined_with_what_they_depend_on() -> None:
+    report = report_of(metrics="all")
+    assert report.definition("ece_null").endswith("over random signs of entire sequences")
+    assert report.definition("ece_p").endswith("as large; 12 sequences")
+    assert report.definition("tarp_box_p_adjusted").endswith(f"(Holm); {len(report.rank_tests())} tests")
+    assert report.definition("ece_paper_floor").endswith("(more where they are correlated); paper definition")
+    assert report.definition("ece_floor_95").endswith("exchangeable definition")
+    floor = perfect_sampler(N, 36, 16, "reference")
+    assert (report["ece_reference_floor"], report["ece_reference_floor_95"]) == (floor.mean, floor.high)
+
+
+def test_the_effective_number_of_poses_and_the_squared_error_are_of_the_exchangeable_curves() -> None:
+    report = report_of(metrics="all")
+    statistic = report.metrics["ece"].statistic
+    assert report["effective_poses"] == effective_sample_size(report.totals, statistic)
+    assert report["squared_error"] == unbiased_squared_error(report.totals, statistic)
+
+
+def test_without_a_pose_that_counts_there_is_nothing_but_nan() -> None:
+    """Sums of no pose, as a group of a shard may have."""
+    totals = copy.deepcopy(report_of().totals)
+    for name in totals.sums:
+        totals.sums[name][:], totals.counts[name][:] = 0, 0
+    report = Report(totals)
+    assert math.isnan(report["ece"])
+    assert math.isnan(report["ece_floor"])
+    assert "0 independent poses" in report.definition("ece_floor")
+    assert report.summary == ()
+    assert report.count("ece") == 0
+    assert str(report)
+
+
 def test_the_null_is_that_of_the_test() -> None:
     test = some().test("ece")
     assert (some()["ece_null"], some()["ece_null_95"], some()["ece_p"]) == (test.mean, test.high, test.p)
@@ -167,6 +201,8 @@ def test_its_repr_says_what_it_is_and_the_numbers_of_the_model() -> None:
         f"<posecal Report: N=12, M=36, K=17, 12 sequences: minMPJPE {report['min_mpjpe']:.1f} mm, "
         f"ECE {report['ece']:.3f}, signed area {report['signed_area']:.3f}>"
     )
+    accuracy = report_of(metrics="mpjpe, pck, auc, cps")
+    assert [word in repr(accuracy) for word in ("MPJPE", "PCK", "AUC", "CPS")] == [True, True, True, False]
     assert repr(report_of(metrics="pck")).endswith(f": PCK 150 mm {report['pck']:.3f}>")
 
 

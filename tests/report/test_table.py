@@ -192,6 +192,7 @@ def test_csv_reads_back_as_the_table_and_the_remarks() -> None:
     remarks = back[back["metric"] == "remark"]
     assert list(remarks["definition"]) == list(some().remarks) != []
     assert remarks["value"].isna().all()
+    assert (remarks["poses"] == 0).all()
     pd.testing.assert_frame_equal(back[back["metric"] != "remark"], frame, check_dtype=False)
     assert frame["poses"].dtype.kind == "i"
     assert ",36,," in some().render("csv")
@@ -232,6 +233,8 @@ def test_every_number_beside_a_metric_is_described() -> None:
 
 
 def test_which_numbers_stand_beside_which_metrics() -> None:
+    beside = report_of(metrics="all").auxiliary
+    assert {beside[name].metric for name in ("ece_p", "ece_floor", "effective_poses", "squared_error")} == {"ece"}
     names = set(auxiliary_rows(report_of(metrics="all").metrics))
     errors = {"ece", "ece_paper", "ece_reference"}
     assert {name for name in names if name.endswith("_floor")} == {f"{name}_floor" for name in errors}

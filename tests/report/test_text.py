@@ -1,7 +1,9 @@
 """The sheets of reports, comparisons, recalibrations and presets: what stands on them, in every form."""
 
 import re
-from typing import Any
+from dataclasses import fields
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -10,7 +12,9 @@ from rich.cells import cell_len
 import posecal
 from posecal.demo import sample
 from posecal.engine.presets import PRESETS
+from posecal.engine.protocol import Protocol
 from posecal.errors import for_command_line
+from posecal.report import text as text_module
 from posecal.report.report import Report
 from posecal.report.text import comparison_sheet, presets_sheet, radius_sheet, report_sheet, spread_sheet
 from posecal.stats.comparison import compare_totals
@@ -92,6 +96,25 @@ def test_a_rank_test_stands_with_its_adjusted_p_value() -> None:
         row = cells(report, report.metrics[name].label)
         shown = "< 0.001" if p < 0.001 else f"{p:.3f}"
         assert row[2:5] == [f"{test.mean:.3f}", f"{test.high:.3f}", shown]
+
+
+def test_calibration_errors_and_rank_tests_keep_their_own_p_values_side_by_side() -> None:
+    report = report_of(2.5, metrics="default, rank_tests")
+    headings = {table.title: table.headings[4] for table in report_sheet(report).tables if len(table.headings) == 7}
+    assert headings == {"Calibration error": "p", "Rank test": "adjusted p"}
+    assert cells(report, "ECE")[4] == ("< 0.001" if report["ece_p"] < 0.001 else f"{report['ece_p']:.3f}")
+
+
+def test_groups_without_numbers_to_show_have_their_poses() -> None:
+    table = report_sheet(report_of(metrics="crps", by=("action",))).tables[-1]
+    assert list(table.headings) == ["action", "poses"]
+    assert [row[1] for row in table.rows] == ["12", "12", "12"]
+
+
+def test_the_chance_of_a_perfect_sampler_is_left_out_of_a_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
+    for most, shown in ((17, True), (16, False)):
+        monkeypatch.setattr(text_module, "MESH", most)
+        assert cells(report_of(), "ECE")[-1].endswith("if frames were independent") is shown
 
 
 def test_where_nothing_can_be_tested_no_p_value_is_shown() -> None:
@@ -201,6 +224,14 @@ def test_the_presets_are_all_listed_with_what_they_set() -> None:
         assert all(f"{key}={value}".replace(" ", "") in text for key, value in preset.options.items())
 
 
+def test_all_options_are_listed_with_their_defaults_and_values() -> None:
+    presets, options = presets_sheet().tables
+    assert [row[:2] for row in options.rows] == [(field.name, str(field.default)) for field in fields(Protocol)]
+    (root,) = (row for row in options.rows if row[0] == "root")
+    assert root[2] == "count | drop"
+    assert not any(is_number for table in (presets, options) for _, is_number in table.columns)
+
+
 # --- comparisons ----------------------------------------------------------------------------------------------
 
 
@@ -268,13 +299,30 @@ def test_a_judged_factor_stands_with_the_numbers_before_and_after_and_its_cost()
     assert table.rows[0] == ("ECE", f"{before['ece']:.5f}", f"{after['ece']:.5f}")
     assert table.rows[5] == ("minMPJPE", f"{before['min_mpjpe']:.3f} mm", f"{after['min_mpjpe']:.3f} mm")
     cost = after["min_mpjpe"] - before["min_mpjpe"]
-    costs = [sentence for sentence in sheet.sentences if sentence.startswith("It costs")]
-    assert costs == (
-        [f"It costs {cost:.1f} mm of minMPJPE, which rewards a spread that is too narrow."] if cost > 0 else []
+    assert cost > 0
+    assert sheet.sentences[1] == f"It costs {cost:.1f} mm of minMPJPE, which rewards a spread that is too narrow."
+    assert len(spread_sheet({"Head": 2.0}, 36, (after, after, 5)).sentences) == 1
+
+
+class Numbers(dict[str, float]):
+    """A report of known numbers, 0.5 each but those that are given."""
+
+    metrics = {
+        name: SimpleNamespace(name=name, label=name, unit="")
+        for name in ("ece", "signed_area", "coverage_50", "coverage_90", "radius_50", "min_mpjpe", "mpjpe")
+    }
+
+    def __missing__(self, name: str) -> float:
+        return 0.5
+
+
+def test_a_cost_below_a_millimetre_is_said() -> None:
+    one, other = Numbers(min_mpjpe=70.0), Numbers(min_mpjpe=70.5)
+    dearer, cheaper = (
+        spread_sheet({"Head": 2.0}, 36, cast(Any, (before, after, 5))) for before, after in ((one, other), (other, one))
     )
-    assert not any(
-        sentence.startswith("It costs") for sentence in spread_sheet({"Head": 2.0}, 36, (after, after, 5)).sentences
-    )
+    assert dearer.sentences[1].startswith("It costs 0.5 mm of minMPJPE")
+    assert len(cheaper.sentences) == 1
 
 
 def test_radii_stand_with_the_coverage_of_held_out_truths() -> None:
