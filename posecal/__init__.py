@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from posecal.data.pose_data import PoseData
     from posecal.data.skeleton import JOINT_SETS, Skeleton
     from posecal.engine.merge import merge_totals
-    from posecal.engine.metric import Metric
+    from posecal.engine.metric import Metric, Statistic
     from posecal.engine.prepare import prepare
     from posecal.engine.presets import PRESETS
     from posecal.engine.protocol import Protocol
@@ -45,7 +45,7 @@ _MODULES = {
     "posecal.data.pose_data": ("PoseData",),
     "posecal.data.skeleton": ("JOINT_SETS", "Skeleton"),
     "posecal.engine.merge": ("merge_totals",),
-    "posecal.engine.metric": ("Metric",),
+    "posecal.engine.metric": ("Metric", "Statistic"),
     "posecal.engine.prepare": ("prepare",),
     "posecal.engine.presets": ("PRESETS",),
     "posecal.engine.protocol": ("Protocol",),
@@ -77,6 +77,7 @@ __all__ = [
     "Protocol",
     "Report",
     "Skeleton",
+    "Statistic",
     "Totals",
     "calibration",
     "calibration_curve",

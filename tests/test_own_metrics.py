@@ -7,6 +7,7 @@ import pickle
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +47,15 @@ RMS = Metric(
     headline=True,
     in_group_table=True,
 )
+
+
+def mean_square(hypotheses: Array, truth: Array) -> Array:
+    """Mean squared coordinate error."""
+    return np.asarray(((hypotheses - truth) ** 2).mean(axis=(0, 2, 3)))
+
+
+ROOT = replace(Metric.from_function(mean_square, name="rms"), finish=np.sqrt)
+"""A mean whose finish was changed, so that it is none any more."""
 
 
 @pytest.fixture
@@ -222,8 +232,9 @@ def test_a_saved_mean_is_reported_without_its_function(some: World, tmp_path: Pa
     assert again.metrics["depth_error"].reading == "As MPJPE."
 
 
-def test_a_saved_number_that_is_no_mean_needs_its_registration(some: World, tmp_path: Path) -> None:
-    posecal.register(RMS)
+@pytest.mark.parametrize("metric", [RMS, ROOT], ids=["own statistic", "changed finish"])
+def test_a_saved_number_that_is_no_mean_needs_its_registration(metric: Metric, some: World, tmp_path: Path) -> None:
+    posecal.register(metric)
     report = posecal.evaluate(some.pairs)
     report.save(tmp_path / "result.npz")
     posecal.unregister("rms")
@@ -234,7 +245,7 @@ def test_a_saved_number_that_is_no_mean_needs_its_registration(some: World, tmp_
     for ask in (lambda: again["rms"], lambda: again.interval("rms"), lambda: str(again), lambda: again.table):
         with pytest.raises(PoseDataError, match=words):
             ask()
-    posecal.register(RMS)
+    posecal.register(metric)
     assert posecal.Report(totals)["rms"] == report["rms"]
     assert posecal.Report(totals).interval("rms") == report.interval("rms")
 

@@ -236,7 +236,7 @@ class Metric:
             brief=text,
             definition=text,
             statistic=statistic,
-            finish=mean_over_joints if by_joint else entry(),
+            finish=mean_over_joints if by_joint else MEAN,
             by_joint=(statistic, np.asarray) if by_joint else None,
             headline=True,
             in_group_table=in_group_table,
@@ -251,20 +251,21 @@ class Metric:
         """The metric as text, without its functions, as saved results and pickles keep it."""
         texts = {name: getattr(self, name) for name in _DESCRIBED}
         statistic = {"statistic": self.statistic.name, "per_pose": self.statistic.per_pose}
-        return {**texts, **statistic, "by_joint": self.by_joint is not None}
+        is_mean = self.statistic.name == f"own_{self.name}" and self.finish in (MEAN, mean_over_joints)
+        return {**texts, **statistic, "by_joint": self.by_joint is not None, "is_mean": is_mean}
 
     @classmethod
     def from_description(cls, description: Mapping[str, Any], /) -> Metric:
         """Restore a metric for sums that are there already: means over poses, or what is registered under its name."""
         texts = {name: description[name] for name in _DESCRIBED}
         name, by_joint = str(description["statistic"]), bool(description["by_joint"])
-        is_mean = name == f"own_{texts['name']}"
+        is_mean = bool(description["is_mean"])
         refuse = partial(_not_available, texts["name"])
         statistic = Statistic(name, refuse, per_joint=by_joint, per_pose=bool(description["per_pose"]))
         return cls(
             **texts,
             statistic=statistic,
-            finish=refuse if not is_mean else mean_over_joints if by_joint else entry(),
+            finish=refuse if not is_mean else mean_over_joints if by_joint else MEAN,
             by_joint=(statistic, np.asarray) if by_joint and is_mean else None,
         )
 
@@ -339,6 +340,10 @@ def entry(*place: int) -> Callable[[FloatArray], FloatArray]:
     """Finish by reading one entry of the means, (..., *shape) to (...)."""
     index: tuple[Any, ...] = (..., *place)
     return lambda means: np.asarray(means[index])
+
+
+MEAN = entry()
+"""Finish by the mean over poses itself."""
 
 
 def per_joint(*place: int) -> Callable[[FloatArray], FloatArray]:

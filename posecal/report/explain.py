@@ -27,7 +27,12 @@ EVERYTHING = DataSpec(
 )
 """Data that every metric can be computed on."""
 
-DIRECTIONS = {"lower": "lower is better", "higher": "higher is better", "zero": "0 is best", "none": "none is better"}
+DIRECTIONS = {
+    "lower": "lower is better",
+    "higher": "higher is better",
+    "zero": "0 is best",
+    "none": "neither is better",
+}
 
 _TRIED = {name: choices for name, choices in CHOICES.items() if name not in {"root", "where"}} | {
     "best": ("sequence",),
