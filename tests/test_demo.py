@@ -121,6 +121,7 @@ def test_it_leaves_files_pages_pictures_and_results(run: tuple[Path, str]) -> No
     assert {path.name for path in folder.iterdir()} == names
 
 
+@pytest.mark.slow
 def test_the_reports_name_what_each_sampler_is(run: tuple[Path, str]) -> None:
     folder, text = run
     area = {name: posecal.Report(load_totals(folder / f"{name}-result.npz")).value("signed_area") for name in SAMPLERS}

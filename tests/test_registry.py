@@ -81,7 +81,8 @@ def test_against_a_reference_every_proper_score_has_a_skill() -> None:
     assert set(skills) == {"energy_skill", "joint_energy_skill", "crps_skill", "variogram_skill", "brier_skill"}
     # the model's mean score is 3, the reference's 4: a quarter better
     assert skills["variogram_skill"].finish(np.array([3.0, 4.0])) == pytest.approx(0.25)
-    assert np.isnan(skills["variogram_skill"].finish(np.array([3.0, 0.0])))
+    assert np.isnan(skills["variogram_skill"].finish(np.array([[3.0, 0.0], [3.0, 1e-9]]))).all()  # 0 but for rounding
+    assert skills["variogram_skill"].finish(np.array([0.0, 2e-9])) == 1
     ranked = {name for name, metric in skills.items() if metric.direction == "higher"}
     assert ranked == set(skills) - {"brier_skill"}  # whose event is each model's own
 

@@ -90,8 +90,8 @@ def expected_curve(n_hypotheses: int, definition: Definition = "exchangeable") -
     if definition == "reference":
         return LEVELS + _bias(n, "reference", LEVELS)
     allowed = np.arange(LEVELS.size) * n // (LEVELS.size - 1)
-    rank = np.minimum((allowed + 1) / (n + 1), 1)
-    return rank + np.where(rank < 1, _bias(n, "paper", rank), 0)
+    rank = (allowed + 1) / (n + 1)
+    return rank + _bias(n, "paper", rank)
 
 
 def _whole(value: object, name: str, least: int) -> int:
@@ -111,7 +111,7 @@ def _bias(n_hypotheses: int, definition: str, at: FloatArray) -> FloatArray:
         return n * np.interp(at, np.linspace(0, 1, row.size), row)
 
     above = min((n for n in table if n >= n_hypotheses), default=max(table))
-    below = max((n for n in table if n <= n_hypotheses), default=min(table))
+    below = max(n for n in table if n <= n_hypotheses)
     if above == below:
         return scaled(above) / n_hypotheses
     share = (1 / n_hypotheses - 1 / above) / (1 / below - 1 / above)
@@ -182,8 +182,7 @@ def _floor(N: int, M: int, K: int, definition: Definition, over: OverJoints, dra
         chances = np.full(N + 1, 1 / (N + 1))
         weights = rank_weights(N, np.arange(N + 1))
     else:
-        edges = np.concatenate([[0.0], np.maximum.accumulate(np.clip(mean, 0, 1)), [1.0]])
-        chances = np.diff(edges)
+        chances = np.diff(np.concatenate([[0.0], mean, [1.0]]))
         weights = np.tri(LEVELS.size + 1, LEVELS.size, -1)[::-1, ::-1]
     random = np.random.default_rng(0)
     draws = min(draws, max(20, MAX_VALUES // (K * LEVELS.size)))

@@ -163,7 +163,7 @@ class CellIndex:
             self._drop_splitting(sequence, labels)
         else:
             numbers = self._poses + np.arange(n_poses)
-            while -(-(self._poses + n_poses) // self._run_length) > MAX_RUNS:
+            while self._poses + n_poses > MAX_RUNS * self._run_length:
                 self._run_length *= 2
                 before = [(str(int(row[0]) // 2), *row[1:]) for row in before]
             sequence = (numbers // self._run_length).astype(np.str_)

@@ -185,8 +185,7 @@ def _best_factors(
             f"{names if per_joint else 'all joints together'}. Do the hypotheses all agree?"
         )
     left, middle, right = np.take_along_axis(distance, best + np.array([[-1], [0], [1]]), axis=0)
-    bend = left - 2 * middle + right
-    shift = np.where(bend > 0, 0.5 * (left - right) / np.where(bend > 0, bend, 1), 0)
+    shift = 0.5 * (left - right) / (left - 2 * middle + right)  # the best is the first of its kind: left > middle
     factors = np.ones(len(counts))
     factors[used] = FACTORS[best] * (FACTORS[1] / FACTORS[0]) ** shift
     return factors

@@ -65,6 +65,7 @@ def test_the_expected_curve_is_the_simulated_one(N: int, definition: Definition)
     np.testing.assert_array_less(np.abs(expected_curve(N, definition) - mean), allowed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("definition", ["paper", "reference"])
 @pytest.mark.parametrize("N", [21, 33, 50, 90, 200, 300])
 def test_between_tabulated_n_and_ranks_the_curve_is_right_to_the_digits_that_are_printed(
@@ -136,7 +137,7 @@ def test_an_expected_curve_may_be_changed_without_harm() -> None:
 
 @pytest.mark.parametrize("definition", ["paper", "reference"])
 def test_expected_curves_rise_between_nothing_and_all(definition: Definition) -> None:
-    for N in (2, 3, 4, 11, 60, 1000):
+    for N in (*range(2, 130), 1000, 10**6):
         found = expected_curve(N, definition)
         assert (np.diff(found) >= 0).all()
         assert found[0] >= 0
@@ -191,6 +192,15 @@ def test_with_endless_poses_only_the_bias_is_left() -> None:
         found = perfect_sampler(20, 10**9, 16, definition)  # type: ignore[arg-type]
         np.testing.assert_allclose([found.mean, found.high], bias, atol=1e-4)
     assert perfect_sampler(20, 10**9, 16).mean < 1e-5
+
+
+@pytest.mark.parametrize("definition", ["exchangeable", "paper"])
+def test_of_thousands_of_joints_fewer_test_sets_are_drawn_but_at_least_twenty(definition: Definition) -> None:
+    for joints, drawn in ((5000, 4_000_000 // (5000 * 21)), (20_000, 20)):
+        found, fewer, many = (
+            perfect_sampler(2, 9, joints, definition, "mean", draws=n) for n in (drawn, drawn - 1, 200)
+        )
+        assert many == found != fewer
 
 
 def test_the_floor_is_the_same_on_every_call() -> None:

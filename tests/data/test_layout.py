@@ -39,6 +39,7 @@ def stored_arrays(draw: st.DrawFn, core: str) -> tuple[str, np.ndarray, np.ndarr
     return text, stored, full.transpose([alone.index(letter) for letter in core])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("core", [HYPOTHESES, TRUTH])
 @given(data=st.data())
 @settings(max_examples=60)

@@ -163,6 +163,7 @@ def test_a_zip_that_lacks_its_last_bytes_is_refused(tmp_path: Path, lost: int) -
         read_poses(path, "hypotheses")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("write", [np.savez, np.savez_compressed])
 @given(data=st.data())
 @settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])

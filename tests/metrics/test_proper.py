@@ -11,7 +11,7 @@ import scoringrules as sr
 from posecal.engine.block import Block
 from posecal.errors import PoseDataError
 from posecal.metrics import brier_score, crps, energy_score, variogram_score
-from posecal.metrics.proper import STRIP, joint_energies
+from posecal.metrics.proper import STRIP, joint_crps, joint_energies, variograms
 from tests.helpers.random_worlds import skewed
 
 Array = np.ndarray
@@ -171,3 +171,15 @@ def test_one_hypothesis_has_no_fair_score(name: str) -> None:
     x, y = skewed(14, 1, 4, 3)
     with pytest.raises(PoseDataError, match=r"hypotheses: N = 1; fair scores need at least 2"):
         SCORES[name](x, y)
+
+
+def test_of_one_hypothesis_a_block_s_scores_are_not_numbers() -> None:
+    block = Block(*skewed(14, 1, 4, 3))
+    for found, shape in ((joint_energies(block), (4, 4)), (joint_crps(block), (4, 3)), (variograms(block), (4,))):
+        assert found.shape == shape
+        assert np.isnan(found).all()
+
+
+@pytest.mark.parametrize("name", SCORES)
+def test_of_two_hypotheses_every_score_is_a_number(name: str) -> None:
+    assert np.isfinite(SCORES[name](*skewed(14, 2, 4, 3))).all()

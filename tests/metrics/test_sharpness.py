@@ -58,6 +58,13 @@ def test_a_radius_counts_exactly_where_rounding_would_not() -> None:
     np.testing.assert_allclose(radius(x, np.zeros((1, 1, 1)), share=0.07), rising[6])
 
 
+def test_the_smallest_share_takes_the_nearest_hypothesis() -> None:
+    x = np.array([0.0, 4.0, 5.0, 6.0, 9.0]).reshape(5, 1, 1, 1)
+    np.testing.assert_allclose(radius(x, np.zeros((1, 1, 1)), share=1e-12), 0)
+    np.testing.assert_allclose(radius(x[::2], np.zeros((1, 1, 1)), share=1e-12), 0)
+    np.testing.assert_allclose(radius(x[[0, 4]], np.zeros((1, 1, 1)), share=1e-12), 4.5)
+
+
 def test_spread_does_not_depend_on_the_truth(arrays: tuple[Array, Array]) -> None:
     x, y = arrays
     np.testing.assert_allclose(diversity(x, y), diversity(x, y[::-1]), rtol=1e-9)

@@ -58,6 +58,7 @@ def test_the_loss_is_the_formula_and_its_gradient_autograd_s(options):
         np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-10, err_msg=name)
 
 
+@pytest.mark.slow
 def test_evaluating_gives_the_losses_of_training():
     model, (context, truth) = estimator(), batch()
     objective = FlowObjective(model, sample_weight=0.1, graphs_at_once=3)

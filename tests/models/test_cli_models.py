@@ -86,6 +86,7 @@ def test_a_line_per_epoch_is_printed_where_there_is_no_terminal(folder):
     assert "learning rate" in done.stderr
 
 
+@pytest.mark.slow
 def test_losses_are_drawn(folder, monkeypatch):
     monkeypatch.chdir(folder)
     assert CliRunner().invoke(app, ["losses", "tiny=tiny", "-o", "losses.png"]).exit_code == 0

@@ -110,6 +110,7 @@ def test_other_data_are_refused_and_the_differences_named(motion_file, tmp_path,
     assert len(capsys.readouterr().err.splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_the_same_data_in_another_file_go_on(motion_file, tmp_path):
     training(motion_file, tmp_path / "run").run(max_steps=2)
     with np.load(motion_file) as file:

@@ -26,6 +26,8 @@ ALSO = {
     "posecal/engine/": ("test_definitions.py", "test_laws.py"),
     "posecal/geometry/": ("test_definitions.py", "test_laws.py"),
     "posecal/metrics/": ("test_definitions.py", "test_laws.py", "test_registry.py", "test_wrong_arguments.py"),
+    "posecal/calibration/curve.py": ("test_error.py",),
+    "posecal/calibration/ranks.py": ("test_exactness.py",),
     "posecal/metrics/uncertainty.py": ("test_orders.py",),
 }
 """Test files, wherever they lie, that check every module of a folder, or another one, beside each module's own."""

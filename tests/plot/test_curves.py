@@ -107,6 +107,7 @@ def band(ax: Axes) -> PolyCollection | None:
     return found[0] if found else None
 
 
+@pytest.mark.slow
 def test_the_band_of_a_calibrated_sampler_is_about_the_diagonal_and_widest_at_its_middle(ax: Axes) -> None:
     report = report_of()
     reliability(report, ax=ax)

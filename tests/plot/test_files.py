@@ -30,6 +30,7 @@ def test_a_picture_is_written_in_the_form_of_its_ending(suffix: str, tmp_path: P
     assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", STARTS)
 def test_the_same_report_gives_the_same_bytes(suffix: str) -> None:
     assert figure_bytes(draw(report_of()), suffix) == figure_bytes(draw(report_of()), suffix)

@@ -48,6 +48,7 @@ def test_what_is_rejected_is_orange_and_what_is_not_is_dark(ax: Axes) -> None:
             assert axes.title.get_color() == (ORANGE if rejected else INK)
 
 
+@pytest.mark.slow
 def test_every_test_has_its_picture_with_its_name_and_adjusted_p() -> None:
     report = report_of(**WIDE)  # type: ignore[arg-type]
     figure = draw_rank_tests(report)

@@ -87,6 +87,12 @@ NO_MAP = r"map\.json: no map of posecal recalibrate fit, or not a whole one"
         (broken("radius", radii=...), NO_MAP),
         (broken("radius", radii={"Head": -1}), r"a radius is below 0 or alpha is 0\.1"),
         (broken("radius", radii={"Head": math.inf}), r"a radius is below 0"),
+        (broken("radius", radii={"Head": 80, "Hip": -1, "LFoot": None}), r"a radius is below 0"),
+        (broken("radius", radii={"Head": 80, "Hip": math.inf, "LFoot": None}), r"a radius is below 0"),
+        (broken("spread", factors={"Head": 1, "Hip": -1}), r"a factor is not above 0"),
+        (broken("radius", alpha=0), r"alpha is 0; expected 0 < alpha < 1"),
+        (broken("radius", alpha=-0.5), r"alpha is -0\.5; expected"),
+        (broken("radius", alpha=1), r"alpha is 1; expected"),
         (broken("radius", unit="cm"), NO_MAP),
         (broken("radius", alpha=7), r"alpha is 7; expected 0 < alpha < 1"),
         (broken("radius", alpha=...), NO_MAP),
@@ -96,6 +102,14 @@ def test_a_file_that_is_no_complete_map_is_refused(text: str, words: str, tmp_pa
     (tmp_path / "map.json").write_text(text)
     with pytest.raises(PoseFileError, match=words):
         read_map(tmp_path / "map.json")
+
+
+def test_a_radius_may_be_nought_and_an_alpha_anything_between(tmp_path: Path) -> None:
+    (tmp_path / "map.json").write_text(broken("radius", radii={"Head": 0, "Hip": 0.5}, alpha=0.9))
+    map_ = read_map(tmp_path / "map.json")
+    assert isinstance(map_, RadiusMap)
+    assert map_.by_joint == {"Head": 0, "Hip": 0.5}
+    assert map_.alpha == 0.9
 
 
 def test_a_file_that_can_not_be_read_is_refused(tmp_path: Path) -> None:
@@ -204,6 +218,10 @@ def test_progress_counts_the_poses_that_are_done(tmp_path: Path, monkeypatch: py
     calls: list[tuple[int, int]] = []
     applied(SPREAD, tmp_path, progress=lambda done, of: calls.append((done, of)))
     assert calls == [(4, 11), (8, 11), (11, 11)]
+    monkeypatch.setattr(maps, "WINDOW_BYTES", 1)
+    calls.clear()
+    applied(SPREAD, tmp_path, progress=lambda done, of: calls.append((done, of)))
+    assert calls == [(m, 11) for m in range(1, 12)]
 
 
 @pytest.mark.parametrize("map_", [3, None, "map.json"])

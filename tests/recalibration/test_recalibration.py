@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from posecal.calibration.ranks import LEVELS
 from posecal.data.pose_data import PoseData
 from posecal.engine.protocol import Protocol
 from posecal.errors import PoseDataError
@@ -20,7 +21,7 @@ from posecal.recalibration import (
     fit_spread,
     held_out_coverage,
 )
-from posecal.recalibration.dispersion import rescaled
+from posecal.recalibration.dispersion import FACTORS, _best_factors, rescaled
 from posecal.recalibration.folds import folds_of
 from tests.helpers.random_worlds import skewed
 from tests.helpers.samplers import gaussian, pairs_of, report_of, sequences
@@ -104,6 +105,19 @@ def test_calibrating_a_spread_that_is_too_narrow_for_the_best_of_n_costs_minmpjp
     assert after["min_mpjpe"] > before["min_mpjpe"]
 
 
+def test_a_factor_between_those_that_are_tried_is_read_off_a_parabola() -> None:
+    """Curves whose distances from the diagonal are parabolas in the logarithm of the factor."""
+    best = np.array([0.531, 1.0, 2.77])
+    distance = np.abs(np.log(FACTORS[:, None] / best))
+    sums = 7 * (LEVELS + distance[..., None])
+    factors = _best_factors(sums, np.array([7, 7, 7]), ("Hip", "Head", "LFoot"), per_joint=True)
+    np.testing.assert_allclose(factors, best, rtol=1e-9)
+    uncounted = _best_factors(sums, np.array([7, 0, 7]), ("Hip", "Head", "LFoot"), per_joint=True)
+    np.testing.assert_allclose(uncounted, [0.531, 1, 2.77], rtol=1e-9)
+    together = _best_factors(sums, np.array([7, 0, 7]), ("Hip", "Head", "LFoot"), per_joint=False)
+    np.testing.assert_allclose(together, [math.sqrt(0.531 * 2.77), 1, math.sqrt(0.531 * 2.77)], rtol=1e-9)
+
+
 @pytest.mark.parametrize("root", [None, 1])
 def test_hypotheses_are_rescaled_about_their_median(root: int | None) -> None:
     x = skewed(6, 5, 4, 3)[0]
@@ -162,11 +176,15 @@ def test_one_hypothesis_has_no_spread_to_rescale() -> None:
     for call in (fit_spread, cross_fitted):
         with pytest.raises(PoseDataError, match=r"hypotheses: 1 hypothesis; recalibration needs at least 2"):
             call(pairs_of(x, y))
+    assert fit_spread(pairs_of(*gaussian(11, 2, 200, 2))).factors.shape == (2,)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 @pytest.mark.parametrize("fit", [fit_spread, cross_fitted, fit_radius, held_out_coverage])
-def test_coordinates_that_are_not_finite_are_refused_where_they_count(fit: Any, value: float) -> None:
+def test_coordinates_that_are_not_finite_are_refused_where_they_count(
+    fit: Any, value: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("posecal.engine.block.BLOCK_BYTES", 2000)  # ten poses
     x, y = skewed(12, 4, 60, 2)
     x[1, 42, 0, 1] = value
     words = r"^hypotheses has non-finite coordinates in 1 of 60 frames \(first: frame 42, joint 0\)\. Mask"
@@ -326,6 +344,20 @@ def test_held_out_coverage_is_counted_part_by_part() -> None:
         np.testing.assert_allclose(found[k], np.mean(inside))
 
 
+def test_the_radius_is_the_smallest_distance_where_nearly_all_truths_may_lie_outside() -> None:
+    x, y = skewed(27, 4, 12, 3)
+    radii = fit_radius(pairs_of(x, y), alpha=1 - 1e-12).radii
+    np.testing.assert_allclose(radii, distances(x, y, scaled=False).min(axis=0), rtol=1e-9)
+
+
+def test_by_default_a_tenth_may_lie_outside_and_there_are_five_parts() -> None:
+    data = pairs_of(*skewed(28, 4, 60, 2), labels={"sequence": sequences(60, 12)})
+    np.testing.assert_array_equal(fit_radius(data).radii, fit_radius(data, alpha=0.1).radii)
+    np.testing.assert_array_equal(held_out_coverage(data), held_out_coverage(data, alpha=0.1, folds=5))
+    after = cross_fitted(data, protocol=FEW)[1]
+    assert after.render("json") == cross_fitted(data, protocol=FEW, folds=5)[1].render("json")
+
+
 def test_a_joint_that_never_counts_has_no_radius() -> None:
     x, y = skewed(20, 4, 12, 3)
     where = np.ones((12, 3), dtype=bool)
@@ -341,6 +373,10 @@ def test_an_alpha_that_no_number_of_poses_allows_is_refused_with_the_smallest_th
         PoseDataError, match=r"alpha: 0\.05 needs more than 9 poses; the smallest possible .* is 0\.1\."
     ):
         fit_radius(pairs, alpha=0.05)
+    where = np.ones((9, 2), dtype=bool)
+    where[2:5, 0] = False
+    with pytest.raises(PoseDataError, match=r"alpha: 0\.05 needs more than 6 poses; the smallest .* is 0\.1429\."):
+        fit_radius(pairs.replace(where=where), alpha=0.05)
     assert np.isfinite(fit_radius(pairs, alpha=0.1).radii).all()
 
 

@@ -76,6 +76,7 @@ def test_the_page_is_well_formed_and_closes_what_it_opens() -> None:
     assert ("charset", "utf-8") in page.attributes
 
 
+@pytest.mark.slow
 def test_the_page_needs_no_other_file_and_runs_nothing() -> None:
     text = written()
     page = Page(text)

@@ -213,6 +213,7 @@ def test_the_number_of_patterns_is_bounded_for_a_mesh_and_not_for_a_skeleton() -
     assert n_draws(50, 50_000 * Q) == 50
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("J", [1001, 2048, 3000])
 @pytest.mark.parametrize("kind", ["smooth", "lattice"])
 def test_the_median_curve_of_a_mesh_is_that_of_its_joints(J: int, kind: str) -> None:

@@ -211,6 +211,7 @@ def test_swapped_anisotropy_stretches_truth_in_depth_and_model_to_the_side() -> 
     np.testing.assert_allclose(rms(truth, keep=-1), [1, 1, 3], rtol=5 / math.sqrt(2 * M * K))
 
 
+@pytest.mark.slow
 def test_depth_modes_lie_three_deviations_away_with_the_whole_pose_on_one_side() -> None:
     model, truth = deviations("depth-modes")
     side = np.sign(truth[..., 2].mean(axis=1))

@@ -43,6 +43,7 @@ def test_ece_is_the_mean_gap_of_21_levels(paper: Landscape) -> None:
     np.testing.assert_allclose(paper.ece[row, column], sum(gaps) / 21, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_both_surfaces_are_even_in_the_mean(paper: Landscape) -> None:
     np.testing.assert_allclose(paper.min_mpjpe, paper.min_mpjpe[:, ::-1], rtol=1e-10)
     np.testing.assert_allclose(paper.ece, paper.ece[:, ::-1], rtol=1e-10)
