@@ -51,8 +51,7 @@ class Chunk:
 
     def copy(self) -> Chunk:
         """Copy the poses into memory of their own: who gave them may write over theirs."""
-        copies: dict[str, Any] = {n: None if v is None else np.array(v, order="C") for n, v in vars(self).items()}
-        return Chunk(**copies)
+        return join_chunks([self])
 
     def block(
         self,
@@ -87,19 +86,14 @@ _HYPOTHESES = ("hypotheses", "scores", "reference")
 
 
 def join_chunks(chunks: Sequence[Chunk]) -> Chunk:
-    """Put chunks one after another, laid out as one that was read at once: rounding depends on it."""
-    if len(chunks) == 1:
-        return chunks[0]
-    members = {name: [getattr(chunk, name) for chunk in chunks] for name in vars(chunks[0])}
-    joined: dict[str, Any] = {}
-    for name, parts in members.items():
-        axis = int(name in _HYPOTHESES)
-        if parts[0] is None:
-            joined[name] = None
-            continue
-        shape = list(parts[0].shape)
-        shape[axis] = sum(part.shape[axis] for part in parts)
-        joined[name] = np.concatenate(parts, axis=axis, out=np.empty(shape, dtype=parts[0].dtype))
+    """Put chunks one after another, in memory of its own, laid out alike: rounding depends on it."""
+    joined: dict[str, Any] = dict.fromkeys(vars(chunks[0]))
+    for name in joined:
+        parts = [getattr(chunk, name) for chunk in chunks]
+        if parts[0] is not None:
+            axis = int(name in _HYPOTHESES)
+            poses_first = np.concatenate([part.swapaxes(0, axis) for part in parts])
+            joined[name] = np.ascontiguousarray(poses_first).swapaxes(0, axis)
     return Chunk(**joined)
 
 

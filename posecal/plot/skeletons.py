@@ -45,7 +45,7 @@ def signed_areas(report: Report, *, ax: Axes | None = None) -> Axes:
     report.value("signed_area")  # refuses a report without
     joints = report.totals.spec.joints
     skeleton = Skeleton(joints)
-    at = skeleton.rest_pose[:, [0, 2]] * [2.0, 1.0]  # from the front, and broad, so that the numbers have room
+    at = skeleton.rest_pose[:, [0, 2]] * [2.0, 1.0]  # from the front, and broad, so that no numbers overlap
     for parent, child in skeleton.bones:
         ax.plot(*at[[parent, child]].T, color=FAINT, lw=3, solid_capstyle="round", zorder=1)
     for joint, (x, y) in zip(joints, at, strict=True):

@@ -273,7 +273,7 @@ class Report:
             return self.totals.count(metric.statistic, cells, row)
         counts = self.totals.counts[metric.statistics[-1].name]
         at_joints = (counts if cells is None else counts[cells]).sum(axis=0)
-        return int(np.broadcast_to(at_joints, (*at_joints.shape, 1)[:1])[self._joint(joint)])
+        return int(at_joints[self._joint(joint)] if at_joints.ndim else at_joints)
 
     def definition(self, name: str, group: str | None = None) -> str:
         """Give the definition of a number, in one line."""

@@ -147,7 +147,7 @@ AUXILIARY = {
         "mean over joints and q of (ω_k(q) − q)² − its variance over sequences; exchangeable definition",
         "about 0 (calibrated; by chance a little below) to about 0.3",
         "Unlike an ECE it does not grow as data shrink: what chance adds to the squared distance from the diagonal is "
-        "taken off.",
+        "subtracted.",
         direction="lower",
     ),
 }

@@ -107,6 +107,7 @@ def test_the_pictures_are_within_the_page_and_say_what_they_show() -> None:
         "rank tests for what the ECE can't see",
     ]
     assert page.tags.count("svg") == len(said)
+    assert [value for name, value in page.attributes if (name, value) == ("class", "wide")] == ["wide"]
 
 
 def test_each_part_of_a_picture_has_a_name_of_its_own() -> None:
@@ -177,7 +178,7 @@ def test_remarks_stand_on_the_page_and_name_flags_where_they_are_asked_to() -> N
 def test_a_report_that_lacks_pictures_is_a_page_all_the_same() -> None:
     page = Page(as_html(unlabelled(n=1), "hyps.npz"))
     said = [value for name, value in page.attributes if name == "aria-label"]
-    assert "calibration curves against the diagonal" not in said
+    assert said == ["minMPJPE against the number of hypotheses", "PCK and CPS against the threshold"]
     assert "minMPJPE" in {cell for row in page.cells for cell in row}
     assert "calibration and spread need at least 2 hypotheses; there is 1." in page.text
 

@@ -3,6 +3,7 @@
 import copy
 import math
 import pickle
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,14 +13,15 @@ from scipy import stats
 import posecal
 from posecal.calibration import perfect_sampler
 from posecal.demo import sample
+from posecal.engine.metric import Statistic
 from posecal.engine.protocol import Protocol
 from posecal.engine.totals import difference_of_signatures
 from posecal.errors import PoseDataError, for_command_line
 from posecal.report import report as report_module
 from posecal.report.report import Report
 from posecal.stats.resampling import holm
-from posecal.stats.uncertainty import effective_sample_size, unbiased_squared_error
-from tests.helpers.reports import FRAMES, SEQUENCES, N, report_of, world
+from posecal.stats.uncertainty import effective_sample_size, joint_p_values, unbiased_squared_error
+from tests.helpers.reports import FRAMES, SEQUENCES, N, report_of, unlabelled, world
 
 HOW: dict[str, Any] = {"axes": "NMKD", "unit": "mm"}
 
@@ -155,6 +157,34 @@ def test_numbers_beside_metrics_are_numbers_without_intervals(name: str) -> None
     assert some().count(name) == 36
     (row,) = (row for row in some().rows if (row.metric, row.group) == (name, None))
     assert (row.value, row.definition) == (some()[name], some().definition(name))
+
+
+def test_a_joint_s_number_of_a_statistic_that_counts_poses_is_over_all_of_them() -> None:
+    """A metric of one's own whose statistic gives (B, K) but counts poses, not joints."""
+    report = fresh(report_of())
+    means = Statistic("own_depth", lambda block: block.truth[..., 2])
+    totals = copy.copy(report.totals)
+    totals.sums = totals.sums | {"own_depth": np.zeros((len(totals.poses), 17))}
+    totals.counts = totals.counts | {"own_depth": totals.poses}
+    own = replace(report.metrics["mpjpe"], name="own_depth", statistic=means, by_joint=(means, np.asarray))
+    totals.own_metrics = (own,)
+    changed = Report(totals)
+    changed.metrics["own_depth"] = own
+    assert changed.count("own_depth", joint="Head") == 36
+    assert changed.value("own_depth", joint="Head") == 0
+
+
+def test_each_joint_is_tested_by_itself_and_adjusted_for_their_number() -> None:
+    report = report_of(0.5)
+    tests = report.joint_tests()
+    assert list(tests) == list(posecal.JOINT_SETS["h36m-17"][1:])
+    assert {joint: area for joint, (area, _) in tests.items()} == {
+        joint: report.value("signed_area", joint=joint) for joint in tests
+    }
+    raw = joint_p_values(report.totals, report.metrics["ece"])[1:]
+    assert [p for _, p in tests.values()] == holm(raw.tolist())
+    assert unlabelled().joint_tests() == {}
+    assert list(report_of(metrics="signed_area").joint_tests()) == list(tests)
 
 
 def test_numbers_beside_metrics_are_defined_with_what_they_depend_on() -> None:
@@ -380,6 +410,8 @@ def test_a_cut_of_the_spread_that_the_result_lacks_is_refused() -> None:
         (lambda r: r.value("ece_floor", "action=sitting"), r"^group: ece_floor is known over all poses only"),
         (lambda r: r.value("ece_p", joint="Head"), r"^joint: ece_p has no values per joint\."),
         (lambda r: r.value("cps", joint="Head"), r"^joint: cps has no values per joint\."),
+        (lambda r: r.value("pck_", joint="Head"), r"^metric: 'pck_' is not in the report\."),
+        (lambda r: r.value("worst_mpjpe", joint="Head"), r"^joint: worst_mpjpe has .* Did you mean mpjpe\?$"),
         (lambda r: r.interval("cps", joint="Head"), r"^joint: cps has no values per joint\."),
         (lambda r: r.interval("mpjpe", joint="Tail"), r"^joint: 'Tail' is not in the report\."),
         (lambda r: r.interval("mpjp"), r"^metric: 'mpjp' is not in the report\."),

@@ -3,7 +3,7 @@
 import re
 from dataclasses import fields
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 import pytest
@@ -109,6 +109,20 @@ def test_groups_without_numbers_to_show_have_their_poses() -> None:
     table = report_sheet(report_of(metrics="crps", by=("action",))).tables[-1]
     assert list(table.headings) == ["action", "poses"]
     assert [row[1] for row in table.rows] == ["12", "12", "12"]
+
+
+def test_the_poses_of_a_group_are_those_of_the_number_that_most_count_in() -> None:
+    """The joints of PCK are masked in four of the twelve poses of every action; others count in all."""
+    here = world()
+    where = np.ones(here.truth.shape[:2], dtype=bool)
+    where[::3, 1:] = False
+    labels = {"sequence": here.sequence, "action": here.action}
+    report = posecal.evaluate(
+        sample(here, 3), here.truth, joints="h36m-17", labels=labels, where=where, by="action", axes="NMKD", unit="mm"
+    )
+    group = "action=sitting"
+    assert (report.count("mpjpe", group), report.count("ece", group)) == (12, 8)
+    assert [row[1] for row in report_sheet(report).tables[-1].rows] == ["12", "12", "12"]
 
 
 def test_the_chance_of_a_perfect_sampler_is_left_out_of_a_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -278,6 +292,21 @@ def test_models_of_which_none_is_better_have_no_best() -> None:
     assert all(row[-1] == "" for row in sheet.tables[0].rows)
 
 
+def test_a_comparison_shows_headlines_scores_and_rank_tests() -> None:
+    totals = [report_of(spread, metrics="all").totals for spread in (1.0, 0.5)]
+    comparison = compare_totals(totals, ["right", "narrow"])
+    shown = [row[0] for row in comparison_sheet(comparison).tables[0].rows]
+    assert {"minMPJPE", "CRPS", "TARP, box"} <= set(shown)
+    assert comparison.metrics["ece_worst"].label not in shown
+    assert "energy score: right is best beyond chance." in comparison_sheet(comparison).sentences
+
+
+def test_models_without_calibration_or_sequences_are_not_called_calibrated() -> None:
+    for report in (report_of(metrics="mpjpe"), unlabelled()):
+        sheet = comparison_sheet(compare_totals([report.totals, report.totals], ["a", "b"]))
+        assert not any(sentence.startswith("Not miscalibrated") for sentence in sheet.sentences)
+
+
 # --- recalibration --------------------------------------------------------------------------------------------
 
 
@@ -307,7 +336,7 @@ def test_a_judged_factor_stands_with_the_numbers_before_and_after_and_its_cost()
 class Numbers(dict[str, float]):
     """A report of known numbers, 0.5 each but those that are given."""
 
-    metrics = {
+    metrics: ClassVar = {
         name: SimpleNamespace(name=name, label=name, unit="")
         for name in ("ece", "signed_area", "coverage_50", "coverage_90", "radius_50", "min_mpjpe", "mpjpe")
     }
