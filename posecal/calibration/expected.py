@@ -179,8 +179,8 @@ def perfect_sampler(
 def _floor(N: int, M: int, K: int, definition: Definition, over: OverJoints, draws: int) -> Floor:
     mean = expected_curve(N, definition)
     if definition == "exchangeable":
-        chances = np.full(N + 1, 1 / (N + 1))
-        weights = rank_weights(N, np.arange(N + 1))
+        weights, ranks = np.unique(rank_weights(N, np.arange(N + 1)), axis=0, return_counts=True)  # alike at 21 levels
+        chances = ranks / (N + 1)
     else:
         chances = np.diff(np.concatenate([[0.0], mean, [1.0]]))
         weights = np.tri(LEVELS.size + 1, LEVELS.size, -1)[::-1, ::-1]

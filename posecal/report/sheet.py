@@ -20,7 +20,9 @@ GAP = 2
 """Columns of the terminal between two columns of a table."""
 
 _SYMBOLS = {"↓": "downarrow", "↑": "uparrow", "ω": "omega", "τ": "tau", "∫": "int", "≤": "le", "√": "surd", "‖": "Vert"}
-LATEX = str.maketrans({"\u00a0": "~", "−": "$-$", **{letter: rf"$\{name}$" for letter, name in _SYMBOLS.items()}})
+LATEX = str.maketrans(
+    {"\u00a0": "~", "−": "$-$", "<": "$<$", ">": "$>$", **{letter: rf"$\{name}$" for letter, name in _SYMBOLS.items()}}
+)
 """Letters that LaTeX knows by other names."""
 
 

@@ -37,7 +37,7 @@ DRAWS = 2000
 MIN_DRAWS = 199
 """For meshes of many thousand joints there are fewer random patterns, but at least so many."""
 
-MAX_VALUES = 3_000_000
+MAX_VALUES = 2_200_000
 """There are fewer than :data:`DRAWS` random patterns where patterns × curves × levels would be more than this."""
 
 CHUNK = 2_500_000
@@ -175,7 +175,7 @@ def sign_flips(
     offset : array (Q,), optional
         What a perfect sampler's curve is off by at this N, for definitions that are biased.
     draws : int
-        Sign patterns. Where 2\ :sup:`S - 1` is no more, all of them are tried. For more than some 70 curves there are
+        Sign patterns. Where 2\ :sup:`S - 1` is no more, all of them are tried. For more than some 52 curves there are
         fewer: as many as give :data:`MAX_VALUES` mean deviations, and at least :data:`MIN_DRAWS`.
     seed : int
         Of the generator.

@@ -175,3 +175,9 @@ def test_values_per_pose_of_shards_follow_their_cells() -> None:
     merged = merge_totals([first, other])
     assert merged.cell_of.tolist() == [0, 0, 1, 3, 3]
     assert merged.value(added, WALK) == 19
+
+
+def test_velocities_per_frame_add_at_any_frame_rate() -> None:
+    cells = {"sequence": np.array(["d"] * 4), "action": np.array(["sit"] * 4)}
+    merged = merge_totals([totals(), totals(spec=replace(SPEC, fps=50.0), cells=cells)])
+    assert merged.poses.sum() == 20

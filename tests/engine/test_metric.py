@@ -143,8 +143,8 @@ def test_an_entry_is_read_from_the_means_of_any_number_of_resamples() -> None:
 
 
 def test_a_mean_over_joints_is_of_those_that_count() -> None:
-    values = np.array([[1.0, np.nan, 3], [np.nan] * 3, [4, 5, 6]])
-    np.testing.assert_array_equal(mean_over_joints(values), [2, np.nan, 5])
+    values = np.array([[1.0, np.nan, 3], [np.nan] * 3, [4, 5, 6], [np.nan, 7, np.nan]])
+    np.testing.assert_array_equal(mean_over_joints(values), [2, np.nan, 5, 7])
 
 
 def test_a_metric_s_statistics_are_those_of_its_number_and_of_its_joints() -> None:
@@ -155,6 +155,7 @@ def test_a_metric_s_statistics_are_those_of_its_number_and_of_its_joints() -> No
     words = dict.fromkeys(("name", "label", "unit", "brief", "definition"), "")
     metric = Metric(**words, direction="none", family="sharpness", statistic=one, finish=entry())
     assert metric.statistics == (one,)
+    assert not metric.headline
     metric = Metric(
         **words, direction="none", family="sharpness", statistic=one, finish=entry(), by_joint=(two, np.asarray)
     )

@@ -59,10 +59,16 @@ def test_a_saved_result_is_known_as_one(tmp_path: Path) -> None:
     save_totals(totals(), tmp_path / "result.npz")
     np.savez(tmp_path / "other.npz", hypotheses=np.zeros(3))
     (tmp_path / "text.npz").write_text("no zip")
-    assert is_result(tmp_path / "result.npz")
-    assert not is_result(tmp_path / "other.npz")
-    assert not is_result(tmp_path / "text.npz")
-    assert not is_result(tmp_path / "nothing.npz")
+    assert is_result(tmp_path / "result.npz") is True
+    assert is_result(tmp_path / "other.npz") is False
+    assert is_result(tmp_path / "text.npz") is False
+    assert is_result(tmp_path / "nothing.npz") is False
+
+
+def test_a_saved_result_is_compressed(tmp_path: Path) -> None:
+    save_totals(totals(), tmp_path / "result.npz")
+    with zipfile.ZipFile(tmp_path / "result.npz") as archive:
+        assert {member.compress_type for member in archive.infolist()} == {zipfile.ZIP_DEFLATED}
 
 
 def test_a_file_that_is_missing_or_a_folder_is_refused(tmp_path: Path) -> None:
@@ -70,6 +76,9 @@ def test_a_file_that_is_missing_or_a_folder_is_refused(tmp_path: Path) -> None:
         load_totals(tmp_path / "nothing.npz")
     with pytest.raises(PoseFileError, match=r"is a folder; expected a result of posecal evaluate --save\."):
         load_totals(tmp_path)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(PoseFileError, match=r"file/inside: can't be read \(Not a directory\)\."):
+        load_totals(tmp_path / "file" / "inside")
 
 
 @pytest.mark.parametrize("kind", ["empty", "text", "array", "other members", "cut", "no json", "unknown option"])
