@@ -214,13 +214,10 @@ def check_names(protocol: Protocol, own: Collection[str] = ()) -> None:
 def _known_anywhere() -> frozenset[str]:
     """Names of the metrics of data that have everything."""
     spec = DataSpec(
-        n_hypotheses=ROUND_SIZES[-1] + 1,
+        n_hypotheses=ROUND_SIZES[-1],
         joints=JOINT_SETS["h36m-17"],
-        root=0,
         labels=("sequence",),
-        fps=1.0,
         has_scores=True,
-        has_occlusion=True,
         reference="another",
     )
     return frozenset(known_metrics(Protocol(), spec))

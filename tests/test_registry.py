@@ -16,7 +16,15 @@ from posecal.engine.metric import Metric, Statistic
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec
 from posecal.errors import PoseDataError
-from posecal.registry import curves_of, known_metrics, metrics_of, occlusion_metrics_of
+from posecal.registry import (
+    check_names,
+    curves_of,
+    known_metrics,
+    metrics_of,
+    occlusion_metrics_of,
+    statistics_of,
+    wants_reference,
+)
 from posecal.stats.resampling import sign_flips
 
 Array = np.ndarray
@@ -103,6 +111,7 @@ def test_numbers_by_occlusion_need_marks_and_two_hypotheses() -> None:
         occlusion_metrics_of(Protocol(), PERSON)
     with pytest.raises(PoseDataError, match=r"by: occlusion needs at least 2 hypotheses; there is 1\."):
         occlusion_metrics_of(Protocol(), replace(PERSON, has_occlusion=True, n_hypotheses=1))
+    assert occlusion_metrics_of(Protocol(), replace(PERSON, has_occlusion=True, n_hypotheses=2))["visible"]
 
 
 def test_with_one_hypothesis_there_is_no_calibration_and_no_spread() -> None:
@@ -178,6 +187,42 @@ def test_the_curves_are_those_that_pictures_are_drawn_from() -> None:
     for curve in curves.values():
         assert curve.definition
         assert all(curve.axes)
+
+
+def test_names_that_no_data_could_make_known_are_refused_at_once() -> None:
+    for metrics in (
+        "default",
+        "rank_tests, scores, all",
+        "crps_skill, mpjve",
+        "min_mpjpe_at_1000",
+        "weighted_pose_mpjpe",
+    ):
+        check_names(Protocol(metrics=metrics))
+    check_names(Protocol(metrics="ece, height, mine"), own=["height", "mine"])
+    with pytest.raises(PoseDataError, match=r"^metrics: ecee, min_mpjpe_at_3 not known\. Did you mean ece\?$"):
+        check_names(Protocol(metrics="ecee, pck, min_mpjpe_at_3"))
+
+
+@pytest.mark.parametrize(
+    ("metrics", "wanted"),
+    [("default", False), ("ece, pck", False), ("rank_tests, scores", True), ("all", True), ("ece, crps_skill", True)],
+)
+def test_a_reference_is_needed_by_skills_only(metrics: str, wanted: bool) -> None:
+    assert wants_reference(Protocol(metrics=metrics)) == wanted
+
+
+@pytest.mark.parametrize(
+    ("metrics", "curves"), [("default", True), ("all", True), ("ece, default", True), ("ece", False), ("scores", False)]
+)
+def test_statistics_are_those_of_the_metrics_and_of_the_curves_of_a_whole_report(metrics: str, curves: bool) -> None:
+    protocol, person = Protocol(metrics=metrics), replace(PERSON, has_occlusion=True)
+    names = [statistic.name for statistic in statistics_of(protocol, person)]
+    needed = {statistic.name for metric in metrics_of(protocol, person).values() for statistic in metric.statistics}
+    needed |= {"truth"} | ({"errors_by_n", "pck_curve", "cps_curve"} if curves else set())
+    assert set(names) == needed
+    assert len(names) == len(needed)
+    by_occlusion = {statistic.name for statistic in statistics_of(protocol, person, ["action", "occlusion"])}
+    assert by_occlusion == needed | {"occlusion_inside", "occlusion_errors", "occlusion_radii"}
 
 
 # --- many means at once ----------------------------------------------------------------------------------------------

@@ -6,7 +6,6 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from numbers import Integral
 from typing import TypeVar
 
 from posecal.errors import PoseDataError
@@ -39,8 +38,9 @@ def run_in_order(tasks: Iterable[Callable[[], Result]], threads: int | None = No
     NumPy releases the interpreter's lock in its loops, so threads over blocks scale. Results are added up by one thread
     in the order of the poses: numbers don't depend on the number of threads.
     """
-    threads = available_cores() if threads is None else threads
-    if not isinstance(threads, Integral) or threads < 1:
+    if threads is None:
+        threads = available_cores()
+    if not hasattr(threads, "__index__") or threads < 1:
         raise PoseDataError(f"threads: {threads!r}; expected a whole number, at least 1.")
     if threads == 1:
         for task in tasks:

@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,19 +20,12 @@ from posecal.data.arrays import FloatArray
 from posecal.engine.metric import Metric, ReadOff, Statistic
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec
+from posecal.engine.sums import Cells, Counts, Indices, compact, mean_of, mean_of_known, split_by, sum_by
 from posecal.errors import PoseDataError, did_you_mean
 
 CURVES = ("calibration", "rank_tests")
 """Families of metrics that are read off curves."""
 
-Indices = npt.NDArray[np.intp]
-Cells = Indices | None
-"""Indices of cells, rising; None for all."""
-
-Counts = npt.NDArray[np.number[Any]]
-"""Numbers of poses, or sums of their weights."""
-
-Number = TypeVar("Number", bound=np.generic)
 Finish = Callable[[FloatArray], npt.ArrayLike]
 
 
@@ -338,50 +331,6 @@ class Totals:
 def _natural(text: str) -> list[tuple[int, str]]:
     """A key that sorts numbers within text by their size."""
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", text)]
-
-
-def slices(length: int, row_bytes: int, most: int = 64 * 1024 * 1024) -> Iterator[slice]:
-    """Cut rows into slices of at most so many bytes, or of a single row."""
-    step = max(1, most // max(1, row_bytes))
-    return (slice(start, start + step) for start in range(0, length, step))
-
-
-def compact(codes: Indices, cells: Cells) -> tuple[Indices, int]:
-    """Number the codes that occur among some cells 0 … n - 1, in their order; give them with n."""
-    if cells is None:
-        return codes, int(codes.max(initial=-1)) + 1
-    known, renumbered = np.unique(codes[cells], return_inverse=True)
-    return renumbered, len(known)
-
-
-def split_by(codes: Indices, n: int) -> list[Indices]:
-    """Give the rising indices of the rows of each code 0 … n - 1, from one sort."""
-    order = np.argsort(codes, kind="stable")
-    return np.split(order, np.cumsum(np.bincount(codes, minlength=n))[:-1]) if n else []
-
-
-def sum_by(codes: Indices, n: int, values: npt.NDArray[Number]) -> npt.NDArray[Number]:
-    """Sum rows (R, …) by their codes (R,) to (n, …); each code of 0 … n - 1 occurs."""
-    if n == len(codes) and (codes[1:] > codes[:-1]).all():  # they are 0 … n - 1
-        return values
-    total = np.zeros((n, *values.shape[1:]), dtype=values.dtype)
-    if n == len(codes):
-        total[codes] = values
-    else:
-        np.add.at(total, codes, values)
-    return total
-
-
-def mean_of(sums: FloatArray, counts: Counts) -> FloatArray:
-    """Divide sums by counts; NaN where nothing counts."""
-    number = np.where(np.greater(counts, 0), counts, np.nan)
-    return np.asarray(sums / np.expand_dims(number, tuple(range(number.ndim, np.ndim(sums)))))
-
-
-def mean_of_known(values: FloatArray) -> float:
-    """Give the mean of those that are not NaN."""
-    known = values[~np.isnan(values)]
-    return float(known.mean()) if known.size else float("nan")
 
 
 def batch_sums(metric: Metric, sums: FloatArray, counts: Counts) -> tuple[FloatArray, FloatArray]:

@@ -19,7 +19,7 @@ from posecal.errors import PoseDataError
 T = TypeVar("T")
 
 
-def folds_of(data: PoseData, folds: int = 5) -> Rows:
+def folds_of(data: PoseData, folds: int) -> Rows:
     """Give the part of each pose, (M,), cutting between sequences, the parts alike in poses.
 
     Poses without sequences are cut into runs of consecutive frames.

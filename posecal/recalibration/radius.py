@@ -11,7 +11,7 @@ import numpy.typing as npt
 from posecal.data.arrays import FloatArray, checked_number
 from posecal.data.pose_data import PoseData
 from posecal.engine.block import Block, iter_blocks
-from posecal.engine.totals import mean_of
+from posecal.engine.sums import mean_of
 from posecal.errors import PoseDataError
 from posecal.evaluation.sources import Source, as_pose_data
 from posecal.metrics.sharpness import joint_deviations

@@ -15,7 +15,8 @@ from posecal.data.arrays import FloatArray
 from posecal.engine.cells import label_name
 from posecal.engine.metric import Metric
 from posecal.engine.storage import save_totals
-from posecal.engine.totals import Cells, Totals
+from posecal.engine.sums import Cells
+from posecal.engine.totals import Totals
 from posecal.errors import PoseDataError, did_you_mean, for_python, option
 from posecal.metrics.occlusion import OCCLUSION
 from posecal.registry import GROUPS, metrics_of, occlusion_metrics_of
@@ -358,9 +359,8 @@ class Report:
         metric = metrics.get(self.auxiliary[name].metric if name in self.auxiliary else name)
         if metric is None:
             of = "" if group is None else f" of {group}"
-            raise PoseDataError(
-                f"metric: {name!r} is not in the report{of}. {did_you_mean(name, [*metrics, *self.auxiliary])}"
-            )
+            similar = did_you_mean(name, [*metrics, *self.auxiliary])
+            raise PoseDataError(f"metric: {name!r} is not in the report{of}. {similar}")
         return metric, self.groups[group]
 
     def _joint_values(self, name: str, group: str | None) -> FloatArray:

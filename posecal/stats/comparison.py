@@ -19,7 +19,8 @@ import numpy as np
 
 from posecal.data.arrays import FloatArray
 from posecal.engine.metric import SUM_OF_TRUE_POSES, Metric
-from posecal.engine.totals import Totals, difference_of_signatures, sum_by
+from posecal.engine.sums import sum_by
+from posecal.engine.totals import Totals, difference_of_signatures
 from posecal.errors import PoseDataError, did_you_mean, option
 from posecal.registry import metrics_of
 from posecal.stats.jackknife import Interval, jackknife, leave_one_out, paired_p

@@ -15,20 +15,8 @@ import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray
 from posecal.engine.metric import Metric, Statistic
-from posecal.engine.totals import (
-    CURVES,
-    Cells,
-    Counts,
-    Indices,
-    Number,
-    Totals,
-    batch_sums,
-    compact,
-    mean_of,
-    slices,
-    split_by,
-    sum_by,
-)
+from posecal.engine.sums import Cells, Counts, Indices, Number, compact, mean_of, slices, split_by, sum_by
+from posecal.engine.totals import CURVES, Totals, batch_sums
 
 
 @dataclass(frozen=True)

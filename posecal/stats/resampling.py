@@ -22,8 +22,8 @@ import numpy.typing as npt
 from posecal.calibration.ranks import LEVELS
 from posecal.data.arrays import FloatArray
 from posecal.engine.metric import Deviation
+from posecal.engine.sums import Counts, split_by
 from posecal.engine.threads import run_in_order
-from posecal.engine.totals import Counts, split_by
 
 MIN_SEQUENCES = 6
 """Fewer sequences than this allow no test: of 2⁵ sign patterns two are as extreme as any, and 2/32 is above 5 %."""

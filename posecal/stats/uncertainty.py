@@ -9,7 +9,8 @@ import numpy as np
 from posecal.calibration.ranks import LEVELS
 from posecal.data.arrays import FloatArray
 from posecal.engine.metric import Metric, Statistic
-from posecal.engine.totals import Cells, Counts, Totals, slices
+from posecal.engine.sums import Cells, Counts, slices
+from posecal.engine.totals import Totals
 from posecal.stats.jackknife import Interval, jackknife, jackknife_columns, joint_leave_one_out, leave_one_out
 from posecal.stats.resampling import LEVEL, Null, counting, n_patterns, sign_flips, sign_flips_of_each, thin
 

@@ -16,8 +16,10 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from posecal.calibration import LEVELS
-from posecal.calibration.rank_tests import RANK_TESTS, user_weights, weights_of_ranks
+from posecal.calibration.rank_tests import RANK_TESTS, rank_test_metrics, user_weights, weights_of_ranks
 from posecal.engine.block import Block, iter_blocks
+from posecal.engine.protocol import Protocol
+from posecal.engine.scope import DataSpec, Scope
 from posecal.errors import PoseDataError
 from posecal.evaluation import evaluate
 from posecal.stats.resampling import Deviation, sign_flips
@@ -215,6 +217,13 @@ def test_weights_are_those_of_the_rank_among_all_points_ties_shared(prerank: lis
     np.testing.assert_allclose(found, rank_inside([float(value) for value in prerank]), atol=1e-12)
 
 
+def test_numbers_tie_up_to_their_rounding_in_their_own_pool() -> None:
+    """Sums of the same numbers in another order differ by a few parts in 10¹⁶ of the largest of a pool."""
+    prerank = np.array([[1e12, 3e12, 2e12], [1 + 1e-7, 3, 1], [5 + 4e-15, 5, 5 + 8e-15], [-9e3, -7e3, -7e3 - 1e-12]])
+    expected = [rank_inside([1, 3, 2]), rank_inside([2, 3, 1]), rank_inside([0, 0, 0]), rank_inside([0, 1, 1])]
+    np.testing.assert_allclose(weights_of_ranks(prerank), expected)
+
+
 @pytest.mark.parametrize("name", PRERANKS)
 @pytest.mark.parametrize("N", [3, 6])
 def test_a_rank_test_is_its_definition(name: str, N: int) -> None:
@@ -271,6 +280,23 @@ def test_a_prerank_of_ones_own_is_ranked_like_the_others() -> None:
     for m in range(9):
         pool = np.concatenate([x[:, m], y[m][None]])
         np.testing.assert_allclose(found[m, 0], rank_inside(height(pool)), atol=1e-9)
+
+
+def test_a_prerank_of_ones_own_has_no_rank_where_no_joint_counts() -> None:
+    x, y = skewed(6, 8, 4, 3)
+    where = np.array([[True] * 3, [False] * 3, [False, False, True], [True, False, False]])
+    found = user_weights(Block(x, y, where), np.array([True, True, False]), lambda pool: pool[:, 0, 0])
+    assert np.isnan(found).all(axis=(1, 2)).tolist() == [False, True, True, False]
+    assert np.isnan(found).any(axis=(1, 2)).tolist() == [False, True, True, False]
+
+
+def test_of_coordinates_the_number_is_a_mean_and_of_poses_it_is_one() -> None:
+    known = {m.name: m for m in rank_test_metrics(Scope(Protocol(), DataSpec(6, ("a", "b", "c"), root=0)))}
+    assert list(known) == list(TESTS)
+    for name, metric in known.items():
+        over = ", mean over axes and the 2 joints" if name == "coordinate_pit" else " of poses of the 2 joints"
+        assert f"of |ω(q) − q|{over} (no root), ω: " in metric.definition
+        assert (metric.by_joint is not None) == (name == "coordinate_pit")
 
 
 def test_a_prerank_of_ones_own_is_reported_with_its_p_value_among_the_others() -> None:

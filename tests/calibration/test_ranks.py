@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from posecal.calibration import DEFINITIONS, LEVELS, Definition, calibration_curve
-from posecal.calibration.ranks import inside, known_definition, nearness
+from posecal.calibration.ranks import inside, known_definition, nearness, rank_weights
 from posecal.engine.block import Block
 from posecal.errors import PoseDataError
 from tests.helpers import oracles
@@ -136,6 +136,12 @@ def test_a_truth_outside_all_hypotheses_is_in_no_ball() -> None:
     assert not line([0, 1, 4, 9], 500, "reference").any()
     np.testing.assert_array_equal(line([0, 1, 4, 9], 500, "paper"), LEVELS == 1)
     np.testing.assert_allclose(line([0, 1, 4, 9], 500, "exchangeable"), np.maximum(5 * LEVELS - 4, 0), atol=1e-12)
+
+
+@pytest.mark.parametrize("less", range(4))
+def test_a_truth_that_ties_with_none_takes_one_share_of_the_pool(less: int) -> None:
+    """Of three hypotheses some come before the truth, which is one of four: 4 q - less, from nothing to all."""
+    np.testing.assert_allclose(rank_weights(3, less), np.clip(4 * LEVELS - less, 0, 1))
 
 
 # --- ties ------------------------------------------------------------------------------------------------------------

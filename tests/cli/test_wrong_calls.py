@@ -67,7 +67,9 @@ def test_an_output_that_can_not_be_written_is_refused_before_any_work(option: st
     assert re.fullmatch(f"posecal: {words}", said), said
 
 
-@pytest.mark.parametrize("command", ["merge result.npz", "plot errors result.npz", "plot poses hyps.npz gt.npz"])
+@pytest.mark.parametrize(
+    "command", ["merge nothing.npz", "plot errors nothing.npz", "plot poses nothing.npz nothing.npz"]
+)
 def test_so_does_every_other_command(command: str) -> None:
     said = refused(*command.split(), "-o", "nowhere/x.svg")
     assert said == "posecal: nowhere/x.svg: the folder nowhere does not exist. Make it first."

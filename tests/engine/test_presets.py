@@ -8,7 +8,7 @@ import pytest
 
 import posecal
 from posecal.data.skeleton import JOINT_SETS
-from posecal.engine.presets import PRESETS, preset
+from posecal.engine.presets import PRESETS, as_protocol, preset
 from posecal.engine.protocol import Protocol, named_joints
 from posecal.errors import PoseDataError
 from tests.helpers.small_files import JOINTS, K, M, N, hypotheses, truth
@@ -172,3 +172,12 @@ def test_a_joint_set_of_which_nothing_is_there_is_refused() -> None:
     ):
         named_joints("joints", "h36m-17", ("a", "b"))
     assert JOINT_SETS["h36m-17"] == JOINTS
+
+
+def test_a_protocol_is_given_as_itself_by_the_name_of_a_preset_or_not_at_all() -> None:
+    assert as_protocol(None) == as_protocol(Protocol()) == Protocol()
+    assert as_protocol("d3dp-jbest") == preset("d3dp-jbest").protocol
+    assert as_protocol("d3dp-jbest", ["ece", "pck"]) == replace(preset("d3dp-jbest").protocol, metrics="ece, pck")
+    for wrong in (3, {"best": "joint"}, Protocol):
+        with pytest.raises(PoseDataError, match=r"^protocol: \w+; expected a Protocol or the name of a preset\.$"):
+            as_protocol(wrong)  # type: ignore[arg-type]

@@ -46,6 +46,21 @@ def test_the_choices_are_those_of_the_types_the_default_first() -> None:
             assert option.default == CHOICES[option.name][0]
 
 
+def test_the_defaults_that_are_no_choices_are_the_field_s() -> None:
+    """PCK at 150 mm is Mehta et al.'s, over 14 joints; CPS is of 16 of 17 joints, all but the spine."""
+    defaults = {name: value for name, value in Protocol().options.items() if name not in CHOICES}
+    assert defaults == {
+        **dict.fromkeys(("joints", "frames"), "all"),
+        "best": "frame",
+        "mode": "score",
+        "average": "poses",
+        "metrics": "default",
+        "pck_joints": "h36m-14",
+        "pck_threshold": "150.0",
+        "cps_joints": "all but Spine",
+    }
+
+
 def test_every_option_says_what_it_is_about_and_its_form_where_its_type_does_not() -> None:
     for option in fields(Protocol):
         assert option.metadata["about"]

@@ -81,6 +81,16 @@ def test_a_wrong_option_is_refused(name: str, option: str) -> None:
             FUNCTIONS[name](X, Y, **{**REQUIRED.get(name, {}), option: value})
 
 
+@pytest.mark.parametrize(
+    ("option", "value"), [("threshold", 1e-3), ("threshold", 1e6), ("share", 1e-3), ("share", 1), ("fps", 0.5)]
+)
+def test_an_option_is_taken_up_to_its_limits(option: str, value: float) -> None:
+    takers = [name for name in sorted(OF_ARRAYS) if option in inspect.signature(FUNCTIONS[name]).parameters]
+    assert takers
+    for name in takers:
+        assert np.isfinite(FUNCTIONS[name](X, Y, **{option: value})[1:]).all()  # no velocity of the first pose
+
+
 @pytest.mark.parametrize("mode", [N, -N - 1, "0", None, 1.0, True])
 def test_a_wrong_index_of_the_mode_is_refused(mode: object) -> None:
     with pytest.raises(PoseDataError, match=rf"^mode: .*; expected the index of one of {N} hypotheses\."):

@@ -29,6 +29,7 @@ ALSO = {
     "posecal/calibration/curve.py": ("test_error.py",),
     "posecal/calibration/ranks.py": ("test_exactness.py",),
     "posecal/metrics/uncertainty.py": ("test_orders.py",),
+    "posecal/registry.py": ("test_own_metrics.py", "test_explain.py"),
 }
 """Test files, wherever they lie, that check every module of a folder, or another one, beside each module's own."""
 

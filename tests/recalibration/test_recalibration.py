@@ -208,6 +208,8 @@ def test_two_arrays_are_fitted_as_pose_data_are() -> None:
     }
     data = PoseData(x, y, **how)
     np.testing.assert_array_equal(fit_spread(x, y, **how).factors, fit_spread(data).factors)
+    assert (fit_spread(data).poses, fit_spread(data).sequences, fit_radius(data).sequences) == (120, 6, 6)
+    assert fit_spread(data.replace(labels={})).sequences == 0
     np.testing.assert_array_equal(fit_radius(x, y, **how).radii, fit_radius(data).radii)
     np.testing.assert_array_equal(held_out_coverage(x, y, **how), held_out_coverage(data))
     assert cross_fitted(x, y, folds=2, **how)[1]["ece"] == cross_fitted(data, folds=2)[1]["ece"]
@@ -328,6 +330,12 @@ def test_coverage_on_held_out_sequences_is_within_its_binomial_tolerance() -> No
     found = held_out_coverage(pairs_of(x, y, labels={"sequence": sequences(M, 60)}), alpha=alpha, folds=4, threads=1)
     low, high = stats.binom(M, 1 - alpha).interval(0.9999)
     assert ((low / M <= found) & (found <= high / M)).all()
+
+
+def test_a_truth_on_the_sphere_is_inside() -> None:
+    x = np.round(skewed(29, 5, 40, 2)[0])
+    y = np.median(x, axis=0) + np.array([64, 0, 0])  # every truth is as far from the median
+    np.testing.assert_array_equal(held_out_coverage(pairs_of(x, y), alpha=0.3, folds=2), [1, 1])
 
 
 def test_held_out_coverage_is_counted_part_by_part() -> None:

@@ -12,11 +12,11 @@ import pytest
 from posecal.calibration.rank_tests import RANK_TESTS, Test
 from posecal.data.skeleton import JOINT_SETS
 from posecal.engine.metric import Family, Metric
-from posecal.engine.protocol import Protocol
+from posecal.engine.protocol import CHOICES, Protocol
 from posecal.engine.scope import DataSpec
 from posecal.errors import PoseDataError
 from posecal.registry import known_metrics, register, unregister
-from posecal.report.explain import EVERYTHING, explain, metrics_table
+from posecal.report.explain import DIRECTIONS, EVERYTHING, explain, metrics_table
 from tests.helpers.reports import report_of
 
 SPEC = DataSpec(
@@ -46,6 +46,12 @@ def test_every_metric_has_its_definition_range_direction_source_and_how_to_read_
 @pytest.mark.parametrize("name", [name for name in KNOWN if name != "span"])
 def test_it_can_be_explained_without_data(name: str) -> None:
     assert explain(name).startswith(f"{name}: ")
+
+
+@pytest.mark.parametrize(("option", "choice"), [(o, choice) for o, choices in CHOICES.items() for choice in choices])
+def test_it_can_be_explained_without_data_whatever_the_options(option: str, choice: str) -> None:
+    for name in ("min_mpjpe", "pck", "cps", "mpjve", "ece", "diversity"):
+        assert explain(name, Protocol().changed({option: choice})).startswith(f"{name}: ")
 
 
 @pytest.mark.parametrize("test", RANK_TESTS, ids=lambda test: test.name)
@@ -156,6 +162,14 @@ def test_the_table_of_a_family_names_each_of_its_metrics_once(family: Family) ->
     names = [name.strip("`") for row in metrics_table(family) for name in row[0].split(", ")]
     known = known_metrics(Protocol(), EVERYTHING)
     assert sorted(names) == sorted(name for name, metric in known.items() if metric.family == family)
+
+
+@pytest.mark.parametrize("family", get_args(Family))
+def test_the_metrics_of_a_row_have_one_unit_and_one_direction(family: Family) -> None:
+    for names, _, unit, direction, _ in metrics_table(family):
+        metrics = [KNOWN[name.strip("`")] for name in names.split(", ")]
+        assert {metric.unit for metric in metrics} == {unit}
+        assert {DIRECTIONS[metric.direction] for metric in metrics} == {direction}
 
 
 def test_a_row_of_a_table_is_of_metrics_that_differ_in_a_prefix_or_a_number() -> None:

@@ -1,0 +1,64 @@
+"""Sums and means of the rows of an array by integer codes, and slices of rows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from posecal.data.arrays import FloatArray
+
+Indices = npt.NDArray[np.intp]
+Cells = Indices | None
+"""Indices of cells, rising; None for all."""
+
+Counts = npt.NDArray[np.number[Any]]
+"""Numbers of poses, or sums of their weights."""
+
+Number = TypeVar("Number", bound=np.generic)
+
+
+def slices(length: int, row_bytes: int, most: int = 64 * 1024 * 1024) -> Iterator[slice]:
+    """Cut rows into slices of at most so many bytes, or of a single row."""
+    step = max(1, most // max(1, row_bytes))
+    return (slice(start, start + step) for start in range(0, length, step))
+
+
+def compact(codes: Indices, cells: Cells) -> tuple[Indices, int]:
+    """Number the codes that occur among some cells 0 … n - 1, in their order; give them with n."""
+    if cells is None:
+        return codes, int(codes.max(initial=-1)) + 1
+    known, renumbered = np.unique(codes[cells], return_inverse=True)
+    return renumbered, len(known)
+
+
+def split_by(codes: Indices, n: int) -> list[Indices]:
+    """Give the rising indices of the rows of each code 0 … n - 1, from one sort."""
+    order = np.argsort(codes, kind="stable")
+    return np.split(order, np.cumsum(np.bincount(codes, minlength=n))[:-1]) if n else []
+
+
+def sum_by(codes: Indices, n: int, values: npt.NDArray[Number]) -> npt.NDArray[Number]:
+    """Sum rows (R, …) by their codes (R,) to (n, …); each code of 0 … n - 1 occurs."""
+    if n == len(codes) and (codes[1:] > codes[:-1]).all():  # they are 0 … n - 1
+        return values
+    total = np.zeros((n, *values.shape[1:]), dtype=values.dtype)
+    if n == len(codes):
+        total[codes] = values
+    else:
+        np.add.at(total, codes, values)
+    return total
+
+
+def mean_of(sums: FloatArray, counts: Counts) -> FloatArray:
+    """Divide sums by counts; NaN where nothing counts."""
+    number = np.where(np.greater(counts, 0), counts, np.nan)
+    return np.asarray(sums / np.expand_dims(number, tuple(range(number.ndim, np.ndim(sums)))))
+
+
+def mean_of_known(values: FloatArray) -> float:
+    """Give the mean of those that are not NaN."""
+    known = values[~np.isnan(values)]
+    return float(known.mean()) if known.size else float("nan")
