@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from fnmatch import fnmatch
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +23,9 @@ from posecal.engine import chunks
 from posecal.engine.merge import merge_totals
 from posecal.engine.protocol import Protocol
 from posecal.engine.totals import Totals
+from posecal.evaluation import evaluate
 from posecal.registry import known_metrics
+from posecal.stats.comparison import compare_totals
 from tests.helpers.random_worlds import World, world
 
 Numbers = dict[str, float]
@@ -258,6 +260,32 @@ def test_a_sequence_of_which_no_joint_counts_is_as_if_it_were_not_there(protocol
     masked = replace(WORLD, where=np.tile(~gone[:, None], (1, len(WORLD.joints))))
     expected = WORLD.select(np.flatnonzero(~gone)).values(PROTOCOLS[protocol])
     hold("without a sequence", protocol, masked.values(PROTOCOLS[protocol]), expected)
+
+
+@pytest.mark.parametrize("average", ["poses", "action"])
+def test_a_sequence_of_which_no_joint_counts_makes_no_interval_narrower(average: str) -> None:
+    r = np.random.default_rng(8)
+    truth = 200 * r.normal(size=(120, 17, 3))
+    sequence, shift = np.arange(120) // 10, 40 * r.normal(size=(12, 1, 1))[np.arange(120) // 10]
+    models = [truth + shift + spread * r.normal(size=(6, 120, 17, 3)) for spread in (50, 70)]
+    labels = {"sequence": sequence, "action": sequence % 3}
+    gone = (sequence % 4 == 1) | (sequence == 8)
+    protocol = Protocol(metrics=("default", "scores"), average=average)
+    report = partial(evaluate, protocol=protocol, joints="h36m-17")
+    where = np.tile(~gone[:, None], (1, 17))
+    masked = [report(x, truth, where=where, labels=labels) for x in models]
+    kept = {name: values[~gone] for name, values in labels.items()}
+    alone = [report(x[:, ~gone], truth[~gone], labels=kept) for x in models]
+    with_interval = [name for name in alone[0].metrics if not np.isnan(alone[0].interval(name)).any()]
+    assert {"mpjpe", "spread_error_correlation", "radius_90", "auc"} <= set(with_interval)
+    for name in with_interval:
+        np.testing.assert_allclose(masked[0].interval(name), alone[0].interval(name), rtol=1e-6, err_msg=name)
+    found, expected = (compare_totals([each.totals for each in some], ["a", "b"]) for some in (masked, alone))
+    for name in ("mpjpe", "ece", "spread_error_correlation", "radius_90"):
+        (one,), (other,) = found.differences_of(name), expected.differences_of(name)
+        np.testing.assert_allclose(
+            [one.low, one.high, one.p], [other.low, other.high, other.p], rtol=1e-6, err_msg=name
+        )
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)

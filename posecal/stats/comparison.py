@@ -17,14 +17,14 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from posecal.data.arrays import FloatArray
+from posecal.data.arrays import BoolArray, FloatArray
 from posecal.engine.metric import SUM_OF_TRUE_POSES, Metric
 from posecal.engine.sums import sum_by
-from posecal.engine.totals import Totals, difference_of_signatures
+from posecal.engine.totals import Totals, difference_of_signatures, different_metrics
 from posecal.errors import PoseDataError, did_you_mean, option
 from posecal.registry import metrics_of
-from posecal.stats.jackknife import Interval, jackknife, leave_one_out, paired_p
-from posecal.stats.resampling import LEVEL, Null, holm
+from posecal.stats.jackknife import Interval, counting_sequences, jackknife, leave_one_out, paired_p
+from posecal.stats.resampling import LEVEL, MIN_SEQUENCES, Null, holm
 from posecal.stats.uncertainty import null
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ class Comparison:
         """Give the 95 % interval of a model's number; NaN for calibration errors, which have none."""
         if self._find(metric, model)[0].deviation is not None:
             return Interval(math.nan, math.nan, math.nan, 0)
-        return jackknife(self.value(metric, model), self._without(metric, model))
+        return jackknife(self.value(metric, model), self._without(metric, model), self._present(metric, model))
 
     def differences_of(self, metric: str) -> tuple[Difference, ...]:
         """Give the differences of every pair of models for one metric."""
@@ -134,8 +134,18 @@ class Comparison:
         return min(self._null(metric, name).high for name in self.names)
 
     def calibrated(self, metric: str = "ece") -> list[str]:
-        """Name the models whose calibration error is not beyond what chance would show them."""
-        return [name for name in self.names if self._null(metric, name).p >= LEVEL]
+        """Name the models whose calibration error is not beyond what chance would show them.
+
+        Raises
+        ------
+        PoseDataError
+            With too few sequences for a test, and for a metric that has none.
+        """
+        p = {name: self._null(metric, name).p for name in self.names}
+        if any(math.isnan(value) for value in p.values()):
+            units = self.totals[0].units()
+            raise PoseDataError(f"calibrated: {metric} has no test on {units}; expected at least {MIN_SEQUENCES}.")
+        return [name for name, value in p.items() if value >= LEVEL]
 
     def rank(self, metric: str, model: str) -> int:
         """Give a model's rank: 1 and how many are better beyond chance."""
@@ -185,8 +195,15 @@ class Comparison:
         one, totals = self._find(metric, model)
         return self._once(("without", metric, model), lambda: leave_one_out(totals, one))
 
+    def _present(self, metric: str, model: str) -> BoolArray:
+        one, totals = self._find(metric, model)
+        return self._once(("present", metric, model), lambda: counting_sequences(totals, one))
+
     def _null(self, metric: str, model: str) -> Null:
         one, totals = self._find(metric, model)
+        if one.deviation is None:
+            tested = [name for name, other in self.metrics.items() if other.deviation is not None]
+            raise PoseDataError(f"test: {metric} is no calibration error or rank test. {did_you_mean(metric, tested)}")
         return self._once(("null", metric, model), lambda: null(totals, one))
 
     def _compare(self, metric: str) -> list[Difference]:
@@ -196,7 +213,8 @@ class Comparison:
         if direction == "zero":  # nearer to 0 is better: the distances from it are compared
             values, without = [abs(value) for value in values], [np.abs(some) for some in without]
         pairs = list(combinations(range(len(names)), 2))
-        intervals = [jackknife(values[a] - values[b], without[a] - without[b]) for a, b in pairs]
+        present = np.any([self._present(metric, name) for name in names], axis=0)
+        intervals = [jackknife(values[a] - values[b], without[a] - without[b], present) for a, b in pairs]
         differences = []
         for (a, b), interval, p in zip(pairs, intervals, holm([paired_p(each) for each in intervals]), strict=True):
             better = None
@@ -239,10 +257,14 @@ def compare_totals(totals: Sequence[Totals], names: Sequence[str]) -> Comparison
     first = totals[0]
     for name, other in zip(names[1:], totals[1:], strict=True):
         if other.signature != first.signature:
+            differ_in_n = other.spec.n_hypotheses != first.spec.n_hypotheses
+            hint = f"; {option('n_hypotheses')} takes as many hypotheses of each" if differ_in_n else ""
             raise PoseDataError(
                 f"{names[0]} and {name} were not made alike: {difference_of_signatures(first, other)}. "
-                f"Evaluate both with the same options; {option('n_hypotheses')} takes as many hypotheses of each."
+                f"Evaluate both with the same options{hint}."
             )
+        if metrics := different_metrics(first, other):
+            raise PoseDataError(f"{names[0]} and {name} define {metrics} differently; expected the same metrics.")
         _check_same_poses(first, other, names[0], name)
     return Comparison(tuple(names), tuple(totals))
 

@@ -68,6 +68,17 @@ def leave_one_out(totals: Totals, metric: Metric, cells: Cells = None) -> FloatA
     return _averaged_without(totals, metric, cells)
 
 
+def counting_sequences(totals: Totals, metric: Metric, cells: Cells = None) -> BoolArray:
+    """Say which of the sequences of :func:`leave_one_out` have a pose that counts in a metric, (S,)."""
+    sequence, S = compact(totals.sequence_of, cells)
+    if metric.statistic.per_pose:
+        cell_of = totals.cell_of[totals.known_poses(metric.statistic, cells)]
+        of_cell = cell_of if cells is None else np.searchsorted(cells, cell_of)
+        return np.bincount(sequence[of_cell], minlength=S) > 0
+    counts = totals.of_cells(metric.statistic, cells)[1].reshape(len(sequence), -1)
+    return np.bincount(sequence[(counts > 0).any(axis=1)], minlength=S) > 0
+
+
 def joint_leave_one_out(totals: Totals, metric: Metric, cells: Cells = None) -> tuple[FloatArray, BoolArray]:
     """Compute a metric at each joint with each sequence left out in turn, (S, K), and where the joint counts."""
     if metric.by_joint is None:
@@ -223,7 +234,7 @@ def _student(freedom: int) -> float:
     return float(stdtrit(freedom, 0.975))
 
 
-def jackknife(value: float, without: FloatArray) -> Interval:
+def jackknife(value: float, without: FloatArray, present: BoolArray | None = None) -> Interval:
     r"""Interval of a number from its values with each sequence left out.
 
     .. math:: \hat\theta \pm t_{S-1}\, \sqrt{\tfrac{S-1}{S} \sum_s (\hat\theta_{(s)} - \bar\theta_{(\cdot)})^2}
@@ -234,6 +245,8 @@ def jackknife(value: float, without: FloatArray) -> Interval:
         The number over all sequences.
     without : array (S,)
         The number with each sequence left out.
+    present : bool array (S,), optional
+        Whether the sequence has a pose that counts; those without one are as if they were not there.
 
     Returns
     -------
@@ -257,6 +270,7 @@ def jackknife(value: float, without: FloatArray) -> Interval:
     >>> round(interval.error, 6), round(interval.high, 3)
     (1.0, 14.706)
     """
+    without = without if present is None else without[present]
     sequences = len(without)
     if np.isnan(value) or not sequences:
         return Interval(np.nan, np.nan, np.nan, sequences)

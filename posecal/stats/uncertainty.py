@@ -11,11 +11,18 @@ from posecal.data.arrays import FloatArray
 from posecal.engine.metric import Metric, Statistic
 from posecal.engine.sums import Cells, Counts, slices
 from posecal.engine.totals import Totals
-from posecal.stats.jackknife import Interval, jackknife, jackknife_columns, joint_leave_one_out, leave_one_out
+from posecal.stats.jackknife import (
+    Interval,
+    counting_sequences,
+    jackknife,
+    jackknife_columns,
+    joint_leave_one_out,
+    leave_one_out,
+)
 from posecal.stats.resampling import LEVEL, Null, counting, n_patterns, sign_flips, sign_flips_of_each, thin
 
 
-def interval(totals: Totals, metric: Metric, cells: Cells = None) -> Interval:
+def interval(totals: Totals, metric: Metric, cells: Cells = None, value: float | None = None) -> Interval:
     """Compute the 95 % interval of a metric over the sequences among some cells.
 
     Parameters
@@ -26,14 +33,17 @@ def interval(totals: Totals, metric: Metric, cells: Cells = None) -> Interval:
         A mean or anything finished from means; not a calibration error, which is never below 0 and has a
         :func:`null` instead.
     cells : array of int, optional
-        Indices of the cells whose sequences count; all by default.
+        Indices of the cells; all by default. Sequences without a pose that counts are left out.
+    value : float, optional
+        The metric over these cells, where it is known.
 
     Returns
     -------
     Interval
-        NaN ends where there are fewer than two sequences.
+        NaN ends where fewer than two sequences have poses that count.
     """
-    return jackknife(totals.value(metric, cells), leave_one_out(totals, metric, cells))
+    value = totals.value(metric, cells) if value is None else value
+    return jackknife(value, leave_one_out(totals, metric, cells), counting_sequences(totals, metric, cells))
 
 
 def joint_intervals(totals: Totals, metric: Metric, cells: Cells = None) -> tuple[FloatArray, FloatArray]:
