@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-import torch
 
 from posecal.data.file_array import FileArray
 from posecal.data.pose_data import PoseData
@@ -84,24 +83,9 @@ def test_one_side_may_be_a_file_and_the_other_an_array(tmp_path: Path, kind: Any
     same(PoseData(hypotheses(), kind(truth_file(tmp_path))), expected)
 
 
-def test_tensors_and_lists_are_arrays() -> None:
-    expected = PoseData(hypotheses(), truth(), where=~OCCLUDED, scores=SCORES, occluded=OCCLUDED, frame_id=range(M))
-    tensors = PoseData(
-        torch.tensor(hypotheses(), requires_grad=True),
-        torch.tensor(truth()),
-        where=torch.tensor(~OCCLUDED),
-        scores=torch.tensor(SCORES, requires_grad=True),
-        occluded=torch.tensor(OCCLUDED),
-        frame_id=torch.arange(M),
-    )
-    same(tensors, expected)
-    same(PoseData(hypotheses().tolist(), truth().tolist()), PoseData(hypotheses().astype("f8"), truth().astype("f8")))
-
-
-def test_a_half_precision_tensor_is_measured_in_single() -> None:
-    data = PoseData(torch.tensor(hypotheses()).bfloat16(), torch.tensor(truth()).half())
-    assert coordinates(data).dtype == data.truth.dtype == np.float32
-    np.testing.assert_allclose(coordinates(data), hypotheses(), atol=4)  # eight bits of up to 1,024 mm
+def test_lists_are_arrays() -> None:
+    of_lists = PoseData(hypotheses().tolist(), truth().tolist())
+    same(of_lists, PoseData(hypotheses().astype("f8"), truth().astype("f8")))
 
 
 # --- what is declared -----------------------------------------------------------------------------------------
@@ -401,7 +385,7 @@ def complete() -> PoseData:
     return data.replace(reference=data, usable=OCCLUDED)
 
 
-@pytest.mark.parametrize("poses", [np.array([5, 1]), [5, 1], np.array([-2, -6]), torch.tensor([5, 1])])
+@pytest.mark.parametrize("poses", [np.array([5, 1]), [5, 1], np.array([-2, -6])])
 def test_selected_poses_are_those_of_every_attribute(poses: Any) -> None:
     data, rows = complete(), [5, 1]
     part = data.select(poses)
