@@ -272,8 +272,8 @@ def _summary_of(reports: Mapping[str, Report]) -> Sheet:
     ]
     best = min(reports, key=lambda name: reports[name]["min_mpjpe"])
     notice = (
-        f"the {best} sampler has the best minMPJPE. A benchmark that ranks by minMPJPE prefers a model whose balls for "
-        f"9 truths in 10 hold {10 * reports[best]['coverage_90']:.1f} in 10."
+        f"the {best} sampler has the best minMPJPE. A benchmark that ranks by minMPJPE prefers a model whose 90 % "
+        f"balls hold {100 * reports[best]['coverage_90']:.0f} % of the truths."
     )
     return Sheet(
         "That was the calibrated sampler. All three, and what posecal says of them",

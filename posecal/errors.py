@@ -14,14 +14,21 @@ from __future__ import annotations
 import json
 import re
 import shlex
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Container, Iterable, Sequence
 from difflib import get_close_matches
+from numbers import Integral
 from typing import Any, TypeVar
 
 T = TypeVar("T")
 
 _OPTION = re.compile("\ue000([^\ue001]*)\ue001([^\ue002]*)\ue002")
 """An option in a message: as a parameter and as a flag, between private characters of Unicode."""
+
+_SEPARATORS = re.compile(r"[-_@\s]")
+"""Characters that don't count where a misspelt name is compared with the known ones."""
+
+_MOST_NAMED = 12
+"""How many known names a message has at most."""
 
 _FLAGS = {
     "joints": "--joint-names",
@@ -31,6 +38,7 @@ _FLAGS = {
     "preranks": "--prerank",
     'metrics="scores"': "--scores",
     'metrics="rank_tests"': "--rank-tests",
+    "by_joint=True": "a Metric made with by_joint=True",
 }
 """Flags that are called otherwise than their parameters, or than a parameter with a value."""
 
@@ -148,14 +156,86 @@ def raise_all(problems: Iterable[str | PosecalError], error: type[PosecalError] 
         raise raised
 
 
+def checked_type(value: object, name: str, kind: type[T]) -> T:
+    """Give a value that is of a class.
+
+    Parameters
+    ----------
+    value : object
+        What was passed.
+    name : str
+        What messages call it.
+    kind : type
+        The class.
+
+    Returns
+    -------
+    object
+        The same value.
+
+    Raises
+    ------
+    PoseDataError
+        For a value of another class.
+    """
+    if not isinstance(value, kind):
+        raise PoseDataError(f"{name}: {type(value).__name__}; expected {kind.__name__}.")
+    return value
+
+
+def checked_integer(value: object, name: str, least: int) -> int:
+    """Give a whole number that is not too small.
+
+    Parameters
+    ----------
+    value : object
+        What was passed.
+    name : str
+        What messages call it.
+    least : int
+        The smallest that is allowed.
+
+    Returns
+    -------
+    int
+        The number.
+
+    Raises
+    ------
+    PoseDataError
+        For anything else.
+    """
+    if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
+        raise PoseDataError(f"{name}: {value!r}; expected a whole number, at least {least}.")
+    return int(value)
+
+
 def first_few(items: Sequence[object], few: int = 3) -> str:
     """Name the first few of many, for a message: ``a, b, c and 9 more``."""
     shown = ", ".join(str(item) for item in items[:few])
     return shown if len(items) <= few else f"{shown} and {len(items) - few:,} more"
 
 
-def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """End a message with the nearest known word, or with all of them when none is near."""
+def is_among(word: object, known: Container[object]) -> bool:
+    """Whether a word, or None, is known; nothing else is, hashable or not."""
+    return (word is None or isinstance(word, str)) and word in known
+
+
+def did_you_mean(word: object, known: Iterable[str]) -> str:
+    """End a message with the nearest known word, or with the known ones when none is near.
+
+    Case and the characters ``_``, ``-``, ``@`` and space don't count. More than twelve words are sorted and cut.
+
+    Examples
+    --------
+    >>> did_you_mean("minMPJPE", ["ece", "min_mpjpe"]), did_you_mean("x", ["ece", "min_mpjpe"])
+    ('Did you mean min_mpjpe?', 'Known: ece, min_mpjpe.')
+    """
     known = list(known)
-    near = get_close_matches(word, known, n=1)
-    return f"Did you mean {near[0]}?" if near else f"Known: {', '.join(known) or 'none'}."
+    plain = {_SEPARATORS.sub("", name).lower(): name for name in sorted(known, reverse=True)}
+    near = get_close_matches(_SEPARATORS.sub("", str(word)).lower(), plain, n=1)
+    if near:
+        return f"Did you mean {plain[near[0]]}?"
+    if len(known) > _MOST_NAMED:
+        return f"Known: {', '.join(sorted(known)[:_MOST_NAMED])}, …, and {len(known) - _MOST_NAMED} more."
+    return f"Known: {', '.join(known) or 'none'}."

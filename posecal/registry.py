@@ -12,7 +12,7 @@ from posecal.data.skeleton import JOINT_SETS
 from posecal.engine.metric import SUM_OF_TRUE_POSES, Curve, Metric, Statistic
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec, Scope
-from posecal.errors import PoseDataError, did_you_mean, raise_all
+from posecal.errors import PoseDataError, did_you_mean, option, raise_all
 from posecal.metrics.best_of import ROUND_SIZES, subset_curve, subset_metrics
 from posecal.metrics.brier import brier_metrics
 from posecal.metrics.cps import cps_curve, cps_metrics
@@ -27,6 +27,9 @@ from posecal.metrics.velocity import velocity_metrics
 
 GROUPS = ("default", "rank_tests", "scores", "all")
 """Words that stand for several metrics."""
+
+_BESIDE_TESTS = ("null", "null_95", "p", "p_adjusted", "floor", "floor_95")
+"""Endings of the names of numbers that a report gives beside calibration errors and rank tests."""
 
 _REGISTERED: dict[str, Metric] = {}
 
@@ -49,7 +52,8 @@ def register(metric: Metric, /, *, replace: bool = False) -> Metric:
     Raises
     ------
     PoseDataError
-        For what is no metric, and for a name that one of posecal's metrics has, or another registered one.
+        For what is no metric, for a name of :func:`reserved_names` or of another registered one, and for a name that
+        can't be a column's.
 
     Examples
     --------
@@ -64,8 +68,10 @@ def register(metric: Metric, /, *, replace: bool = False) -> Metric:
     """
     if not isinstance(metric, Metric):
         raise PoseDataError(f"metric: {type(metric).__name__}; expected a Metric, such as Metric.from_function gives.")
-    if metric.name in _known_anywhere():
+    if metric.name in reserved_names():
         raise PoseDataError(f"metric: {metric.name} is one of posecal's own names; expected another.")
+    if not metric.name.isidentifier():
+        raise PoseDataError(f"metric: {metric.name!r}; expected a name of letters, digits and underscores.")
     if metric.name in _REGISTERED and not replace:
         raise PoseDataError(f"metric: {metric.name} is registered already; pass replace=True to replace it.")
     _REGISTERED[metric.name] = metric
@@ -93,6 +99,11 @@ def unregister(name: str, /) -> None:
 def registered_metrics() -> tuple[Metric, ...]:
     """Give the metrics that the user registered, in that order."""
     return tuple(_REGISTERED.values())
+
+
+def registered_as(what: object) -> Metric | None:
+    """Give the registered metric that this is, or that was made of this function; None where there is none."""
+    return next((metric for metric in _REGISTERED.values() if metric is what or metric.function is what), None)
 
 
 def known_metrics(
@@ -131,10 +142,18 @@ def known_metrics(
         found += [*calibration_metrics(scope), *rank_test_metrics(scope, preranks)]
         found += [*score_metrics(scope), *brier_metrics(scope), *skill_metrics(scope)]
         found += [*sharpness_metrics(scope), *uncertainty_metrics(scope)]
-    found += [_REGISTERED.get(metric.name, metric) for metric in own]
+    found += [_with_functions(metric) for metric in own]
     if protocol.average != "poses":
         found = [changed(metric, definition=f"{metric.definition}; {_averaged(metric, protocol)}") for metric in found]
     return {metric.name: metric for metric in found}
+
+
+def _with_functions(metric: Metric) -> Metric:
+    """Give a metric that was loaded without its functions as it is registered, where both are described alike."""
+    registered = _REGISTERED.get(metric.name)
+    if registered is None or not metric.lacks_functions or registered.description != metric.description:
+        return metric
+    return registered
 
 
 def _averaged(metric: Metric, protocol: Protocol) -> str:
@@ -190,24 +209,43 @@ def metrics_of(
 
 
 def check_names(protocol: Protocol, own: Collection[str] = ()) -> None:
-    """Refuse names of metrics that no data could make known.
+    """Refuse names of metrics that no data could make known, and pre-ranks whose names are another number's.
 
     Parameters
     ----------
     protocol : Protocol
         The options.
     own : collection of str
-        Names of the user's own metrics.
+        Names of the user's own pre-ranks.
 
     Raises
     ------
     PoseDataError
         For the names, all at once.
     """
-    known = [*_known_anywhere(), *_REGISTERED, *GROUPS, *own]
+    beside = {f"{name}_{ending}" for name in own for ending in _BESIDE_TESTS}
+    raise_all(
+        f"preranks: {name!r}; expected a name of letters, digits and underscores, of no other number."
+        for name in own
+        if not str(name).isidentifier() or name in reserved_names() | _REGISTERED.keys() | beside
+    )
+    known = sorted({*_known_anywhere(), *_REGISTERED, *GROUPS, *own})
     unknown = [word for word in protocol.wanted if word not in known]
     if unknown:
         raise PoseDataError(f"metrics: {', '.join(unknown)} not known. {did_you_mean(unknown[0], known)}")
+
+
+@cache
+def reserved_names() -> frozenset[str]:
+    """Give the names that no metric and no pre-rank of the user's can have.
+
+    Returns
+    -------
+    frozenset of str
+        Those of posecal's metrics, of :data:`GROUPS`, and of the numbers beside metrics, such as ``ece_p``.
+    """
+    beside = {f"{name}_{ending}" for name in _known_anywhere() for ending in _BESIDE_TESTS}
+    return frozenset({*_known_anywhere(), *GROUPS, *beside, "effective_poses", "squared_error"})
 
 
 @cache
@@ -221,6 +259,15 @@ def _known_anywhere() -> frozenset[str]:
         reference="another",
     )
     return frozenset(known_metrics(Protocol(), spec))
+
+
+def unmeasured(name: str, protocol: Protocol, spec: DataSpec) -> str:
+    """Say how to measure a metric that the data allow and that a protocol does not ask for; nothing for others."""
+    metric = known_metrics(protocol, spec).get(name)
+    if metric is None:
+        return ""
+    more = metric.family if metric.family in GROUPS else name
+    return f"was not measured. Evaluate with {option('metrics', ', '.join([*protocol.wanted, more]))}."
 
 
 def _lacks(name: str, spec: DataSpec, known: dict[str, Metric]) -> str:

@@ -137,6 +137,7 @@ def test_it_notes_that_the_best_benchmark_number_goes_to_the_wrong_sampler(run: 
     winner = min(best, key=lambda name: best[name])
     assert winner != "calibrated"
     assert f"Notice: the {winner} sampler has the best minMPJPE." in text
+    assert re.search(r"a model whose 90 % balls hold \d+ % of the truths\.", " ".join(text.split()))
 
 
 def test_it_shows_the_commands_that_a_user_would_type(run: tuple[Path, str]) -> None:

@@ -7,6 +7,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 
 import pytest
@@ -109,6 +110,12 @@ def test_no_heading_is_a_question(page: Path) -> None:
     text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
     headings = re.findall(r"^#+ (.*)", text, re.MULTILINE)
     assert [heading for heading in headings if "?" in heading] == []
+
+
+def test_the_loop_in_two_processes_is_the_one_that_its_test_runs() -> None:
+    helper = (ROOT / "tests/helpers/two_ranks.py").read_text(encoding="utf-8")
+    code = textwrap.dedent(helper.split("# docs: begin\n")[1].split("    # docs: end")[0])
+    assert f"```py\n{code}```" in (DOCS / "training-loop.md").read_text(encoding="utf-8")
 
 
 def test_every_page_is_in_the_index() -> None:

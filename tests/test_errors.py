@@ -146,6 +146,9 @@ def test_many_things_are_named_by_the_first_and_their_number(items: list[object]
         ("mpjp", ["pck", "mpjpe"], "Did you mean mpjpe?"),
         ("xyz", ["pck", "mpjpe"], "Known: pck, mpjpe."),
         ("xyz", [], "Known: none."),
+        ("minMPJPE", ["mpjpe", "min_mpjpe", "median_mpjpe"], "Did you mean min_mpjpe?"),
+        ("PCK@150-mm", ["pck", "pck_150_mm"], "Did you mean pck_150_mm?"),
+        ("xyz", [*"mlkjihgfedcba"], "Known: a, b, c, d, e, f, g, h, i, j, k, l, …, and 1 more."),
     ],
 )
 def test_a_misspelt_word_is_answered_with_the_nearest_or_all(word: str, known: list[str], words: str) -> None:

@@ -109,6 +109,44 @@ def test_names_of_posecal_s_own_metrics_can_not_be_taken(name: str) -> None:
         posecal.register(Metric.from_function(depth_error, name=name), replace=True)
 
 
+@pytest.mark.parametrize(
+    "name", ["all", "default", "scores", "rank_tests", "ece_p", "ece_null", "tarp_p_adjusted", "effective_poses"]
+)
+def test_names_of_groups_and_of_numbers_beside_metrics_can_not_be_taken(name: str) -> None:
+    with pytest.raises(PoseDataError, match=rf"^metric: {name} is one of posecal's own names; expected another\."):
+        posecal.register(Metric.from_function(depth_error, name=name))
+    with pytest.raises(PoseDataError, match=rf"^preranks: '{name}'; expected a name of letters, digits and under"):
+        posecal.Evaluation(preranks={name: lambda pool: pool[:, 0, 0]})
+
+
+@pytest.mark.parametrize("name", ["ece", "depth_error", "two words", "", "a_p"])
+def test_a_pre_rank_has_a_name_of_its_own(name: str) -> None:
+    posecal.register(DEPTH)
+    with pytest.raises(PoseDataError, match=rf"^preranks: '{name}'; expected a name of letters, digits and under"):
+        posecal.Evaluation(preranks={"a": lambda pool: pool[:, 0, 0], name: lambda pool: pool[:, 0, 0]})
+
+
+def test_a_metric_s_name_can_be_a_column_s() -> None:
+    with pytest.raises(PoseDataError, match=r"^metric: 'two words'; expected a name of letters, digits and under"):
+        posecal.register(replace(RMS, name="two words"))
+
+
+def test_a_report_keeps_its_metric_when_another_is_registered_under_its_name(some: World, tmp_path: Path) -> None:
+    posecal.register(RMS)
+    report = posecal.evaluate(some.pairs)
+    report.save(tmp_path / "result.npz")
+    value = report["rms"]
+    posecal.register(replace(RMS, unit="cm", definition="another", finish=np.square), replace=True)
+    again = posecal.Report(report.totals)
+    assert (again["rms"], again.metrics["rms"].unit, again.definition("rms")) == (value, "mm", RMS.definition)
+    saved = posecal.Report(posecal.load_totals(tmp_path / "result.npz"))
+    assert saved.definition("rms") == RMS.definition
+    with pytest.raises(PoseDataError, match=r"^metric: the functions of rms are not available here"):
+        saved["rms"]
+    posecal.register(RMS, replace=True)
+    assert posecal.Report(saved.totals)["rms"] == value
+
+
 @pytest.mark.parametrize("what", [depth_error, "mpjpe", None])
 def test_what_is_no_metric_is_not_registered(what: Any) -> None:
     with pytest.raises(PoseDataError, match=r"^metric: \w+; expected a Metric, such as Metric\.from_function gives\."):
@@ -314,8 +352,21 @@ def test_shards_merge_with_it(some: World) -> None:
     assert merged["rms"] == pytest.approx(report_rms(some), rel=1e-9)
     posecal.unregister("rms")
     other = posecal.evaluate(some.select(np.arange(17, 40)).pairs).totals
-    with pytest.raises(PoseDataError, match=r"part 1 and part 2 differ in what they hold: squares\."):
+    with pytest.raises(PoseDataError, match=r"result were asked for different metrics \(sums in one only: squares\)"):
         posecal.merge_totals([parts[0], other])
+
+
+def test_metrics_that_are_described_otherwise_are_neither_merged_nor_compared(some: World) -> None:
+    posecal.register(DEPTH)
+    parts = [some.select(part).pairs for part in np.split(np.arange(40), [17])]
+    whole, first = posecal.evaluate(some.pairs), posecal.evaluate(parts[0])
+    posecal.register(replace(DEPTH, definition="another"), replace=True)
+    again, second = posecal.evaluate(some.pairs), posecal.evaluate(parts[1])
+    with pytest.raises(PoseDataError, match=r"result define depth_error differently; expected the same metrics\.$"):
+        posecal.merge_totals([first.totals, second.totals])
+    with pytest.raises(PoseDataError, match=r"^a and b define depth_error differently; expected the same metrics\.$"):
+        posecal.compare({"a": whole, "b": again})
+    assert posecal.compare({"a": again, "b": pickle.loads(pickle.dumps(again))}).metrics["depth_error"]
 
 
 @pytest.mark.parametrize("metric", [DEPTH, RMS], ids=["depth", "rms"])

@@ -17,14 +17,17 @@ from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec
 from posecal.errors import PoseDataError
 from posecal.registry import (
+    GROUPS,
     check_names,
     curves_of,
     known_metrics,
     metrics_of,
     occlusion_metrics_of,
+    reserved_names,
     statistics_of,
     wants_reference,
 )
+from posecal.report.table import auxiliary_rows
 from posecal.stats.resampling import sign_flips
 
 Array = np.ndarray
@@ -140,6 +143,7 @@ def test_min_mpjpe_is_given_at_round_numbers_up_to_n() -> None:
 @pytest.mark.parametrize(
     ("names", "spec", "words"),
     [
+        ("minMPJPE", PERSON, r"metrics: minMPJPE is not known\. Did you mean min_mpjpe\?"),
         ("min_mpjep", PERSON, r"metrics: min_mpjep is not known\. Did you mean min_mpjpe\?"),
         (
             "mpjve",
@@ -223,6 +227,12 @@ def test_statistics_are_those_of_the_metrics_and_of_the_curves_of_a_whole_report
     assert len(names) == len(needed)
     by_occlusion = {statistic.name for statistic in statistics_of(protocol, person, ["action", "occlusion"])}
     assert by_occlusion == needed | {"occlusion_inside", "occlusion_errors", "occlusion_radii"}
+
+
+def test_every_number_of_a_report_of_everything_has_a_reserved_name() -> None:
+    spec = replace(PERSON, has_occlusion=True, reference="climatology", n_reference=6)
+    known = known_metrics(Protocol(), spec)
+    assert {*known, *auxiliary_rows(known), *GROUPS} <= reserved_names()
 
 
 # --- many means at once ----------------------------------------------------------------------------------------------

@@ -116,10 +116,8 @@ def joint_median(curves: FloatArray) -> FloatArray:
     ordered = np.sort(curves, axis=-2)  # NaN last
     known = (~np.isnan(ordered[..., 0])).sum(axis=-1)
     middle = np.stack([(known - 1) // 2, known // 2], axis=-1)
-    if (known == joints).all():
-        pair = ordered[..., ends, :]
-    else:
-        pair = np.take_along_axis(ordered, np.maximum(middle, 0)[..., None], axis=-2)
+    every = (known == joints).all()
+    pair = ordered[..., ends, :] if every else np.take_along_axis(ordered, middle[..., None], axis=-2)
     return np.asarray((pair[..., 0, :] + pair[..., 1, :]) / 2)
 
 

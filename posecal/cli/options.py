@@ -137,11 +137,13 @@ def register_all(entries: list[str] | None) -> tuple[str, ...]:
     """Register metrics of the user's files, and give their names."""
     from posecal.engine.metric import Metric
     from posecal.engine.user_code import load_function
-    from posecal.registry import register
+    from posecal.registry import register, registered_as
 
     loaded = [load_function(entry, "metric", Metric) for entry in entries or []]
-    metrics = [m if isinstance(m, Metric) else Metric.from_function(m, name=name) for name, m in loaded]
-    return tuple(register(metric).name for metric in metrics)
+    metrics = [
+        registered_as(m) or (m if isinstance(m, Metric) else Metric.from_function(m, name=name)) for name, m in loaded
+    ]
+    return tuple((registered_as(metric) or register(metric)).name for metric in metrics)
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec
 from posecal.engine.threads import run_in_order
 from posecal.engine.totals import Totals
+from posecal.errors import PoseDataError, first_few, option
 
 Progress = Callable[[int], object]
 Pending = Literal["rest", "none", "all"]
@@ -116,9 +117,17 @@ class Accumulator:
         self._pending: list[Chunk] = []  # poses that wait for the next ones, in memory of their own
         self._length = self._measured = self._given = 0
         self._before: Chunk | None = None  # the pose before the pending ones
-        self._last_sequence: str | None = None
+        self._last_sequence: str | None = None  # of the pose that came last, None where it does not count
+        self._failure = ""  # what stopped a batch when some of it was counted
 
-    def add(self, data: PoseData, progress: Progress | None = None, *, pending: Pending = "rest") -> None:
+    def add(
+        self,
+        data: PoseData,
+        progress: Progress | None = None,
+        *,
+        pending: Pending = "rest",
+        n_given: int | None = None,
+    ) -> None:
         """Add poses.
 
         Parameters
@@ -129,12 +138,29 @@ class Accumulator:
             Called with the number of poses that are done.
         pending : str
             Which of them wait for the next ones: the ``rest`` that fills no block, ``none``, or ``all``.
+        n_given : int, optional
+            How many poses came, those among them that don't count; as many by default.
 
         Raises
         ------
         PoseDataError
-            For coordinates that are not finite.
+            For sequences that ``prepared`` lacks, coordinates that are not finite, and after a failure.
+
+        Notes
+        -----
+        A failure while poses are measured leaves some of them counted. Then nothing more is added or given.
         """
+        self._refuse_after_failure()
+        numbers = self._sequence_numbers(data)
+        try:
+            self._add(data, numbers, progress, pending)
+        except BaseException as error:  # an interrupt as well
+            self._failure = f"{type(error).__name__}: {error}".strip(": ")
+            raise
+        is_last = n_given is None or int(data.order[-1]) == n_given - 1
+        self._last_sequence = str(data.labels["sequence"][-1]) if is_last and "sequence" in data.labels else None
+
+    def _add(self, data: PoseData, numbers: Indices, progress: Progress | None, pending: Pending) -> None:
         most = max(data.shape[0], 0 if data.reference is None else data.reference.shape[0])
         self._length = self._length or block_length((most, *data.shape[1:]), data.hypotheses.read(0, 1).dtype)
         cells, moved = self._index.assign(data.labels, len(data.truth))
@@ -143,7 +169,7 @@ class Accumulator:
         first, measured_before = self._measured + self.n_pending, self._measured
         bad: list[Indices] = []
         bad_of_reference: list[Indices] = []
-        for measured in self._measure(self._blocks_of_more(self._located(data, cells), pending)):
+        for measured in self._measure(self._blocks_of_more(self._located(data, cells, numbers), pending)):
             bad.append(measured.non_finite)
             bad_of_reference.append(measured.non_finite_of_reference)
             if progress is not None:
@@ -155,7 +181,14 @@ class Accumulator:
         self._remarks |= dict.fromkeys(data.remarks)
 
     def totals(self) -> Totals:
-        """Give the sums of all poses so far; more may be added afterwards."""
+        """Give the sums of all poses so far; more may be added afterwards.
+
+        Raises
+        ------
+        PoseDataError
+            After a batch that failed part way.
+        """
+        self._refuse_after_failure()
         final = copy.copy(self)
         final._sums = {name: (sums.copy(), counts.copy()) for name, (sums, counts) in self._sums.items()}
         final._poses = self._poses.copy()
@@ -166,18 +199,20 @@ class Accumulator:
         cells = self._index.cells
         n = len(cells["sequence"])
         final._grow(n)
+        used = np.flatnonzero(final._poses[:n])  # none of a cell's poses may be left after select_pending
+        number = np.cumsum(final._poses[:n] > 0) - 1
         return Totals(
             spec=self.spec,
             protocol=self.protocol,
             version=posecal.__version__,
-            cells=cells,
-            poses=final._poses[:n],
+            cells={name: values[used] for name, values in cells.items()},
+            poses=final._poses[used],
             remarks=tuple(self._remarks),
             has_sequences=self._index.has_sequences,
-            sums={name: sums[:n] for name, (sums, _) in final._sums.items()},
-            counts={name: counts[:n] for name, (_, counts) in final._sums.items()},
+            sums={name: sums[used] for name, (sums, _) in final._sums.items()},
+            counts={name: counts[used] for name, (_, counts) in final._sums.items()},
             per_pose={name: np.concatenate(parts) for name, parts in final._per_pose.items()},
-            cell_of=np.concatenate(final._cell_of) if final._per_pose else np.zeros(0, dtype=np.intp),
+            cell_of=number[np.concatenate(final._cell_of)] if final._per_pose else np.zeros(0, dtype=np.intp),
             own_metrics=self.own_metrics,
         )
 
@@ -188,6 +223,12 @@ class Accumulator:
             follows = poses.follows & np.concatenate([[True], chosen[:-1]])
             poses = replace(poses, follows=follows).select(np.flatnonzero(chosen))
             self._pending = [poses] if len(poses) else []
+            if not chosen[-1]:
+                self._last_sequence = None
+
+    def end_run(self) -> None:
+        """Let the next pose follow none, because poses came in between that don't count."""
+        self._last_sequence = None
 
     @property
     def n_pending(self) -> int:
@@ -202,17 +243,37 @@ class Accumulator:
         other.__dict__.update(self.__dict__)
         return other
 
+    def _refuse_after_failure(self) -> None:
+        if self._failure:
+            raise PoseDataError(
+                f"evaluation: a batch failed part way ({self._failure}), so that some of it is counted; expected "
+                "reset() and all batches anew."
+            )
+
     # --- blocks
 
-    def _located(self, data: PoseData, cells: Indices) -> Iterator[Chunk]:
+    def _sequence_numbers(self, data: PoseData) -> Indices:
+        """Give the numbers of the poses' sequences in the coordinate range, (m,)."""
+        if self._prepared is None or "sequence" not in data.labels:
+            if self._prepared is not None and self._prepared.sequences:
+                raise PoseDataError(
+                    f"sequence: missing in these poses; expected one of {option('prepared')}, such as "
+                    f"{next(iter(self._prepared.sequences))}."
+                )
+            return self._measured + self.n_pending + np.arange(len(data.truth))
+        names, inverse = np.unique(data.labels["sequence"], return_inverse=True)
+        lacking = [str(name) for name in names if str(name) not in self._prepared.sequences]
+        if lacking:
+            raise PoseDataError(
+                f"sequence: {first_few(lacking)} not in {option('prepared')}; expected it to be made with the true "
+                "poses of all batches and their sequences."
+            )
+        return np.array([self._prepared.sequences[str(name)] for name in names], dtype=np.intp)[inverse]
+
+    def _located(self, data: PoseData, cells: Indices, numbers: Indices) -> Iterator[Chunk]:
         """Read the poses with their cells, and with the numbers of their sequences in the coordinate range."""
         sequence, start = data.labels.get("sequence"), 0
-        numbers = self._measured + self.n_pending + np.arange(len(cells))
-        if self._prepared is not None and sequence is not None:
-            names, inverse = np.unique(sequence, return_inverse=True)
-            numbers = np.array([self._prepared.sequences.get(str(name), -1) for name in names])[inverse]
         continues = sequence is not None and str(sequence[0]) == self._last_sequence and int(data.order[0]) == 0
-        self._last_sequence = None if sequence is None else str(sequence[-1])
         for chunk in read_chunks(data, self._length):
             stop = start + len(chunk)
             follows = chunk.follows.copy()

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from posecal.engine.totals import Totals, difference_of_signatures
-from posecal.errors import PoseDataError, raise_all
+from posecal.engine.totals import Totals, difference_of_signatures, different_metrics
+from posecal.errors import PoseDataError, first_few, option, raise_all
 
 Cell = tuple[str, ...]
 
@@ -38,9 +38,9 @@ def merge_totals(parts: Sequence[Totals], names: Sequence[str] | None = None) ->
     PoseDataError
         Where two differ in more than their poses, or hold the same poses.
     """
-    if not parts or not all(isinstance(part, Totals) for part in parts):
+    if not hasattr(parts, "__len__") or not parts or not all(isinstance(part, Totals) for part in parts):
         raise PoseDataError("merge: expected results, at least one.")
-    names = names or [f"part {number}" for number in range(1, len(parts) + 1)]
+    names = names or [_ordinal(number) for number in range(1, len(parts) + 1)]
     labels = [name for name in parts[0].cells if all(name in part.cells for part in parts)]
     _refuse_unlike(parts, names)
     _refuse_repeated(parts, names, labels)
@@ -82,18 +82,29 @@ def _cells(part: Totals, labels: Sequence[str], prefix: str = "") -> list[Cell]:
     return list(zip(*columns, strict=True))
 
 
+def _ordinal(number: int) -> str:
+    """Name one of several results: ``the 1st result``."""
+    ending = "th" if number % 100 in {11, 12, 13} else {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th")
+    return f"the {number}{ending} result"
+
+
 def _refuse_unlike(parts: Sequence[Totals], names: Sequence[str]) -> None:
     first, problems = parts[0], []
     for name, part in zip(names[1:], parts[1:], strict=True):
         if part.signature != first.signature:
             problems.append(f"{names[0]} and {name} were not made alike: {difference_of_signatures(first, part)}.")
+        if metrics := different_metrics(first, part):
+            problems.append(f"{names[0]} and {name} define {metrics} differently; expected the same metrics.")
         if first.protocol.velocity == "second" and part.spec.fps != first.spec.fps:
             rates = f"{first.spec.fps:g} and {part.spec.fps:g}"
             problems.append(f"{names[0]} and {name} have {rates} frames per second; expected the same.")
         statistics = ({*t.sums, *t.per_pose} for t in (first, part))
         differing = set.symmetric_difference(*statistics)
         if differing:
-            problems.append(f"{names[0]} and {name} differ in what they hold: {', '.join(sorted(differing))}.")
+            problems.append(
+                f"{names[0]} and {name} were asked for different metrics (sums in one only: "
+                f"{first_few(sorted(differing))}); expected the same {option('metrics')} and {option('by')}."
+            )
         if first.has_sequences != part.has_sequences:
             problems.append(f"{names[0]} and {name}: only one has sequence labels; expected both, or neither.")
     raise_all(problems)
@@ -108,8 +119,8 @@ def _refuse_repeated(parts: Sequence[Totals], names: Sequence[str], labels: Sequ
         for row, cell in enumerate(_cells(part, labels)):
             trace = (cell, int(part.poses[row]), *(float(values[row]) for values in sums))
             if trace in seen:
+                shared = ", ".join(f"{label} {value}" for label, value in zip(labels, cell, strict=True))
                 raise PoseDataError(
-                    f"{seen[trace]} and {name} hold the same poses (cell {', '.join(cell)}); expected shards "
-                    "without poses in common."
+                    f"{seen[trace]} and {name} hold the same poses ({shared}); expected every pose in one only."
                 )
             seen[trace] = name

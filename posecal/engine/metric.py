@@ -8,20 +8,23 @@ written out for the :class:`Protocol` and the :class:`DataSpec` that it was made
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import partial
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import FloatArray
 from posecal.engine.block import Block
+from posecal.engine.user_code import values_of_arrays
 from posecal.errors import PoseDataError
 
 Direction = Literal["lower", "higher", "zero", "none"]
 Family = Literal["accuracy", "calibration", "rank_tests", "scores", "sharpness"]
+Over = Literal["median", "mean", "worst"]
 
 MetricFunction = Callable[..., npt.ArrayLike]
 """``f(hypotheses, truth)``, with a keyword ``where`` if it takes one, to one value per pose, or per pose and joint."""
@@ -64,7 +67,10 @@ class Deviation:
 
     first: int | None = None
     last: int | None = None
-    over: Literal["median", "mean", "worst"] = "mean"
+    over: Over = "mean"
+
+    def __post_init__(self) -> None:
+        _check_word("over", self.over, Over)
 
 
 @dataclass(frozen=True)
@@ -162,6 +168,20 @@ class Metric:
     offset: FloatArray | None = None
     rejection: str = ""
 
+    def __post_init__(self) -> None:
+        _check_word("direction", self.direction, Direction)
+        _check_word("family", self.family, Family)
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.type == "str" and not isinstance(value, str):
+                raise PoseDataError(f"metric: {field.name} {value!r}; expected text.")
+
+    @property
+    def function(self) -> MetricFunction | None:
+        """The function of arrays that it was made of; None where it was made otherwise."""
+        compute = self.statistic.compute
+        return compute.args[0] if isinstance(compute, partial) and compute.func is values_of_arrays else None
+
     @property
     def statistics(self) -> tuple[Statistic, ...]:
         """Every statistic that the number and its joints' numbers need."""
@@ -212,7 +232,7 @@ class Metric:
         Raises
         ------
         PoseDataError
-            Where the function is not callable, or has no name.
+            Where the function is not callable, or has no name, and for an unknown direction or family.
 
         Examples
         --------
@@ -226,7 +246,9 @@ class Metric:
         if not all((callable(function), name.isidentifier())):
             raise PoseDataError(f"metric: {function!r}; expected a function with a name, or the name beside it.")
         text = definition or (inspect.getdoc(function) or "").partition("\n")[0] or f"mean over poses of {name}"
-        statistic = Statistic(f"own_{name}", partial(_of_arrays, function, name, by_joint=by_joint), per_joint=by_joint)
+        statistic = Statistic(
+            f"own_{name}", partial(values_of_arrays, function, name, by_joint=by_joint), per_joint=by_joint
+        )
         return cls(
             name=name,
             label=label or name.replace("_", " "),
@@ -266,8 +288,14 @@ class Metric:
             **texts,
             statistic=statistic,
             finish=refuse if not is_mean else mean_over_joints if by_joint else MEAN,
-            by_joint=(statistic, np.asarray) if by_joint and is_mean else None,
+            by_joint=(statistic, np.asarray if is_mean else refuse) if by_joint else None,
         )
+
+    @property
+    def lacks_functions(self) -> bool:
+        """Whether it was made of a description, so that poses can't be measured with it."""
+        compute = self.statistic.compute
+        return isinstance(compute, partial) and compute.func is _not_available
 
     def __reduce__(self) -> tuple[Callable[[dict[str, str | bool]], Metric], tuple[dict[str, str | bool]]]:
         return Metric.from_description, (self.description,)
@@ -276,29 +304,14 @@ class Metric:
 _DESCRIBED = tuple(field.name for field in fields(Metric) if field.type in {"str", "bool", "Direction", "Family"})
 
 
+def _check_word(what: str, word: object, known: object) -> None:
+    """Refuse a word that a Literal type does not have."""
+    if word not in get_args(known):
+        raise PoseDataError(f"metric: {what} {word!r}; expected one of {', '.join(get_args(known))}.")
+
+
 def _not_available(name: str, _: object) -> FloatArray:
     raise PoseDataError(f"metric: the functions of {name} are not available here; expected it to be registered.")
-
-
-def _of_arrays(function: MetricFunction, name: str, block: Block, *, by_joint: bool) -> FloatArray:
-    """Apply a function of arrays to a block, and check what it gives."""
-    truth, where = block.truth, block.where
-    hypotheses = np.moveaxis(block.offsets + truth[..., None], -1, 0)
-    expected = where.shape if by_joint else where.shape[:1]
-    try:
-        takes_mask = "where" in inspect.signature(function).parameters
-        values = np.asarray(function(hypotheses, truth, **({"where": where} if takes_mask else {})), dtype=np.float64)
-    except PoseDataError:
-        raise
-    except Exception as error:  # the user's code fails in any way
-        raise PoseDataError(
-            f"metric: {name} fails on hypotheses {hypotheses.shape} ({type(error).__name__}: {error})."
-        ) from error
-    if values.shape != expected:
-        raise PoseDataError(f"metric: {name} gave {values.shape} for {len(truth)} poses; expected {expected}.")
-    if by_joint:
-        return np.where(where, values, np.nan)
-    return values if takes_mask else np.where(where.all(axis=1), values, np.nan)
 
 
 def mean_over_joints(values: FloatArray) -> FloatArray:
@@ -332,8 +345,15 @@ class Curve:
     statistic: Statistic
 
 
-SUM_OF_TRUE_POSES = Statistic("truth", lambda block: block.truth.sum(axis=(1, 2), dtype=np.float64))
-"""Sum of a true pose's coordinates: not a metric, but the check that two results have the same truth."""
+def _weighted_sum_of_truth(block: Block) -> FloatArray:
+    """Sum the true coordinates of each pose, each with a weight of its own, so that no exchange of them goes unseen."""
+    truth = block.truth.reshape(len(block.truth), -1)
+    weights = np.arange(1, truth.shape[1] + 1) * math.sqrt(2) % 1
+    return np.asarray(truth @ weights)
+
+
+SUM_OF_TRUE_POSES = Statistic("truth", _weighted_sum_of_truth)
+"""Weighted sum of a true pose's coordinates: not a metric, but the check that two results have the same truth."""
 
 
 def entry(*place: int) -> Callable[[FloatArray], FloatArray]:

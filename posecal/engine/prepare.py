@@ -15,7 +15,7 @@ from posecal.engine.cells import SPREAD, label_name, spread_cuts, spread_labels
 from posecal.engine.chunks import map_blocks
 from posecal.engine.coordinate_range import CoordinateRange, coordinate_range
 from posecal.engine.protocol import Protocol
-from posecal.errors import PoseDataError
+from posecal.errors import PoseDataError, checked_type
 
 Indices = npt.NDArray[np.intp]
 
@@ -49,6 +49,7 @@ def prepare(data: PoseData) -> Prepared:
     Prepared
         For :class:`posecal.Evaluation`.
     """
+    checked_type(data, "data", PoseData)
     names, own = np.zeros(0, dtype=np.str_), np.arange(len(data.truth))
     if "sequence" in data.labels:
         names, own = np.unique(data.labels["sequence"], return_inverse=True)
@@ -105,7 +106,11 @@ def select_scored(data: PoseData, protocol: Protocol) -> PoseData:
     Raises
     ------
     PoseDataError
-        Where the data lack the label or the mask, nothing is left, or the truth is not finite where it counts.
+        Where the data lack the label or the mask, or the truth is not finite where it counts.
+
+    See Also
+    --------
+    lack_of_scored : whether anything is left.
     """
     name = data.names[1]
     if protocol.frames != "all":
@@ -114,10 +119,7 @@ def select_scored(data: PoseData, protocol: Protocol) -> PoseData:
             raise PoseDataError(
                 f"frames: {name} has no label {protocol.frames!r}; expected a yes/no member (M,) of that name."
             )
-        chosen = np.flatnonzero(np.isin(np.char.lower(values), ("yes", "1", "true")))
-        if not chosen.size:
-            raise PoseDataError(f"frames: no pose of {name} has the label {protocol.frames}; expected some.")
-        data = data.select(chosen)
+        data = data.select(np.flatnonzero(np.isin(np.char.lower(values), ("yes", "1", "true"))))
     where, usable = data.where, None
     if protocol.where != "all":
         if data.occluded is None:
@@ -128,12 +130,19 @@ def select_scored(data: PoseData, protocol: Protocol) -> PoseData:
         scored = data.occluded if protocol.where == "occluded" else ~data.occluded
         usable = np.ones_like(scored) if where is None else where
         where = scored if where is None else scored & where
-    if where is not None and not where.any():
-        what = "counts" if protocol.where == "all" else f"is {protocol.where}"
-        raise PoseDataError(f"where: no joint of {name} {what}; expected some to score.")
     bad = ~np.isfinite(data.truth).all(axis=2)
     refuse_non_finite(data, name, np.argwhere(bad if where is None else bad & where))
     return data.replace(where=where, usable=usable)
+
+
+def lack_of_scored(data: PoseData, protocol: Protocol) -> str:
+    """Say that :func:`select_scored` left no pose or no joint; nothing where it left some."""
+    if not len(data.truth):
+        return f"frames: no pose of {data.names[1]} has the label {protocol.frames}; expected some."
+    if data.where is not None and not data.where.any():
+        what = "counts" if protocol.where == "all" else f"is {protocol.where}"
+        return f"where: no joint of {data.names[1]} {what}; expected some to score."
+    return ""
 
 
 def refuse_non_finite(data: PoseData, name: str, bad: Indices) -> None:

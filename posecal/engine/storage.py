@@ -18,7 +18,7 @@ from posecal.engine.metric import Metric
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec
 from posecal.engine.totals import Totals
-from posecal.errors import PoseFileError
+from posecal.errors import PoseDataError, PoseFileError, checked_type
 
 FORMAT = 2
 """The version of the file format."""
@@ -39,6 +39,8 @@ def save_totals(totals: Totals, path: str | os.PathLike[str]) -> None:
     PoseFileError
         Where the file can't be written.
     """
+    checked_type(totals, "totals", Totals)
+    _check_path(path)
     about = {
         "posecal": totals.version,
         "format": FORMAT,
@@ -47,6 +49,9 @@ def save_totals(totals: Totals, path: str | os.PathLike[str]) -> None:
         "remarks": totals.remarks,
         "has_sequences": totals.has_sequences,
         "own_metrics": [metric.description for metric in totals.own_metrics],
+        "statistics": list(totals.sums),
+        "per_pose": list(totals.per_pose),
+        "labels": list(totals.cells),
     }
     members: dict[str, npt.NDArray[np.generic]] = {"about": np.array(json.dumps(about)), "poses": totals.poses}
     members |= {f"cell/{name}": values for name, values in totals.cells.items()}
@@ -75,6 +80,7 @@ def load_totals(path: str | os.PathLike[str]) -> Totals:
     PoseFileError
         For files that can't be read or are no results.
     """
+    _check_path(path)
     name = Path(path).name
     try:
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as stored:
@@ -84,7 +90,7 @@ def load_totals(path: str | os.PathLike[str]) -> Totals:
             raise PoseFileError(
                 f"{name}: format {about['format']} of posecal {about['posecal']}; expected {FORMAT}. Evaluate again."
             )
-        return Totals(
+        totals = Totals(
             spec=DataSpec(**_tuples(about["spec"])),
             protocol=Protocol().changed(about["protocol"]),
             version=about["posecal"],
@@ -98,6 +104,8 @@ def load_totals(path: str | os.PathLike[str]) -> Totals:
             cell_of=members["cell_of"],
             own_metrics=tuple(Metric.from_description(texts) for texts in about["own_metrics"]),
         )
+        _check_members(totals, about)
+        return totals
     except PoseFileError:
         raise
     except FileNotFoundError:
@@ -108,6 +116,31 @@ def load_totals(path: str | os.PathLike[str]) -> Totals:
         raise PoseFileError(f"{name}: no result of posecal evaluate --save, or not a whole one.") from None
     except OSError as error:
         raise PoseFileError(f"{path}: can't be read ({error.strerror}).") from None
+
+
+def _check_path(path: object) -> None:
+    """Refuse what is no path."""
+    if not isinstance(path, str | os.PathLike):
+        raise PoseDataError(f"path: {type(path).__name__}; expected the path of a saved result.")
+
+
+def _check_members(totals: Totals, about: dict[str, Any]) -> None:
+    """Raise KeyError or ValueError where a file lacks a member, or one has another length than the rest."""
+    for members, key in (
+        (totals.cells, "labels"),
+        (totals.sums, "statistics"),
+        (totals.counts, "statistics"),
+        (totals.per_pose, "per_pose"),
+    ):
+        if {*about.get(key, members)} != members.keys():
+            raise KeyError(key)
+    if "sequence" not in totals.cells or totals.sums.keys() != totals.counts.keys():
+        raise KeyError("sequence")
+    of_cells = [totals.poses, *totals.cells.values(), *totals.sums.values(), *totals.counts.values()]
+    lengths = {len(values) for values in of_cells}, {len(values) for values in totals.per_pose.values()}
+    outside = totals.cell_of.max(initial=-1) >= len(totals.poses) or totals.cell_of.min(initial=0) < 0
+    if len(lengths[0]) > 1 or not lengths[1] <= {len(totals.cell_of)} or outside:
+        raise ValueError("lengths")
 
 
 def is_result(path: str | os.PathLike[str]) -> bool:

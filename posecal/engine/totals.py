@@ -340,6 +340,12 @@ def batch_sums(metric: Metric, sums: FloatArray, counts: Counts) -> tuple[FloatA
     return np.where(poses > 0, values * poses, 0.0), poses
 
 
+def different_metrics(one: Totals, other: Totals) -> str:
+    """Name the user's metrics that two results have by the same name and describe otherwise; nothing where none is."""
+    described = {metric.name: metric.description for metric in one.own_metrics}
+    return ", ".join(m.name for m in other.own_metrics if described.get(m.name, m.description) != m.description)
+
+
 def difference_of_signatures(one: Totals, other: Totals) -> str:
     """Say in what two results were not made alike."""
     first, second = (dict(part.split("=", 1) for part in t.signature.split()) for t in (one, other))

@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import copy
+import inspect
+import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from posecal.calibration.rank_tests import NEEDS_COORDINATE_RANGE, PreRank
+from posecal.calibration.rank_tests import PreRank
+from posecal.data.arrays import as_labels
+from posecal.data.declarations import Declarations
+from posecal.data.layout import HYPOTHESES
 from posecal.data.pose_data import PoseData
-from posecal.engine.accumulate import Accumulator
-from posecal.engine.cells import CellIndex
+from posecal.engine.accumulate import Accumulator, Pending
 from posecal.engine.merge import merge_totals
 from posecal.engine.prepare import (
     Prepared,
     add_spread_labels,
-    prepare,
+    lack_of_scored,
     refuse_non_finite_hypotheses,
     select_scored,
 )
@@ -25,10 +30,12 @@ from posecal.engine.presets import as_protocol
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec
 from posecal.engine.totals import Totals
-from posecal.errors import PoseDataError, first_few, option
+from posecal.errors import PoseDataError, checked_type, first_few
+from posecal.evaluation.options import check_callable, check_callables, check_label_names, label_entries
 from posecal.evaluation.sources import Progress, as_pose_data
+from posecal.evaluation.start import start_accumulator
 from posecal.metrics.sharpness import predicted_spread
-from posecal.registry import check_names, registered_metrics, statistics_of, wants_reference
+from posecal.registry import check_names, statistics_of, wants_reference
 from posecal.report.report import Report
 
 
@@ -86,7 +93,7 @@ class Evaluation:
         prepared: Prepared | None = None,
         threads: int | None = None,
     ) -> None:
-        self._options = {
+        self._options: dict[str, Any] = {
             "joints": joints,
             "root_joint": root_joint,
             "unit": unit,
@@ -97,16 +104,26 @@ class Evaluation:
             "shared_joints": shared_joints,
             "n_hypotheses": n_hypotheses,
         }
+        Declarations(**{k: v for k, v in self._options.items() if k != "fps"})  # refuses values that no data could have
+        preranks = {} if preranks is None else preranks
+        check_callables("preranks", preranks)
+        if not isinstance(prepared, Prepared | None):
+            raise PoseDataError(f"prepared: {type(prepared).__name__}; expected what posecal.prepare gives.")
         self.protocol = as_protocol(protocol, metrics)
-        check_names(self.protocol, [*(preranks or {})])
-        self.by = (by,) if isinstance(by, str) else tuple(by)
-        self._preranks, self._prepared, self._threads = dict(preranks or {}), prepared, threads
+        check_names(self.protocol, [*preranks])
+        self.by = label_entries(by)
+        self._preranks, self._prepared, self._threads = dict(preranks), prepared, threads
         self.reset()
 
     def reset(self) -> None:
         """Forget all batches."""
         self._accumulator: Accumulator | None = None
-        self._frames: dict[str, None] = {}  # of the own batches, in their order
+        self._label_names: set[str] = set()  # that were checked
+        self._axes: str | None = None  # of the first batch, where none is declared
+        self._has_frames: bool | None = None  # None before the first batch
+        self._lack: str | None = None  # why no pose or joint counts so far, "" where some do
+        self._frames: dict[str, None] = {}  # of the own poses that count, in their order
+        self._held: list[str] = []  # those of them that are pending
         self._frames_of_others: set[str] = set()
         self._others: list[Totals] = []
         self._repeated = 0
@@ -141,37 +158,55 @@ class Evaluation:
         ------
         PoseDataError
             For a batch that does not fit, or not with the earlier ones. It is not counted then.
+
+        Notes
+        -----
+        Where a metric of one's own fails, or the user interrupts, some poses of the batch may be counted already. Then
+        all later calls are refused until :meth:`reset`.
         """
-        given = {"where": where, "occluded": occluded, "scores": scores, "labels": labels or None}
+        if not labels.keys() <= self._label_names:
+            check_label_names(labels, inspect.signature(self.update), inspect.signature(Evaluation))
+            self._label_names = self._label_names | labels.keys()
+        given: dict[str, Any] = {"where": where, "occluded": occluded, "scores": scores, "labels": labels or None}
+        is_stored = isinstance(hypotheses, str | os.PathLike)  # a file may declare its own layout
+        if self._axes is not None and not is_stored:
+            given["axes"] = self._axes
         data = as_pose_data(hypotheses, truth, {**self._options, **given})
         refuse_non_finite_hypotheses(data)
-        frames: list[str] = []
+        n_given, repeated = len(data.truth), 0
         if frame_id is not None:
-            data, frames = self._new_frames(data, frame_id)
-            if not frames:
-                return
-        elif self._frames:
+            data = self._new_frames(data, frame_id)
+            repeated = n_given - len(data.truth)
+        elif self._has_frames:
             raise PoseDataError("frame_id: missing in this batch; expected one in every batch, or in none.")
-        self.add(data, hold_back=frame_id is not None)
-        self._frames |= dict.fromkeys(frames)
+        if len(data.truth):
+            self.add(data, hold_back=frame_id is not None, n_given=n_given)
+        self._repeated += repeated
+        if self._options["axes"] is None and not is_stored:
+            self._axes = HYPOTHESES  # what arrays are read in that declare none
 
-    def _new_frames(self, data: PoseData, frame_id: npt.ArrayLike) -> tuple[PoseData, list[str]]:
-        """Drop the poses of a batch that came before, and give the names of the rest."""
-        names = np.atleast_1d(np.asarray(frame_id)).astype(np.str_)
+    def _new_frames(self, data: PoseData, frame_id: npt.ArrayLike) -> PoseData:
+        """Name the poses of a batch, and drop those that came before."""
+        names = np.atleast_1d(as_labels(frame_id, "frame_id", or_one=True))
         if names.shape != (len(data.truth),):
             raise PoseDataError(f"frame_id: {names.shape}; expected one name per pose, ({len(data.truth)},).")
-        if self._batches and not self._frames:
+        if self._has_frames is False:
             raise PoseDataError(
                 "frame_id: given for this batch and not for the earlier ones; expected one in every batch."
             )
         known = self._frames.keys() | self._frames_of_others if self._frames_of_others else self._frames
         first = {name: row for row, name in reversed(list(enumerate(names.tolist()))) if name not in known}
         rows = np.sort(np.array(list(first.values()), dtype=np.intp))
-        self._repeated += len(names) - len(rows)
-        return data.replace(frame_id=names).select(rows), names[rows].tolist()
+        return data.replace(frame_id=names).select(rows)
 
     def add(
-        self, data: PoseData, *, progress: Progress | None = None, hold_back: bool = False, complete: bool = False
+        self,
+        data: PoseData,
+        *,
+        progress: Progress | None = None,
+        hold_back: bool = False,
+        complete: bool = False,
+        n_given: int | None = None,
     ) -> None:
         """Add pose data.
 
@@ -182,46 +217,56 @@ class Evaluation:
         progress : callable, optional
             Called with the number of poses that are done.
         hold_back : bool
-            Whether these poses stay in memory until the next ones come, so that they can still be dropped.
+            Whether these poses stay in memory until the next ones come, so that they can still be dropped by their
+            ``frame_id``.
         complete : bool
             Whether these are all poses: what depends on the whole set is then found first.
+        n_given : int, optional
+            How many poses came, those among them that were dropped; as many by default.
 
         Raises
         ------
         PoseDataError
-            For data that don't fit, or not with the earlier ones.
+            For data that don't fit, or not with the earlier ones, and after a failure part way.
         """
+        check_callable("progress", progress)
+        n_given = len(checked_type(data, "data", PoseData).truth) if n_given is None else n_given
         has_mask = data.where is not None
         if not wants_reference(self.protocol):
             data = data.replace(reference=None)
         data = select_scored(data, self.protocol)
-        spec = DataSpec.of(data, has_mask=has_mask, preranks=tuple(self._preranks))
-        data = add_spread_labels(data, self.by, predicted_spread, self._threads, is_all=complete)
-        if self._accumulator is None:
-            self._accumulator = self._accumulate(spec, data, complete=complete)
-        elif spec != self._accumulator.spec:
-            raise PoseDataError(
-                f"batch {self._batches + 1}: {spec.difference(self._accumulator.spec)}; expected the same in every "
-                "batch."
-            )
-        self._accumulator.add(data, progress, pending="all" if hold_back else "none" if complete else "rest")
+        lack = lack_of_scored(data, self.protocol)
+        if lack and complete:
+            raise PoseDataError(lack)
+        if len(data.truth):
+            spec = DataSpec.of(data, has_mask=has_mask, preranks=tuple(self._preranks))
+            self._count(data, spec, progress, "all" if hold_back else "none" if complete else "rest", n_given)
+        elif self._accumulator is not None:
+            self._accumulator.end_run()
+        self._lack = lack if self._lack is None else self._lack and lack
+        self._has_frames = hold_back
         self._batches += 1
 
-    def _accumulate(self, spec: DataSpec, data: PoseData, *, complete: bool) -> Accumulator:
-        own = tuple(m for m in registered_metrics() if m.headline or m.name in self.protocol.wanted)
-        statistics = statistics_of(self.protocol, spec, self.by, self._preranks, own)
-        prepared = self._prepared
-        if prepared is None and any(statistic.name in NEEDS_COORDINATE_RANGE for statistic in statistics):
-            if not complete:
-                raise PoseDataError(
-                    "metrics: tarp_box depends on all true poses, which come in batches here; expected "
-                    f"{option('prepared')} with posecal.prepare of them, or metrics without it."
-                )
-            prepared = prepare(data)
-        index = CellIndex([entry for entry in self.by if entry != "occlusion"], self.protocol.average, [*data.labels])
-        return Accumulator(
-            spec, self.protocol, statistics, index, prepared=prepared, own_metrics=own, threads=self._threads
+    def _count(self, data: PoseData, spec: DataSpec, progress: Progress | None, pending: Pending, n_given: int) -> None:
+        """Add poses that count to the sums."""
+        complete = pending == "none"
+        data = add_spread_labels(data, self.by, predicted_spread, self._threads, is_all=complete)
+        accumulator = self._accumulator or start_accumulator(
+            spec, self.protocol, data, self.by, self._preranks, self._prepared, self._threads, complete=complete
         )
+        labels = accumulator.spec.labels
+        if sorted(labels) == sorted(spec.labels):  # in any order
+            spec = replace(spec, labels=labels)
+        if spec != accumulator.spec:
+            raise PoseDataError(
+                f"batch {self._batches + 1}: {spec.difference(accumulator.spec)}; expected the same in every batch."
+            )
+        accumulator.add(data, progress, pending=pending, n_given=n_given)
+        self._accumulator = accumulator
+        if pending == "all":
+            names = data.frame_id.tolist()
+            self._held = [*self._held, *names][-accumulator.n_pending :]
+            self._frames |= dict.fromkeys(names)
 
     def totals(self) -> Totals:
         """Give the sums of all batches.
@@ -234,8 +279,10 @@ class Evaluation:
         Raises
         ------
         PoseDataError
-            Where no batch came.
+            Where no batch came, none has a pose or joint that counts, or one failed part way.
         """
+        if self._lack:
+            raise PoseDataError(self._lack)
         parts = self._parts()
         if not parts:
             raise PoseDataError("evaluation: no batch so far; expected at least one update before compute.")
@@ -262,7 +309,7 @@ class Evaluation:
         Raises
         ------
         PoseDataError
-            Where no batch came.
+            As :meth:`totals`.
         """
         return Report(self.totals(), self.by)
 
@@ -272,13 +319,16 @@ class Evaluation:
         Parameters
         ----------
         other : Evaluation
-            Made alike. Frames that both have are counted once, where they are in the last batch of one of the two:
-            there samplers for several processes put those that they repeat.
+            Made alike, with or without batches; it stays as it is. A frame that both have, by ``frame_id``, is counted
+            once if it is in the last batch of either: there samplers for several processes put those that they repeat.
 
         Raises
         ------
         PoseDataError
-            Where the two were not made alike, or hold the same frames in earlier batches.
+            For what is no Evaluation; where both have poses and differ in options, metrics, N, joints or in having
+            sequence labels; where a frame of both, by ``frame_id``, is in the last batch of neither; and, with or
+            without ``frame_id``, where a group of equal labels has the same number of poses and the same sums in both.
+            Nothing is changed then.
         """
         if not isinstance(other, Evaluation):
             raise PoseDataError(f"merge: {type(other).__name__}; expected an Evaluation.")
@@ -302,18 +352,21 @@ class Evaluation:
         self._frames_of_others = self._frames_of_others | frames
         self._repeated += repeated
         self._batches += other._batches
+        self._has_frames = other._has_frames if self._has_frames is None else self._has_frames
+        lacks = [lack for lack in (self._lack, other._lack) if lack is not None]
+        self._lack = min(lacks, key=len, default=None)  # "" where one of the two has something that counts
 
     def _drop_pending(self, names: Sequence[str]) -> list[str]:
         """Drop frames that are pending, and give those that are not."""
         if self._accumulator is None:
             return list(names)
-        frames = list(self._frames)
-        pending = frames[len(frames) - self._accumulator.n_pending :]
+        pending = self._held
         dropped = set(names).intersection(pending)
         if dropped:
             self._accumulator = copy.copy(self._accumulator)
             self._accumulator.select_pending(np.array([name not in dropped for name in pending]))
-            self._frames = dict.fromkeys(name for name in frames if name not in dropped)
+            self._frames = dict.fromkeys(name for name in self._frames if name not in dropped)
+            self._held = [name for name in pending if name not in dropped]
             self._repeated += len(dropped)
         return [name for name in names if name not in dropped]
 

@@ -10,9 +10,10 @@ from posecal.data.pose_data import PoseData
 from posecal.engine.protocol import Protocol
 from posecal.engine.storage import load_totals
 from posecal.engine.totals import Totals
-from posecal.errors import PoseDataError, did_you_mean
+from posecal.errors import PoseDataError
 from posecal.evaluation.batches import Evaluation
-from posecal.evaluation.sources import DESCRIPTIONS, Progress, Source, as_pose_data
+from posecal.evaluation.options import check_callable
+from posecal.evaluation.sources import Progress, Source, as_pose_data, check_descriptions
 from posecal.report.report import Report
 from posecal.stats.comparison import Comparison, compare_totals
 
@@ -65,9 +66,8 @@ def compare(
     """
     if not isinstance(models, Mapping):
         raise PoseDataError(f"models: {type(models).__name__}; expected a mapping from names to reports or hypotheses.")
-    unknown = sorted(set(described) - set(DESCRIPTIONS))
-    if unknown:
-        raise PoseDataError(f"compare: {unknown[0]!r} is no option. {did_you_mean(unknown[0], DESCRIPTIONS)}")
+    check_descriptions(described)
+    check_callable("progress", progress)
     totals: dict[str, Totals] = {}
     data: dict[str, PoseData] = {}
     for name, model in models.items():

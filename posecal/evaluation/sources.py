@@ -10,7 +10,7 @@ from typing import Any
 import numpy.typing as npt
 
 from posecal.data.pose_data import PoseData
-from posecal.errors import PoseDataError
+from posecal.errors import PoseDataError, did_you_mean
 
 Source = npt.ArrayLike | str | os.PathLike[str]
 """An array, or the path of a file."""
@@ -23,14 +23,28 @@ DESCRIPTIONS = tuple(name for name in inspect.signature(PoseData).parameters if 
 """The options that describe data."""
 
 
+def check_descriptions(options: Mapping[str, Any]) -> None:
+    """Refuse options that don't describe data.
+
+    Raises
+    ------
+    PoseDataError
+        For the first of them by name.
+    """
+    unknown = sorted(set(options) - set(DESCRIPTIONS))
+    if unknown:
+        raise PoseDataError(f"option: {unknown[0]!r} is not known. {did_you_mean(unknown[0], DESCRIPTIONS)}")
+
+
 def as_pose_data(hypotheses: Source | PoseData, truth: Source | None, options: Mapping[str, Any]) -> PoseData:
     """Make pose data of two arrays or files; give pose data as they are.
 
     Raises
     ------
     PoseDataError
-        Where the truth is missing, or comes beside pose data.
+        Where the truth is missing, or comes beside pose data, and for options that don't describe data.
     """
+    check_descriptions(options)
     given = {name: value for name, value in options.items() if value is not None}
     given = {k: v for k, v in given.items() if (k, v if isinstance(v, str) else "") not in _DEFAULTS}
     if isinstance(hypotheses, PoseData):

@@ -144,21 +144,21 @@ def _statistic(scope: Scope, name: str, score: Score) -> Statistic:
 
 def cps_metrics(scope: Scope) -> Iterator[Metric]:
     """CPS."""
-    p, joints, size = scope.protocol, scope.counted(scope.cps), CPS_MOST if scope.protocol.cps_unit == "share" else 1
+    p, joints, share = scope.protocol, scope.counted(scope.cps), scope.protocol.cps_unit == "share"
     yield Metric(
         name="cps",
         label="CPS",
-        unit="" if size > 1 else "mm",
+        unit="" if share else "mm",
         direction="higher",
         family="accuracy",
         brief=f"area to 300 mm of: all of {joints} within τ",
         definition=f"mean over poses of the area over τ = 1 … 300 mm of 1[each of {joints} within τ]"
         f"{aligned_words(scope, p.cps_align, scope.cps)}, {SELECTED[p.cps_best]} at each τ"
-        + ("; over 300 mm" if size > 1 else ""),
+        + ("; over 300 mm" if share else ""),
         statistic=_statistic(scope, "cps", cps_area),
-        finish=lambda means: means / size,
+        finish=lambda means: means / (CPS_MOST if share else 1),
         headline=True,
-        range="0 to 299/300" if size > 1 else "0 to 299 mm",
+        range="0 to 299/300" if share else "0 to 299 mm",
         reading="190 mm means that the worst joint of the best hypothesis is about 110 mm off, after alignment.",
         source="Wandt et al., arXiv:2011.14679",
     )

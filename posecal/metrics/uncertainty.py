@@ -8,7 +8,7 @@ the most uncertain poses are dropped.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 
@@ -117,12 +117,9 @@ def sparsification(spread: npt.ArrayLike, error: npt.ArrayLike) -> tuple[FloatAr
     if not len(e):
         return np.full(DROPPED.size, np.nan), np.full(DROPPED.size, np.nan)
     number = np.maximum(np.rint((1 - DROPPED) * len(e)).astype(int), 1)
-
-    def rest(order: FloatArray) -> FloatArray:
-        means = np.cumsum(e[np.argsort(order, kind="stable")]) / np.arange(1, len(e) + 1)
-        return np.asarray(means[number - 1] / means[-1])
-
-    return rest(s), rest(e)
+    means = (np.cumsum(e[np.argsort(values, kind="stable")]) / np.arange(1, len(e) + 1) for values in (s, e))
+    by_spread, by_error = (mean[number - 1] / mean[-1] for mean in means)
+    return by_spread, by_error
 
 
 def sparsification_area(spread: npt.ArrayLike, error: npt.ArrayLike) -> float:
@@ -243,17 +240,24 @@ class _RanksWithout:
     @classmethod
     def of(cls, values: FloatArray, sequence: Indices, size: Indices, n_bins: int) -> _RanksWithout:
         M, S = len(values), len(size)
-        _, code, ties = np.unique(values, return_inverse=True, return_counts=True)
+        order = np.argsort(values)
+        ordered = _codes(values[order])
+        ties = np.bincount(ordered)
         middle = np.cumsum(ties) - (ties + 1) / 2  # rank of each distinct value, from 0
-        pairs, of_pose, own_ties = np.unique(sequence * len(ties) + code, return_inverse=True, return_counts=True)
-        own_sequence, own_code = np.divmod(pairs, len(ties))
+        sequences = sequence[order]
+        within = np.argsort(sequences.astype(np.min_scalar_type(S)), kind="stable")  # numbers of few bits sort fastest
+        pairs = _codes(ordered[within], sequences[within])
+        own_ties = np.bincount(pairs)
+        first = within[np.cumsum(own_ties) - own_ties]
+        own_sequence, own_code = sequences[first], ordered[first]
         before = (np.cumsum(size) - size)[own_sequence]
         own = np.cumsum(own_ties) - own_ties / 2 - before - size[own_sequence] / 2
         rest = M - size
         lost = np.bincount(own_sequence, _cube(ties[own_code]) - _cube(ties[own_code] - own_ties), minlength=S)
         bins = (middle * n_bins / M).astype(np.intp)
-        table = np.bincount(own_sequence * n_bins + bins[own_code], own_ties, S * n_bins)
-        table = table.reshape(S, n_bins)
+        table = np.bincount(own_sequence * n_bins + bins[own_code], own_ties, S * n_bins).reshape(S, n_bins)
+        code, of_pose = np.empty((2, M), dtype=np.intp)
+        code[order], of_pose[order[within]] = ordered, pairs
         return cls(
             code=code,
             rank=(middle - (M - 1) / 2)[code],
@@ -276,10 +280,16 @@ class _RanksWithout:
         return np.asarray(exact - self.own_by_bin**2 @ np.bincount(self.bins, minlength=n_bins))
 
 
+def _codes(*ordered: npt.NDArray[np.generic]) -> Indices:
+    """Number runs of equal rows of columns in order, from 0."""
+    apart = np.any([column[1:] != column[:-1] for column in ordered], axis=0)
+    return np.concatenate([[0], np.cumsum(apart)])[: len(ordered[0])]
+
+
 def _cube(number: Indices) -> FloatArray:
     """(n³ - n) / 12: the sum of squared centred ranks of n values, and what as many ties take from it."""
     n = number.astype(np.float64)
-    return (n**3 - n) / 12
+    return (n * n - 1) * n / 12
 
 
 def sparsification_area_without(spread: FloatArray, error: FloatArray, sequence: Indices) -> FloatArray:
@@ -327,16 +337,6 @@ def sparsification_area_without(spread: FloatArray, error: FloatArray, sequence:
 _UNCERTAINTY = partial(Metric, unit="", family="sharpness")
 
 
-def _of_columns(function: Callable[[FloatArray, FloatArray], float]) -> Callable[[FloatArray], float]:
-    """Finish by a function of the spreads and the errors of all poses, (M, 2)."""
-    return lambda values: function(values[:, 0], values[:, 1])
-
-
-def _without(function: Callable[[FloatArray, FloatArray, Indices], FloatArray]) -> Callable[..., FloatArray]:
-    """Leave out sequences by a function of the spreads, the errors and the sequence of all poses."""
-    return lambda values, sequence: function(values[:, 0], values[:, 1], sequence)
-
-
 def uncertainty_metrics(scope: Scope) -> Iterator[Metric]:
     """Rank correlation and sparsification of the predicted spread and the error of poses."""
 
@@ -356,8 +356,8 @@ def uncertainty_metrics(scope: Scope) -> Iterator[Metric]:
         brief="over poses: whether a wide spread is a sign of error",
         definition=f"Spearman's rank correlation over poses of {about}",
         statistic=statistic,
-        finish=_of_columns(rank_correlation),
-        leave_out=_without(rank_correlation_without),
+        finish=lambda values: rank_correlation(*values.T),
+        leave_out=lambda values, sequence: rank_correlation_without(values[:, 0], values[:, 1], sequence),
         headline=True,
         range="−1 to 1",
         reading="Whether a wide spread is a sign of error, which is what acting on uncertainty needs. A perfect "
@@ -372,8 +372,8 @@ def uncertainty_metrics(scope: Scope) -> Iterator[Metric]:
         definition="mean over dropped shares 0 … 0.95 of the error left when poses are dropped by spread, minus by "
         f"error, over the mean error; {about}",
         statistic=statistic,
-        finish=_of_columns(sparsification_area),
-        leave_out=_without(sparsification_area_without),
+        finish=lambda values: sparsification_area(*values.T),
+        leave_out=lambda values, sequence: sparsification_area_without(values[:, 0], values[:, 1], sequence),
         range="about 0 (spread orders poses as their errors do) upwards",
         reading="What is lost, in mean errors, by dropping poses by their spread instead of their error.",
         source="Ilg et al., arXiv:1802.07095",

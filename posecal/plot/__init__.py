@@ -83,10 +83,12 @@ def draw(report: Report, kind: str = "reliability", *, title: str | None = None)
     Raises
     ------
     PoseDataError
-        Where the report lacks what the picture shows.
+        Where the report lacks what the picture shows, and for another kind.
     """
-    if kind not in KINDS:
-        raise PoseDataError(f"picture: {kind!r} is not known. {did_you_mean(kind, KINDS)}")
+    if not hasattr(report, "rank_tests"):
+        raise PoseDataError(f"report: {type(report).__name__}; expected Report.")
+    if str(kind) not in KINDS:
+        raise PoseDataError(f"kind: {kind!r} is not known. {did_you_mean(kind, KINDS)}")
     if kind == "rank_tests":
         return draw_rank_tests(report)
     import matplotlib as mpl

@@ -58,25 +58,29 @@ class SpreadMap:
         """The factors by the names of their joints."""
         return dict(zip(self.joints, self.factors.tolist(), strict=True))
 
-    def apply(self, hypotheses: npt.ArrayLike, /) -> FloatArray:
+    def apply(self, hypotheses: npt.ArrayLike, /, *, axes: str | None = None) -> FloatArray:
         """Rescale the dispersion of hypotheses.
 
         Parameters
         ----------
-        hypotheses : array (N, M, K, D)
+        hypotheses : array (N, M, K, D), or as ``axes`` says
             Hypotheses with the joints of the map, in any unit.
+        axes : str, optional
+            Their layout, as for :func:`posecal.evaluate`; ``NMKD`` by default.
 
         Returns
         -------
-        array (N, M, K, D)
+        array in the same layout, without an axis ``I``
             c + s (x - c), in the same unit; c is the per-coordinate median of a pose's hypotheses.
 
         Raises
         ------
         PoseDataError
-            For another number of joints, and arrays of another shape or type.
+            For another number of joints, arrays of another shape or type, a layout that is none, and where no layout
+            is given and only the first axis has the length of the poses that the map was fitted on.
         """
-        return rescaled(parts.checked_for_map(hypotheses, self.joints), self.factors, self.root)
+        x, layout, clip_length = parts.checked_for_map(hypotheses, axes, self.joints, self.poses)
+        return layout.store(rescaled(x, self.factors, self.root), clip_length)
 
     def rescale(self, data: PoseData) -> PoseData:
         """Give pose data whose hypotheses are rescaled when they are read."""

@@ -9,12 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray, real_array, working_dtype
+from posecal.data.layout import HYPOTHESES, Layout, MemoryArray
 from posecal.data.pose_data import PoseData
 from posecal.data.stored_poses import Rows
 from posecal.engine.block import Block
 from posecal.engine.chunks import map_blocks
 from posecal.engine.prepare import refuse_non_finite
-from posecal.errors import PoseDataError
+from posecal.errors import PoseDataError, option
 
 T = TypeVar("T")
 
@@ -33,7 +34,7 @@ def folds_of(data: PoseData, folds: int) -> Rows:
     names, codes, sizes = np.unique(
         np.arange(poses) if sequence is None else sequence, return_inverse=True, return_counts=True
     )
-    if folds not in range(2, len(names) + 1):
+    if not hasattr(folds, "__index__") or folds not in range(2, len(names) + 1):
         units = "poses" if sequence is None else "sequences"
         raise PoseDataError(f"folds: {folds!r}; expected 2 to {len(names)}, the number of {units} of {data.names[1]}.")
     if sequence is None:
@@ -104,17 +105,41 @@ def values_for_joints(names: tuple[str, ...], values: FloatArray, joints: tuple[
     return values[[names.index(joint) for joint in joints]]
 
 
-def checked_for_map(hypotheses: npt.ArrayLike, joints: tuple[str, ...]) -> FloatArray:
-    """Check hypotheses (N, M, K, D) that a map with K joints is applied to.
+def checked_for_map(
+    hypotheses: npt.ArrayLike, axes: str | None, joints: tuple[str, ...], poses: int
+) -> tuple[FloatArray, Layout, int | None]:
+    """Check hypotheses that a map with K joints is applied to, and give them as (N, M, K, D).
+
+    Parameters
+    ----------
+    hypotheses : array
+        As passed.
+    axes : str or None
+        Their layout; (N, M, K, D) by default.
+    joints, poses : tuple of str and int
+        The map's joints, and the number of poses that it was fitted on.
+
+    Returns
+    -------
+    x, layout, clip_length : array (N, M, K, D), Layout, and int or None
+        The hypotheses, and how they were laid out.
 
     Raises
     ------
     PoseDataError
-        For another number of joints, and arrays of another shape or type.
+        For another number of joints, arrays of another shape or type, and where a layout that isn't declared looks
+        like (M, N, K, D).
     """
-    x = real_array(hypotheses, "hypotheses")
-    if x.ndim != 4 or 0 in x.shape or x.shape[2] != len(joints):
+    x, layout = real_array(hypotheses, "hypotheses"), Layout(HYPOTHESES if axes is None else axes, HYPOTHESES)
+    if x.ndim != len(layout.groups) or 0 in x.shape or layout.shape(x.shape)[2] != len(joints):
+        letters = ", ".join(group if len(group) == 1 else f"({group})" for group in layout.groups)
         raise PoseDataError(
-            f"hypotheses: {x.shape}; expected (N, M, K, D) with the K = {len(joints)} joints of the map."
+            f"hypotheses: {x.shape}; expected ({letters}) with the K = {len(joints)} joints of the map."
         )
-    return x.astype(working_dtype(x.dtype), copy=False)
+    if axes is None and x.shape[0] == poses != x.shape[1]:
+        raise PoseDataError(
+            f"hypotheses: {x.shape}; expected (N, M, K, D), but the first axis has the {poses} poses of the fit. "
+            f"Pass {option('axes', 'MNKD')} or {option('axes', HYPOTHESES)}."
+        )
+    paper = layout.read(MemoryArray(x), np.arange(layout.shape(x.shape)[1]))
+    return paper.astype(working_dtype(x.dtype), copy=False), layout, layout.clip_length(x.shape)

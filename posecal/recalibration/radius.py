@@ -56,13 +56,15 @@ class RadiusMap:
         """The unit of the radii."""
         return "standard deviations" if self.scaled else "mm"
 
-    def apply(self, hypotheses: npt.ArrayLike, /) -> tuple[FloatArray, FloatArray]:
+    def apply(self, hypotheses: npt.ArrayLike, /, *, axes: str | None = None) -> tuple[FloatArray, FloatArray]:
         """Give the balls of some poses.
 
         Parameters
         ----------
-        hypotheses : array (N, M, K, D)
+        hypotheses : array (N, M, K, D), or as ``axes`` says
             Hypotheses with the joints of the map, mm.
+        axes : str, optional
+            Their layout, as for :func:`posecal.evaluate`; ``NMKD`` by default.
 
         Returns
         -------
@@ -74,9 +76,10 @@ class RadiusMap:
         Raises
         ------
         PoseDataError
-            For another number of joints, and arrays of another shape or type.
+            As :meth:`SpreadMap.apply`.
         """
-        return balls(parts.checked_for_map(hypotheses, self.joints), self.radii, self.root, scaled=self.scaled)
+        x, _, _ = parts.checked_for_map(hypotheses, axes, self.joints, self.poses)
+        return balls(x, self.radii, self.root, scaled=self.scaled)
 
 
 def balls(

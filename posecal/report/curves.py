@@ -11,7 +11,7 @@ from posecal.calibration.curve import curve_of
 from posecal.calibration.ranks import known_definition
 from posecal.data.arrays import FloatArray
 from posecal.engine.metric import Curve
-from posecal.errors import PoseDataError, did_you_mean, option
+from posecal.errors import PoseDataError, did_you_mean, is_among, option
 from posecal.metrics.brier import Reliability, reliability
 from posecal.metrics.uncertainty import sparsification as sparsification_curves
 from posecal.registry import curves_of
@@ -67,7 +67,7 @@ def curve(report: Report, name: str) -> tuple[Curve, FloatArray]:
         Where the report has no such curve.
     """
     curves = curves_of(report.totals.protocol, report.totals.spec)
-    if name not in curves:
+    if not is_among(name, curves):
         raise PoseDataError(f"curve: {name!r} is not known. {did_you_mean(name, curves)}")
     if name not in report.totals.sums:
         raise PoseDataError(f"curve: the report has no {name}; it is among the default metrics.")
@@ -82,7 +82,7 @@ def rank_curves(report: Report, test: str) -> FloatArray:
     PoseDataError
         Where the report has no such test.
     """
-    if test not in report.rank_tests():
+    if not is_among(test, report.rank_tests()):
         raise PoseDataError(f"test: {test} is no rank test of the report. {did_you_mean(test, report.rank_tests())}")
     curves = report.totals.averaged(report.metrics[test].statistic).reshape(-1, LEVELS.size)
     return curves[~np.isnan(curves).any(axis=1)]

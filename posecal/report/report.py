@@ -5,11 +5,9 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast, get_args
-
-import numpy as np
 
 from posecal.data.arrays import FloatArray
 from posecal.engine.cells import label_name
@@ -17,9 +15,9 @@ from posecal.engine.metric import Metric
 from posecal.engine.storage import save_totals
 from posecal.engine.sums import Cells
 from posecal.engine.totals import Totals
-from posecal.errors import PoseDataError, did_you_mean, for_python, option
+from posecal.errors import PoseDataError, checked_integer, checked_type, did_you_mean, for_python, is_among, option
 from posecal.metrics.occlusion import OCCLUSION
-from posecal.registry import GROUPS, metrics_of, occlusion_metrics_of
+from posecal.registry import GROUPS, metrics_of, occlusion_metrics_of, unmeasured
 from posecal.report import curves
 from posecal.report.summary import remarks, summarize
 from posecal.report.table import (
@@ -77,8 +75,10 @@ class Report:
     """
 
     def __init__(self, totals: Totals, by: str | Sequence[str] = ()) -> None:
-        self.totals = totals
-        self.by = tuple(dict.fromkeys(label_name(entry) for entry in ((by,) if isinstance(by, str) else by)))
+        self.totals = checked_type(totals, "totals", Totals)
+        given: object = by
+        entries = given if isinstance(given, Iterable) and not isinstance(given, str) else (given,)
+        self.by = tuple(dict.fromkeys(label_name(checked_type(entry, "by", str)) for entry in entries))
         self.groups: dict[str | None, Cells] = {None: None}
         self._occlusion: dict[str | None, dict[str, Metric]] = {}
         self._memory: dict[Hashable, Any] = {}
@@ -108,7 +108,7 @@ class Report:
 
     def metrics_in(self, group: str | None) -> dict[str, Metric]:
         """Give the metrics of a group, which by occlusion are others."""
-        if group not in self.groups:
+        if not is_among(group, self.groups):
             known = [name for name in self.groups if name is not None]
             raise PoseDataError(f"group: {group!r} is not in the report. {did_you_mean(str(group), known)}")
         return self._occlusion.get(group, self.metrics)
@@ -210,7 +210,8 @@ class Report:
         if name in self.auxiliary or metric.deviation is not None:
             return math.nan, math.nan
         if joint is None:
-            both: Interval = self.once(("interval", name, group), lambda: interval(self.totals, metric, cells))
+            value = self.value(name, group)
+            both: Interval = self.once(("interval", name, group), lambda: interval(self.totals, metric, cells, value))
             return both.low, both.high
         self._joint_values(name, group)
         low, high = self.once(("intervals", name, group), lambda: joint_intervals(self.totals, metric, cells))
@@ -258,9 +259,8 @@ class Report:
             return {}
         areas = self.calibration().joint_signed_area()
         p = self.once(("joint p",), lambda: joint_p_values(self.totals, metric))
-        scored = np.flatnonzero(~np.isnan(areas))
-        joints, adjusted = self.totals.spec.joints, holm(p[scored].tolist())
-        return {joints[k]: (float(areas[k]), q) for k, q in zip(scored, adjusted, strict=True) if not math.isnan(q)}
+        tested = zip(self.totals.spec.joints, areas.tolist(), holm(p.tolist()), strict=True)
+        return {joint: (area, q) for joint, area, q in tested if not math.isnan(q)}
 
     def scalars(self) -> dict[str, float]:
         """Give the headline metrics over all poses as plain floats by name, for a logger."""
@@ -327,7 +327,7 @@ class Report:
             raise PoseDataError(f"format: {form!r} is not known. {did_you_mean(form, get_args(Format))}")
         sheet = report_sheet(self, joints=joints, definitions=definitions, words=words)
         if form == "text":
-            return sheet.text(width, colour=colour)
+            return sheet.text(checked_integer(width, "width", 1), colour=colour)
         return sheet.markdown() if form == "markdown" else sheet.latex()
 
     def __str__(self) -> str:
@@ -345,8 +345,6 @@ class Report:
         """Write the sums into a file, from which any report can be made later; PoseFileError where that can't be."""
         save_totals(self.totals, path)
 
-    # --- lookups ----------------------------------------------------------------------------------------------
-
     def once(self, key: Hashable, compute: Callable[[], T]) -> T:
         """Compute what is not remembered."""
         if key not in self._memory:
@@ -356,12 +354,14 @@ class Report:
     def _find(self, name: str, group: str | None) -> tuple[Metric, Cells]:
         """Look up a metric, or that of an auxiliary number, and the cells of a group."""
         metrics = self.metrics_in(group)
-        metric = metrics.get(self.auxiliary[name].metric if name in self.auxiliary else name)
-        if metric is None:
-            of = "" if group is None else f" of {group}"
-            similar = did_you_mean(name, [*metrics, *self.auxiliary])
-            raise PoseDataError(f"metric: {name!r} is not in the report{of}. {similar}")
-        return metric, self.groups[group]
+        key = self.auxiliary[name].metric if is_among(name, self.auxiliary) else name
+        if not is_among(key, metrics):
+            of, similar = f" of {group}" if group else "", did_you_mean(name, [*metrics, *self.auxiliary])
+            absent = (
+                "" if is_among(name, self.metrics) else unmeasured(str(name), self.totals.protocol, self.totals.spec)
+            )
+            raise PoseDataError(f"metric: {name!r} {absent or f'is not in the report{of}. {similar}'}")
+        return metrics[key], self.groups[group]
 
     def _joint_values(self, name: str, group: str | None) -> FloatArray:
         metric, cells = self._find(name, group)
@@ -371,7 +371,7 @@ class Report:
         return self.once(("joints", name, group), lambda: self.totals.by_joint(metric, cells))
 
     def _joint(self, joint: str) -> int:
-        if joint not in self._joint_numbers:
+        if not is_among(joint, self._joint_numbers):
             raise PoseDataError(f"joint: {joint!r} is not in the report. {did_you_mean(joint, self._joint_numbers)}")
         return self._joint_numbers[joint]
 

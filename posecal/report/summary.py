@@ -110,7 +110,9 @@ def _of_curve(report: Report) -> str:
     if "coverage_90" in report.metrics:
         share = f"; the 90\u00a0% balls hold {100 * report['coverage_90']:.0f}\u00a0% of the truths"
     if math.isnan(test.p):
-        return f"Looks {_sign_of(area)} (signed area {area:+.3f}{share}); whether by chance can't be tested here."
+        side = side_of(area, error)
+        looks = f"ECE {error:.3f}, on neither side throughout" if side == NEITHER else f"Looks {side}"
+        return f"{looks} (signed area {area:+.3f}{share}); whether by chance can't be tested here."
     if test.p < LEVEL:
         return (
             f"{side_of(area, error).capitalize()}, beyond chance: ECE {error:.3f} where a calibrated sampler would "

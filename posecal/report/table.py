@@ -115,7 +115,7 @@ _FLOOR_READING = (
 _FLIPS = "posecal; Canay, Romano and Shaikh, doi:10.3982/ECTA13081"
 _HOLM = f"{_FLIPS}; Holm, Scand. J. Stat. 6, 65 (1979)"
 _ERRORS = "0 to about 0.5"
-_PROBABILITY = "1/2000 (fewer than 12 sequences: 1 over the number of signs) to 1"
+_PROBABILITY = "1 over the number of sign patterns (at most 2000, fewer of a mesh or of fewer than 12 sequences) to 1"
 _SIGNS = "random signs of entire sequences"
 
 AUXILIARY = {

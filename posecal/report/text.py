@@ -114,7 +114,7 @@ def _tests(report: Report, title: str, metrics: list[Metric]) -> Table:
         if not math.isnan(p):
             null = (short_number(test.mean), short_number(test.high), short_p(p))
         if f"{metric.name}_floor" in report.auxiliary and len(report.totals.spec.joints) <= MESH:
-            brief += f"; {report[f'{metric.name}_floor']:.4f} if frames were independent"
+            brief += f"; calibrated, independent frames: {report[f'{metric.name}_floor']:.4f}"
         rows.append((metric.label, number(report[metric.name]), *null, ARROWS[metric.direction], brief))
     return Table(title, headings, rows, ("", WHAT))
 

@@ -13,7 +13,7 @@ import numpy as np
 from posecal.data.arrays import FloatArray
 from posecal.data.pose_data import PoseData
 from posecal.data.stored_poses import Rows
-from posecal.errors import PoseDataError, option
+from posecal.errors import PoseDataError, checked_integer, checked_type, option
 
 
 @dataclass(frozen=True)
@@ -71,9 +71,11 @@ def climatology(pairs: PoseData, n_hypotheses: int | None = None, seed: int = 0)
     Raises
     ------
     PoseDataError
-        Where there are no complete poses of other sequences.
+        Where there are no complete poses of other sequences, and for numbers that are none.
     """
-    n = n_hypotheses or pairs.shape[0]
+    checked_type(pairs, "pairs", PoseData)
+    n = pairs.shape[0] if n_hypotheses is None else checked_integer(n_hypotheses, "n_hypotheses", 1)
+    checked_integer(seed, "seed", 0)
     m = len(pairs.truth)
     complete = np.isfinite(pairs.truth).all(axis=(1, 2))
     if pairs.where is not None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from posecal.calibration import DEFINITIONS, LEVELS, CalibrationCurve, Definition, calibration_curve
-from posecal.calibration.curve import inside_table
+from posecal.calibration.curve import MANY, inside_table, joint_median
 from posecal.engine.block import Block
 from posecal.errors import PoseDataError
 from tests.helpers import oracles
@@ -85,6 +85,20 @@ def test_without_a_joint_that_counts_nothing_is_known(arrays: tuple[Array, Array
 def test_the_median_of_an_even_number_of_joints_lies_between_two(K: int) -> None:
     coverage = np.random.default_rng(K).random((K, 21))
     np.testing.assert_allclose(CalibrationCurve("paper", coverage, coverage[0]).median, np.median(coverage, axis=0))
+
+
+@pytest.mark.parametrize("K", [MANY, MANY + 1, MANY + 30])
+@pytest.mark.parametrize("missing", [0.0, 0.02, 0.5, 1.0])
+def test_the_median_of_many_joints_is_numpy_s(K: int, missing: float) -> None:
+    random = np.random.default_rng(K)
+    curves = random.random((3, K, 21))
+    gone = random.random((3, K)) < missing
+    gone[0] = missing == 1
+    curves[gone] = np.nan
+    expected = [
+        np.full(21, np.nan) if rows.all() else np.nanmedian(c, axis=0) for c, rows in zip(curves, gone, strict=True)
+    ]
+    np.testing.assert_allclose(joint_median(curves), expected, rtol=1e-15)
 
 
 def test_joints_that_never_count_are_no_part_of_the_median() -> None:

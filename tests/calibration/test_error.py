@@ -19,7 +19,15 @@ from posecal.calibration import (
     ece,
     expected_curve,
 )
-from posecal.calibration.curve import coverage_at, curve_of, ece_over_joints, joint_ece, signed_area, summary_curve
+from posecal.calibration.curve import (
+    MANY,
+    coverage_at,
+    curve_of,
+    ece_over_joints,
+    joint_ece,
+    signed_area,
+    summary_curve,
+)
 from posecal.calibration.error import calibration_metrics
 from posecal.engine.metric import Metric
 from posecal.engine.protocol import Protocol
@@ -201,6 +209,14 @@ def test_the_ece_of_arrays_is_that_of_their_curve(over: OverJoints, definition: 
     x, y = oracles.relative(x, 1), oracles.relative(y, 1)
     weights = oracles.inside(x, y, where & (np.arange(4) != 1), definition)
     np.testing.assert_allclose(found, oracles.ece(oracles.curves(weights), oracles.pooled_curve(weights), over))
+
+
+@pytest.mark.parametrize("K", [MANY, MANY + 1, MANY + 2])
+def test_the_median_over_many_joints_is_that_of_those_that_count(K: int) -> None:
+    tables = np.random.default_rng(K).random((3, K + 1, 21))
+    np.testing.assert_allclose(summary_curve(tables, "median"), np.median(tables[:, :-1], axis=1), rtol=1e-12)
+    tables[1, [0, 5, 7]] = np.nan
+    np.testing.assert_allclose(summary_curve(tables, "median"), np.nanmedian(tables[:, :-1], axis=1), rtol=1e-12)
 
 
 @pytest.mark.parametrize("K", [1, 2, 4, 5])

@@ -20,7 +20,7 @@ from posecal.calibration import (
     expected_curve,
     perfect_sampler,
 )
-from posecal.calibration.expected import _bias, _floor, _table
+from posecal.calibration.expected import MAX_VALUES, _bias, _floor, _table
 from posecal.errors import PoseDataError
 
 Array = npt.NDArray[np.floating]
@@ -194,10 +194,17 @@ def test_with_endless_poses_only_the_bias_is_left() -> None:
     assert perfect_sampler(20, 10**9, 16).mean < 1e-5
 
 
+@pytest.mark.slow
 def test_of_thousands_of_joints_fewer_test_sets_are_drawn_but_at_least_twenty() -> None:
     for joints, drawn in ((5000, 4_000_000 // (5000 * 21)), (20_000, 20)):
         found, fewer, many = (perfect_sampler(2, 9, joints, "paper", "mean", draws=n) for n in (drawn, drawn - 1, 200))
         assert many == found != fewer
+
+
+def test_of_a_mesh_fewer_test_sets_are_drawn_and_never_too_few() -> None:
+    for joints, draws in ((MAX_VALUES // (200 * 21) + 1, 199), (20_000, 20)):
+        assert perfect_sampler(3, 9, joints) == perfect_sampler(3, 9, joints, draws=draws)
+        assert perfect_sampler(3, 9, joints) != perfect_sampler(3, 9, joints, draws=draws - 1)
 
 
 def test_the_floor_is_the_same_on_every_call() -> None:

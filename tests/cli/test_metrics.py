@@ -145,7 +145,10 @@ def test_models_are_compared_by_a_metric_of_one_s_own() -> None:
     ("entry", "words"),
     [
         ("own.py:nothing", "metric: own.py has no function 'nothing'; expected"),
-        ("own.py:number", "metric: own.py has no function 'number'; expected"),
+        (
+            "own.py:number",
+            "metric: 'number' in own.py is of type int; expected a function that takes poses or a Metric.",
+        ),
         ("own.py", "metric: 'own.py'; expected FILE.py:NAME."),
         ("none.py:x", "metric: none.py can't be read (No such file or directory)."),
         ("own.py:wrong", "metric: wrong fails on hypotheses (9, "),
@@ -167,6 +170,28 @@ def test_a_metric_under_a_known_name_is_refused() -> None:
 
 def test_the_file_of_a_metric_is_not_overwritten() -> None:
     assert "own.py is read already" in refused(*EVALUATE, "--metric=own.py:rms", "--save=own.py", code=2)
+
+
+@pytest.mark.parametrize("name", ["depth_error", "registered"])
+def test_a_file_that_registers_its_metrics_itself_is_accepted(name: str) -> None:
+    Path("own.py").write_text(
+        f"{OWN}\nregistered = posecal.register(posecal.Metric.from_function(depth_error, label='Depth'))\n"
+        "posecal.register(by_joint)\n"
+    )
+    text = done(*EVALUATE, f"--metric=own.py:{name}", "--metric=own.py:by_joint")
+    assert "Depth " in text
+    assert [metric.name for metric in registered_metrics()] == ["depth_error", "median_joint"]
+
+
+def test_two_files_with_metrics_of_one_name_are_refused() -> None:
+    Path("other.py").write_text(OWN)
+    said = refused(*EVALUATE, "--metric=own.py:depth_error", "--metric=other.py:depth_error")
+    assert "depth_error is registered already" in said
+
+
+def test_a_function_with_a_value_per_joint_is_refused_with_what_to_pass_instead() -> None:
+    said = refused(*EVALUATE, "--metric=own.py:median_of_joint")
+    assert said.endswith(", or a Metric made with by_joint=True.")
 
 
 # --- explanations ---------------------------------------------------------------------------------------------

@@ -84,7 +84,7 @@ def test_runs_of_frames_stay_runs_of_frames_of_their_own_shard() -> None:
 
 def test_the_same_runs_of_frames_twice_are_refused() -> None:
     part = totals(has_sequences=False)
-    with pytest.raises(PoseDataError, match=r"part 1 and part 2 hold the same poses"):
+    with pytest.raises(PoseDataError, match=r"the 1st result and the 2nd result hold the same poses"):
         merge_totals([part, part])
 
 
@@ -99,7 +99,10 @@ def test_the_same_runs_of_frames_twice_are_refused() -> None:
             r"not made alike: K 2\(.{8}\) against 2\(.{8}\), origin",
         ),
         ({"version": "2.0"}, r"not made alike: posecal 1\.0 against 2\.0\."),
-        ({"sums": {}, "counts": {}}, r"a and b differ in what they hold: height, joints\."),
+        (
+            {"sums": {}, "counts": {}},
+            r"a and b were asked for different metrics \(sums in one only: height, joints\); expected the same m",
+        ),
         ({"has_sequences": False}, r"a and b: only one has sequence labels; expected both, or neither\."),
     ],
 )
@@ -134,14 +137,16 @@ def test_what_is_no_result_is_refused(parts: list[Any]) -> None:
 def test_velocities_per_second_add_only_at_one_frame_rate() -> None:
     second = Protocol(velocity="second")
     parts = [totals(second), totals(second, spec=replace(SPEC, fps=50.0))]
-    with pytest.raises(PoseDataError, match=r"part 1 and part 2 have 25 and 50 frames per second; expected the same\."):
+    with pytest.raises(PoseDataError, match=r"the 1st result and the 2nd result have 25 and 50 frames per second"):
         merge_totals(parts)
 
 
 def test_a_sequence_that_two_shards_have_in_common_is_refused() -> None:
     some = world(6, M=23)
     parts = [some.select(np.flatnonzero(some.sequence != left)).totals(Protocol()) for left in ("S9/a", "S11/c")]
-    with pytest.raises(PoseDataError, match=r"part 1 and part 2 hold the same poses \(cell S9/b, sit\)"):
+    with pytest.raises(
+        PoseDataError, match=r"the 1st result and the 2nd result hold the same poses \(sequence S9/b, action sit\)"
+    ):
         merge_totals(parts)
 
 
@@ -149,15 +154,26 @@ def test_a_sequence_in_common_is_refused_beside_a_reference_that_is_drawn_anew()
     some = world(6, M=23)
     parts = [some.select(np.flatnonzero(some.sequence != left)).pairs for left in ("S9/a", "S11/c")]
     scores = [accumulate(with_reference(pairs, climatology(pairs)), Protocol(metrics="scores")) for pairs in parts]
-    with pytest.raises(PoseDataError, match=r"part 1 and part 2 hold the same poses \(cell S9/b, sit\)"):
+    with pytest.raises(
+        PoseDataError, match=r"the 1st result and the 2nd result hold the same poses \(sequence S9/b, action sit\)"
+    ):
         merge_totals(scores)
 
 
 def test_the_same_poses_twice_are_refused() -> None:
     with pytest.raises(
-        PoseDataError, match=r"one\.npz and two\.npz hold the same poses \(cell a, sit\); expected shards"
+        PoseDataError, match=r"one\.npz and two\.npz hold the same poses \(sequence a, action sit\); expected every"
     ):
         merge_totals([totals(), totals()], ["one.npz", "two.npz"])
+
+
+@pytest.mark.parametrize(("row", "name"), [(2, "2nd"), (3, "3rd"), (4, "4th"), (11, "11th"), (21, "21st")])
+def test_results_without_names_are_called_by_their_number(row: int, name: str) -> None:
+    parts = [
+        totals(sums={"height": np.full(4, 100.0 * number)}, counts={"height": np.ones(4)}) for number in range(row)
+    ]
+    with pytest.raises(PoseDataError, match=rf"^the 1st result and the {name} result hold the same poses"):
+        merge_totals([*parts[:-1], parts[0]])
 
 
 def test_values_per_pose_of_shards_follow_their_cells() -> None:
@@ -181,3 +197,9 @@ def test_velocities_per_frame_add_at_any_frame_rate() -> None:
     cells = {"sequence": np.array(["d"] * 4), "action": np.array(["sit"] * 4)}
     merged = merge_totals([totals(), totals(spec=replace(SPEC, fps=50.0), cells=cells)])
     assert merged.poses.sum() == 20
+
+
+@pytest.mark.parametrize("what", [5, [], None, [5]])
+def test_only_results_are_merged(what: Any) -> None:
+    with pytest.raises(PoseDataError, match=r"^merge: expected results, at least one\.$"):
+        merge_totals(what)

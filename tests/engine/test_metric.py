@@ -12,7 +12,7 @@ import pytest
 import posecal
 from posecal.data.skeleton import JOINT_SETS
 from posecal.engine.block import Block
-from posecal.engine.metric import Direction, Family, Metric, Statistic, entry, mean_over_joints, per_joint
+from posecal.engine.metric import Deviation, Direction, Family, Metric, Statistic, entry, mean_over_joints, per_joint
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec, Scope
 from posecal.errors import PoseDataError
@@ -310,6 +310,16 @@ def test_posecal_s_own_functions_of_arrays_are_such_functions() -> None:
         (depth_error, {"name": "2d"}, r"expected a function with a name"),
         (3, {}, r"^metric: 3; expected a function with a name"),
         (3, {"name": "three"}, r"^metric: 3; expected a function with a name"),
+        (
+            depth_error,
+            {"direction": "down"},
+            r"^metric: direction 'down'; expected one of lower, higher, zero, none\.$",
+        ),
+        (depth_error, {"direction": []}, r"^metric: direction \[\]; expected one of lower"),
+        (depth_error, {"family": "scale"}, r"^metric: family 'scale'; expected one of accuracy, calibration, "),
+        (depth_error, {"unit": None}, r"^metric: unit None; expected text\.$"),
+        (depth_error, {"label": 3}, r"^metric: label 3; expected text\.$"),
+        (depth_error, {"reading": None}, r"^metric: reading None; expected text\.$"),
     ],
 )
 def test_what_is_no_function_or_has_no_name_is_refused(function: Any, options: dict[str, Any], words: str) -> None:
@@ -320,8 +330,13 @@ def test_what_is_no_function_or_has_no_name_is_refused(function: Any, options: d
 @pytest.mark.parametrize(
     ("function", "by_joint", "words"),
     [
-        (lambda x, y: y[:, :, 0], False, r"^metric: own gave \(4, 3\) for 4 poses; expected \(4,\)\."),
+        (
+            lambda x, y: y[:, :, 0],
+            False,
+            r"^metric: own gave \(4, 3\) for 4 poses; expected \(4,\), or by_joint=True\.$",
+        ),
         (lambda x, y: y[:, 0, 0], True, r"^metric: own gave \(4,\) for 4 poses; expected \(4, 3\)\."),
+        (lambda x, y: y[:, 0, 0] * 1j, False, r"^metric: own gave complex(64|128); expected real numbers\.$"),
         (lambda x, y: 1.0, False, r"^metric: own gave \(\) for 4 poses; expected \(4,\)\."),
         (
             lambda x, y: ["a"] * 4,
@@ -341,6 +356,16 @@ def test_a_function_that_fails_or_gives_another_shape_is_refused(function: Any, 
     statistic = Metric.from_function(function, name="own", by_joint=by_joint).statistic
     with pytest.raises(PoseDataError, match=words):
         statistic.compute(block()[0])
+
+
+def test_a_built_in_function_without_a_signature_takes_no_mask() -> None:
+    with pytest.raises(PoseDataError, match=r"^metric: max fails on hypotheses .* \(ValueError: The truth value of"):
+        Metric.from_function(max).statistic.compute(block()[0])
+
+
+def test_a_deviation_is_over_curves_in_a_known_way() -> None:
+    with pytest.raises(PoseDataError, match=r"^metric: over 'best'; expected one of median, mean, worst\.$"):
+        Deviation(over="best")  # type: ignore[arg-type]
 
 
 def test_what_a_function_refuses_itself_is_said_in_its_own_words() -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import zipfile
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,9 +15,9 @@ import pytest
 from posecal.engine.metric import Metric, Statistic
 from posecal.engine.protocol import Protocol
 from posecal.engine.storage import is_result, load_totals, save_totals
-from posecal.errors import PoseFileError
+from posecal.errors import PoseDataError, PoseFileError
 from posecal.registry import known_metrics
-from tests.helpers.example_totals import metric, totals
+from tests.helpers.example_totals import keeping, metric, totals
 from tests.helpers.random_worlds import world
 
 
@@ -105,6 +107,45 @@ def test_a_file_that_is_no_complete_result_is_refused(tmp_path: Path, kind: str)
         np.savez(path, **members)
     with pytest.raises(PoseFileError, match=r"bad\.npz: no result of posecal evaluate --save, or not a whole one\."):
         load_totals(path)
+
+
+def changed(name: str, values: Any, folder: Path) -> Path:
+    """A saved result with a member that is changed, or left out where ``values`` is None."""
+    save_totals(keeping()[0], folder / "good.npz")
+    with np.load(folder / "good.npz") as stored:
+        members = {key: stored[key] for key in stored.files if key != name}
+        if values is not None:
+            members[name] = values(stored[name])
+    np.savez(folder / "bad.npz", **members)
+    return folder / "bad.npz"
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("poses", "cell_of", "cell/sequence", "cell/action"),
+        *("sum/height", "count/height", "sum/joints", "per_pose/kept"),
+    ],
+)
+def test_a_member_that_lacks_or_is_too_short_is_refused(name: str, tmp_path: Path) -> None:
+    for values in (None, lambda stored: stored[:-1]):
+        with pytest.raises(PoseFileError, match=r"bad\.npz: no result of posecal evaluate --save, or not a whole"):
+            load_totals(changed(name, values, tmp_path))
+
+
+@pytest.mark.parametrize("cell", [-1, 4])
+def test_cells_of_poses_that_are_not_there_are_refused(cell: int, tmp_path: Path) -> None:
+    assert load_totals(changed("cell_of", lambda stored: stored, tmp_path)).cell_of.max() == 3
+    with pytest.raises(PoseFileError, match=r"bad\.npz: no result of posecal"):
+        load_totals(changed("cell_of", lambda stored: np.append(stored[:-1], cell), tmp_path))
+
+
+def test_only_sums_are_saved_and_only_files_read(tmp_path: Path) -> None:
+    with pytest.raises(PoseDataError, match=r"^totals: int; expected Totals\.$"):
+        save_totals(5, tmp_path / "result.npz")  # type: ignore[arg-type]
+    for use in (load_totals, partial(save_totals, totals())):
+        with pytest.raises(PoseDataError, match=r"^path: int; expected the path of a saved result\.$"):
+            use(5)  # type: ignore[operator]
 
 
 def test_a_result_of_another_format_is_to_be_made_anew(tmp_path: Path) -> None:

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import copy
 import math
+import pickle
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
-from posecal.engine.metric import Metric, entry
+from posecal.engine.metric import Metric, ReadOff, entry
 from posecal.engine.protocol import Protocol
 from posecal.engine.totals import Totals, difference_of_signatures
 from posecal.errors import PoseDataError
+from posecal.stats.jackknife import leave_one_out
 from tests.helpers.example_totals import (
     HEIGHT,
     JOINTS,
@@ -25,6 +30,75 @@ from tests.helpers.example_totals import (
     random_totals,
     totals,
 )
+
+# --- what several metrics are read off --------------------------------------------------------------------------------
+
+
+def reading(calls: list[int]) -> tuple[Metric, Metric, Metric]:
+    """The sum of the joints' means and its square, read off one sum, and the sum of another statistic's means."""
+
+    def summary(means: np.ndarray) -> np.ndarray:
+        calls.append(1)
+        return np.nansum(means, axis=-1)
+
+    of_joints, of_pair = (partial(metric, statistic, family="calibration") for statistic in (JOINTS, PAIR))
+    return (
+        of_joints(finish=ReadOff(summary, lambda shared: shared)),
+        of_joints(finish=ReadOff(summary, lambda shared: shared**2)),
+        of_pair(finish=ReadOff(summary, lambda shared: shared)),
+    )
+
+
+def test_metrics_that_are_read_off_the_same_share_it() -> None:
+    calls: list[int] = []
+    one, square, _ = reading(calls)
+    some = random_totals(1)
+    np.testing.assert_allclose(some.value(one), some.mean(JOINTS).sum())
+    np.testing.assert_allclose(some.value(square), some.mean(JOINTS).sum() ** 2)
+    assert len(calls) == 1
+    without = leave_one_out(some, one)
+    np.testing.assert_allclose(leave_one_out(some, square), without**2)
+    assert without.shape == (7,)
+    assert some.value(one) == some.mean(JOINTS).sum()
+    assert len(calls) == 2
+
+
+def test_what_is_shared_is_not_that_of_other_cells_sums_or_statistics() -> None:
+    one, square, other = reading([])
+    first, second = random_totals(1), random_totals(2)
+    groups = [None, np.arange(9), np.arange(9, 30)]
+    for cells in (*groups, *groups):
+        for some in (first, second):
+            rest = [np.setdiff1d(np.arange(30) if cells is None else cells, gone) for gone in sequences(some, cells)]
+            for each, statistic, power in ((one, JOINTS, 1), (other, PAIR, 1), (square, JOINTS, 2)):
+                np.testing.assert_allclose(some.value(each, cells), np.nansum(some.mean(statistic, cells)) ** power)
+                expected = [np.nansum(some.mean(statistic, left)) ** power for left in rest]
+                np.testing.assert_allclose(leave_one_out(some, each, cells), expected)
+
+
+def sequences(some: Totals, cells: np.ndarray | None) -> list[np.ndarray]:
+    """The cells of each sequence among some cells."""
+    numbers = some.sequence_of if cells is None else some.sequence_of[cells]
+    return [np.flatnonzero(some.sequence_of == number) for number in np.unique(numbers)]
+
+
+@pytest.mark.parametrize("again", [copy.copy, lambda some: pickle.loads(pickle.dumps(some)), replace])
+def test_what_is_added_later_is_in_what_is_shared(again: Callable[[Totals], Totals]) -> None:
+    one, *_ = reading([])
+    some = random_totals(1)
+    before = some.value(one), leave_one_out(some, one)
+    more = np.array([3]), np.array([[50.0, 70.0]]), np.array([[2, 1]])
+    other = again(some)
+    other.sums, other.counts = copy.deepcopy(some.sums), copy.deepcopy(some.counts)
+    other.add("joints", *more)
+    np.testing.assert_allclose(other.value(one), other.mean(JOINTS).sum())
+    assert other.value(one) != before[0]
+    assert some.value(one) == before[0]
+    np.testing.assert_array_equal(leave_one_out(some, one), before[1])
+    some.add("joints", *more)
+    assert some.value(one) == other.value(one) != before[0]
+    np.testing.assert_array_equal(leave_one_out(some, one), leave_one_out(other, one))
+
 
 # --- adding and reading ----------------------------------------------------------------------------------------------
 

@@ -27,7 +27,7 @@ def test_a_prerank_is_loaded_from_a_file(tmp_path: Path) -> None:
         ("own.py:a b", r"expected FILE\.py:NAME"),
         ("{}/none.py:span", r"none\.py can't be read \(No such file or directory\)"),
         ("{}/own.py:other", r"own\.py has no function 'other'; expected one that takes poses"),
-        ("{}/own.py:number", r"own\.py has no function 'number'"),
+        ("{}/own.py:number", r"'number' in .*own\.py is of type int; expected a function that takes poses\.$"),
     ],
 )
 def test_a_prerank_that_is_not_there_is_refused(tmp_path: Path, entry: str, words: str) -> None:
@@ -55,5 +55,21 @@ def test_an_instance_of_a_class_that_is_named_does_as_well(tmp_path: Path) -> No
         "own = Metric.from_function(error)\n"
     )
     assert load_function(f"{tmp_path}/own.py:own", "metric", Metric)[1].name == "error"
-    with pytest.raises(PoseDataError, match=r"own\.py has no function 'own'"):
+    with pytest.raises(
+        PoseDataError, match=r"'own' in .*own\.py is of type Metric; expected a function that takes poses\.$"
+    ):
         load_function(f"{tmp_path}/own.py:own", "metric")
+
+
+def test_a_file_is_run_once_for_all_of_its_names_and_again_where_it_has_changed(tmp_path: Path) -> None:
+    own = tmp_path / "own.py"
+    own.write_text("a = b = lambda pool: pool\n")
+    assert load_function(f"{own}:a", "prerank")[1] is load_function(f"{own}:b", "metric")[1]
+    own.write_text("a = lambda pool: 2\n")
+    assert load_function(f"{own}:a", "prerank")[1](1) == 2
+
+
+def test_a_file_whose_code_can_not_read_a_file_is_not_said_to_be_unreadable(tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text("open('/none/at/all')\n")
+    with pytest.raises(PoseDataError, match=r"own\.py can't be run \(FileNotFoundError"):
+        load_function(f"{tmp_path}/own.py:a", "metric")

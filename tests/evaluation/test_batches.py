@@ -123,6 +123,13 @@ def test_a_label_may_be_one_value_for_the_batch(world: Arrays) -> None:
     assert evaluation.compute().totals.cells["action"].tolist() == ["walk"] * 9
 
 
+def test_labels_in_a_mapping_are_answered_with_the_keywords(world: Arrays) -> None:
+    evaluation = posecal.Evaluation(unit="mm", axes="NMKD")
+    labels: Any = {"sequence": world["sequence"], "action": "walk"}
+    with pytest.raises(PoseDataError, match=r"^labels: a mapping; .* as keywords: sequence=…, action=…\.$"):
+        evaluation.update(world["hypotheses"], world["truth"], labels=labels)
+
+
 def test_a_velocity_reaches_over_the_end_of_a_batch(world: Arrays) -> None:
     one = in_batches(world, [4], "sequence", metrics=["mpjve"])
     assert one["mpjve"] == pytest.approx(in_one_call(world, "sequence", metrics=["mpjve"])["mpjve"], rel=1e-12)
@@ -283,3 +290,9 @@ def test_memory_does_not_grow_with_the_number_of_batches() -> None:
     finally:
         tracemalloc.stop()
     assert many - few < 100 * 64 * 32 + 500_000  # two numbers and a cell a pose; the sums of a pose take 8,000 bytes
+
+
+def test_only_pose_data_are_added_and_prepared() -> None:
+    for take in (posecal.Evaluation().add, posecal.prepare):
+        with pytest.raises(PoseDataError, match=r"^data: ndarray; expected PoseData\.$"):
+            take(np.zeros((2, 3, 4, 3)))

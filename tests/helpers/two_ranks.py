@@ -55,6 +55,7 @@ def run(rank: int, processes: int, folder: Path) -> None:
     for other in others:
         total.merge(other)
     report = total.compute()
+    print(*report.remarks, sep="\n")
     # docs: end
     if rank == 0:
         numbers = {"poses": int(report.totals.poses.sum()), "remarks": report.remarks, **report.scalars()}

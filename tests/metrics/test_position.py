@@ -8,7 +8,7 @@ import pytest
 from posecal.engine.block import Block
 from posecal.errors import PoseDataError
 from posecal.geometry.procrustes import ALIGNMENTS, Alignment
-from posecal.metrics.position import OfPoses, joint_errors, linked, pose_errors, pose_of
+from posecal.metrics.position import OfPoses, joint_errors, linked, pose_errors, pose_of, sorted_errors
 from tests.helpers import oracles
 from tests.helpers.random_worlds import Array, Mask, mostly, skewed
 
@@ -84,6 +84,15 @@ def test_two_fits_do_not_share_a_result(arrays: tuple[Array, Array]) -> None:
     for fit in (np.arange(K) < 4, body, None):
         fresh = pose_errors(Block(*arrays), "similarity", body=body, fit=fit)
         np.testing.assert_array_equal(pose_errors(block, "similarity", body=body, fit=fit), fresh)
+
+
+@pytest.mark.parametrize("align", ["none", "similarity"])
+def test_two_masks_do_not_share_sorted_errors(arrays: tuple[Array, Array], align: Alignment) -> None:
+    block = Block(*arrays)
+    for body in (np.arange(K) < 3, np.arange(K) > 0):
+        for fit in (np.arange(K) < 4, np.arange(K) > 0, None):
+            expected = np.sort(pose_errors(Block(*arrays), align, body=body, fit=fit), axis=-1)
+            np.testing.assert_array_equal(sorted_errors(block, align, body, fit), expected)
 
 
 def test_two_bodies_do_not_share_a_result(arrays: tuple[Array, Array]) -> None:

@@ -7,9 +7,11 @@ import pytest
 
 from posecal.engine.block import Block
 from posecal.engine.metric import mean_over_joints
+from posecal.engine.protocol import Protocol
+from posecal.engine.scope import DataSpec, Scope
 from posecal.errors import PoseDataError
 from posecal.metrics import diversity, radius
-from posecal.metrics.sharpness import predicted_spread
+from posecal.metrics.sharpness import predicted_spread, sharpness_metrics
 from tests.helpers import oracles
 from tests.helpers.random_worlds import Array, Mask, mostly, skewed
 
@@ -55,7 +57,8 @@ def test_a_radius_counts_exactly_where_rounding_would_not() -> None:
     distances = np.arange(1.0, 101.0)
     x = np.concatenate([-distances, distances])[::2].reshape(100, 1, 1, 1)
     rising = np.sort(np.abs(x.ravel() - np.median(x)))
-    np.testing.assert_allclose(radius(x, np.zeros((1, 1, 1)), share=0.07), rising[6])
+    for share, place in ((0.07, 6), (0.07 + 4e-12, 6), (0.07 + 3e-11, 7)):  # whole to nine digits, and not
+        np.testing.assert_allclose(radius(x, np.zeros((1, 1, 1)), share=share), rising[place])
 
 
 def test_the_smallest_share_takes_the_nearest_hypothesis() -> None:
@@ -119,6 +122,14 @@ def test_hypotheses_that_agree_have_a_predicted_spread_of_nothing(arrays: tuple[
 def test_a_mean_over_joints_passes_over_those_that_do_not_count() -> None:
     nan = np.nan
     np.testing.assert_allclose(mean_over_joints(np.array([[1, nan, 3], [nan, nan, nan]])), [2, nan])
+
+
+@pytest.mark.parametrize(("deviation", "divisor"), [("sample", "n − 1"), ("population", "n")])
+def test_diversity_says_what_it_divides_by(deviation: str, divisor: str) -> None:
+    scope = Scope(Protocol(deviation=deviation), DataSpec(4, ("a", "b"), root=None))  # type: ignore[arg-type]
+    metric = {metric.name: metric for metric in sharpness_metrics(scope)}["diversity"]
+    assert metric.brief.endswith(f"({divisor})")
+    assert f"N=4 hypotheses ({divisor}), " in metric.definition
 
 
 @pytest.mark.parametrize("share", [0, -0.5, 1.01, float("nan")])

@@ -22,12 +22,17 @@ from tests.mutation.runner import BaselineError, Outcome, Runner
 
 ALSO = {
     "posecal/calibration/": ("test_definitions.py", "test_laws.py", "test_registry.py", "test_wrong_arguments.py"),
-    "posecal/data/": ("test_match_layouts.py", "test_unreadable_files.py"),
+    "posecal/data/": ("test_layout.py", "test_pose_data.py", "test_unreadable_files.py"),
     "posecal/engine/": ("test_definitions.py", "test_laws.py"),
     "posecal/geometry/": ("test_definitions.py", "test_laws.py"),
     "posecal/metrics/": ("test_definitions.py", "test_laws.py", "test_registry.py", "test_wrong_arguments.py"),
     "posecal/calibration/curve.py": ("test_error.py",),
     "posecal/calibration/ranks.py": ("test_exactness.py",),
+    "posecal/engine/accumulate.py": ("test_averaged.py", "test_batches.py", "test_memory.py"),
+    "posecal/engine/chunks.py": ("test_batches.py",),
+    "posecal/engine/prepare.py": ("test_batches.py", "test_call.py"),
+    "posecal/evaluation/": ("test_batches.py", "test_call.py"),
+    "posecal/evaluation/models.py": ("test_comparison.py",),
     "posecal/metrics/uncertainty.py": ("test_orders.py",),
     "posecal/registry.py": ("test_own_metrics.py", "test_explain.py"),
 }

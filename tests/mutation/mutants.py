@@ -51,6 +51,8 @@ METHODS = {**FUNCTIONS, "sum": "mean", "mean": "sum", "median": "mean", "var": "
 """Functions of arrays that exist only as attributes (``np.mean``, ``x.mean``)."""
 DROPPED = {"axis", "ddof", "side", "where", "initial"}
 """Keyword arguments that are left out."""
+LAST_AXIS = {"sort", "argsort", "partition", "argpartition", "take_along_axis", "diff", "trapezoid"}
+"""Functions of which axis=-1 is the default."""
 SWAPPED_WORDS = {"left": "right", "right": "left", "<": "<=", "<=": "<"}
 
 _LEFT_ALONE = ("annotation", "returns", "decorator_list", "type_params", "bases")
@@ -105,7 +107,7 @@ def _places(node: ast.AST, within: str) -> Iterator[tuple[ast.AST, str, int | No
         if field in _LEFT_ALONE:
             continue
         for index, child in enumerate(value) if isinstance(value, list) else [(None, value)]:
-            if isinstance(child, ast.AST) and not _is_left_alone(child):
+            if isinstance(child, ast.AST) and not _is_left_alone(child) and not _is_rest(node, child):
                 yield node, field, index, child, within
                 if not isinstance(child, ast.UnaryOp) or not isinstance(child.operand, ast.Constant):
                     yield from _places(child, within)
@@ -120,6 +122,11 @@ def _is_left_alone(node: ast.AST) -> bool:
         case ast.Assign([ast.Name("__all__" | "__version__")]):
             return True
     return False
+
+
+def _is_rest(parent: ast.AST, node: ast.AST) -> bool:
+    """Whether a node is the -1 of a reshape, which any number below 0 could be."""
+    return isinstance(parent, ast.Call) and ast.unparse(parent.func).endswith("reshape") and ast.unparse(node) == "-1"
 
 
 def _put(parent: ast.AST, field: str, index: int | None, node: ast.AST) -> None:
@@ -193,7 +200,9 @@ def _calls(call: ast.Call) -> Iterator[ast.AST]:
             condition, first, second = call.args
             yield _with(call, args=[condition, second, first])
     for at, keyword in enumerate(call.keywords):
-        if keyword.arg in DROPPED:
+        named = call.func.attr if isinstance(call.func, ast.Attribute) else ""
+        is_default = keyword.arg == "axis" and named in LAST_AXIS and ast.unparse(keyword.value) == "-1"
+        if keyword.arg in DROPPED and not is_default:
             yield _with(call, keywords=[*call.keywords[:at], *call.keywords[at + 1 :]])
 
 

@@ -77,6 +77,8 @@ def changes(source: str, strings: bool = False) -> list[str]:
         ("-a", ["-a -> a"]),
         ("a[-1] = -0.5", ["-1 -> 0", "-1 -> -2", "-0.5 -> 0.5", "-0.5 -> -1.0"]),
         ("y = x.min(axis=a)", ["-> x.max(axis=a)", "-> x.min()"]),
+        ("y = np.sort(x, axis=-1), x.sort(axis=a)", ["-1 -> 0", "-1 -> -2", "-> x.sort()"]),
+        ("y = x.reshape(-1, a)", []),
         ("y = np.var(x, ddof=a)", ["-> np.std(x, ddof=a)", "-> np.var(x)"]),
         ("y = np.where(a, b, c)", ["-> np.where(a, c, b)"]),
         ("y = f(side='left')", ["-> f()", "'left' -> 'right'"]),

@@ -80,8 +80,16 @@ def test_a_dollar_in_a_title_is_a_dollar() -> None:
 
 
 def test_an_unknown_picture_is_refused_with_the_nearest() -> None:
-    with pytest.raises(PoseDataError, match=r"^picture: 'reliabilty' is not known\. Did you mean reliability\?$"):
+    with pytest.raises(PoseDataError, match=r"^kind: 'reliabilty' is not known\. Did you mean reliability\?$"):
         draw(report_of(), "reliabilty")
+    with pytest.raises(PoseDataError, match=r"^kind: \['pck'\] is not known\. Did you mean pck\?$"):
+        draw(report_of(), ["pck"])  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("what", [5, report_of().totals])
+def test_what_is_no_report_is_not_drawn(what: object) -> None:
+    with pytest.raises(PoseDataError, match=rf"^report: {type(what).__name__}; expected Report\.$"):
+        draw(what)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -91,7 +99,7 @@ def test_an_unknown_picture_is_refused_with_the_nearest() -> None:
             "reliability",
             r'^reliability: the report has no calibration curves\. Evaluate with metrics="ece"\.$',
         ),
-        ("joints", r"^metric: 'signed_area' is not in the report\. "),
+        ("joints", r"^metric: 'signed_area' was not measured\. Evaluate with metrics=\"min_mpjpe, signed_area\"\.$"),
         ("errors", r"^curve: the report has no errors_by_n; it is among the default metrics\.$"),
         ("pck", r"^curve: the report has no pck_curve; it is among the default metrics\.$"),
         (

@@ -95,7 +95,7 @@ def test_joints_without_a_place_on_a_person_are_refused(ax: Axes) -> None:
 
 
 def test_without_signed_areas_there_is_no_picture_of_them(ax: Axes) -> None:
-    with pytest.raises(PoseDataError, match=r"^metric: 'signed_area' is not in the report\."):
+    with pytest.raises(PoseDataError, match=r"^metric: 'signed_area' was not measured\. Evaluate with "):
         signed_areas(report_of(metrics="mpjpe"), ax=ax)
 
 

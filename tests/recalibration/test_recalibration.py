@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -198,6 +199,14 @@ def test_coordinates_that_are_not_finite_are_refused_where_they_count(
 # --- arrays -----------------------------------------------------------------------------------------------------------
 
 
+def test_options_that_don_t_describe_data_are_refused_with_the_nearest() -> None:
+    x, y = gaussian(24, 9, 20, 3)
+    with pytest.raises(PoseDataError, match=r"^option: 'unti' is not known\. Did you mean unit\?$"):
+        fit_spread(x, y, unti="mm")
+    with pytest.raises(PoseDataError, match=r"^option: 'metrics' is not known\. Known: axes, "):
+        cross_fitted(x, y, metrics="ece")
+
+
 def test_two_arrays_are_fitted_as_pose_data_are() -> None:
     x, y = gaussian(24, 9, 120, 3, spread=0.5)
     how: dict[str, Any] = {
@@ -226,6 +235,47 @@ def test_a_spread_map_rescales_arrays_of_any_unit() -> None:
     assert map_.apply(x.astype("f4")).dtype == map_.apply(x.astype("f2")).dtype == np.float32
     assert map_.apply(x.astype(int)).dtype == np.float64
     assert map_.by_joint == {"Hip": 1.0, "Head": 2.0, "LFoot": 0.5}
+
+
+@pytest.mark.parametrize(
+    ("axes", "laid_out"),
+    [
+        ("MNKD", lambda x: x.swapaxes(0, 1)),
+        ("MKDN", lambda x: np.moveaxis(x, 0, -1)),
+        ("MN(DK)", lambda x: x.transpose(1, 0, 3, 2).reshape(6, 5, 9)),
+        ("MNTKD", lambda x: x.reshape(5, 2, 3, 3, 3).swapaxes(0, 1)),
+        ("NTMKD", lambda x: x.reshape(5, 2, 3, 3, 3).swapaxes(1, 2)),
+    ],
+)
+def test_maps_are_applied_to_arrays_of_any_layout(axes: str, laid_out: Callable[[Array], Array]) -> None:
+    x = skewed(25, 5, 6, 3)[0]
+    spread = SpreadMap(("Hip", "Head", "LFoot"), np.array([1.0, 2, 0.5]), 10, 2, 0)
+    radius = RadiusMap(spread.joints, np.array([math.nan, 20.0, 50]), 0.1, True, 10, 2, 0)
+    np.testing.assert_array_equal(spread.apply(laid_out(x), axes=axes), laid_out(spread.apply(x)))
+    for laid, plain in zip(radius.apply(laid_out(x), axes=axes), radius.apply(x), strict=True):
+        np.testing.assert_allclose(laid, plain, rtol=1e-12)
+
+
+def test_of_a_sampler_s_iterations_the_last_is_rescaled() -> None:
+    x = skewed(25, 5, 6, 3)[0]
+    spread = SpreadMap(("Hip", "Head", "LFoot"), np.array([1.0, 2, 0.5]), 10, 2, 0)
+    np.testing.assert_array_equal(spread.apply(np.stack([x + 9, x]), axes="INMKD"), spread.apply(x))
+
+
+def test_a_layout_that_is_not_declared_is_refused_where_it_looks_like_another() -> None:
+    x, y = skewed(25, 20, 6, 3)
+    laid_out = x.swapaxes(0, 1)
+    for map_ in (
+        fit_spread(laid_out, y, axes="MNKD", unit="mm"),
+        fit_radius(laid_out, y, axes="MNKD", unit="mm", alpha=0.5),
+    ):
+        with pytest.raises(PoseDataError, match=r"^hypotheses: \(6, 20, 3, 3\); .* 6 poses .* axes=\"MNKD\""):
+            map_.apply(laid_out)
+        map_.apply(laid_out, axes="MNKD"), map_.apply(laid_out, axes="NMKD"), map_.apply(x)
+        with pytest.raises(PoseDataError, match=r"^axes: 'MNK' lacks D"):
+            map_.apply(laid_out, axes="MNK")
+        with pytest.raises(PoseDataError, match=r"^hypotheses: \(6, 20, 3, 3\); expected \(M, N, \(DK\)\)"):
+            map_.apply(laid_out, axes="MN(DK)")
 
 
 @pytest.mark.parametrize("scaled", [False, True])
@@ -286,6 +336,7 @@ def test_without_sequences_parts_are_runs_of_frames() -> None:
         (1, None, r"folds: 1; expected 2 to 5"),
         ("two", None, r"folds: 'two'; expected 2 to 5"),
         (2.5, None, r"folds: 2\.5; expected 2 to 5"),
+        (2.0, None, r"folds: 2\.0; expected 2 to 5"),
     ],
 )
 def test_other_numbers_of_parts_are_refused(folds: Any, labels: list[str] | None, words: str) -> None:

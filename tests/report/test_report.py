@@ -35,6 +35,23 @@ def fresh(report: Report) -> Report:
     return Report(report.totals, report.by)
 
 
+# --- what is no report's --------------------------------------------------------------------------------------
+
+
+def test_a_report_is_of_sums() -> None:
+    for what in (5, some()):
+        with pytest.raises(PoseDataError, match=rf"^totals: {type(what).__name__}; expected Totals\.$"):
+            Report(what)  # type: ignore[arg-type]
+
+
+def test_a_form_and_a_width_are_checked() -> None:
+    with pytest.raises(PoseDataError, match=r"^format: 5 is not known\. Known: text, "):
+        some().render(5)  # type: ignore[arg-type]
+    for width in ("a", 0, 2.0):
+        with pytest.raises(PoseDataError, match=rf"^width: {width!r}; expected a whole number, at least 1\.$"):
+            some().render(width=width)  # type: ignore[arg-type]
+
+
 # --- computed when asked for ----------------------------------------------------------------------------------
 
 
@@ -67,7 +84,7 @@ def test_a_number_costs_only_itself(computed: list[str]) -> None:
     ("ask", "expected"),
     [
         (lambda r: r.value("mpjpe", "action=sitting"), ["value mpjpe"]),
-        (lambda r: r.interval("mpjpe"), ["interval mpjpe", "value mpjpe"]),
+        (lambda r: (r["mpjpe"], r.interval("mpjpe")), ["value mpjpe", "interval mpjpe"]),
         (lambda r: r.test("ece"), ["null ece"]),
         (lambda r: (r["ece_p"], r["ece_null_95"], r.definition("ece_p")), ["null ece"]),
         (lambda r: [r.value("mpjpe", joint=j) for j in ("Head", "Hip")], ["by_joint mpjpe"]),
@@ -403,6 +420,11 @@ def test_a_cut_of_the_spread_that_the_result_lacks_is_refused() -> None:
     ("call", "words"),
     [
         (lambda r: r["min_mpjp"], r"^metric: 'min_mpjp' is not in the report\. Did you mean min_mpjpe\?$"),
+        (lambda r: r["minMPJPE"], r"^metric: 'minMPJPE' is not in the report\. Did you mean min_mpjpe\?$"),
+        (
+            lambda r: r["energy_score"],
+            r"^metric: 'energy_score' was not measured\. Evaluate with metrics=\"default, scores\"\.$",
+        ),
         (lambda r: r.value("ece_pp"), r"^metric: 'ece_pp' is not in the report\. Did you mean ece_p\?$"),
         (lambda r: r.value("pck", "occlusion=visible"), r"^metric: 'pck' is not in the report of occlusion=visible\."),
         (lambda r: r.value("mpjpe", "action=siting"), r"^group: 'action=siting' .* Did you mean action=sitting\?$"),
@@ -433,6 +455,27 @@ def test_a_cut_of_the_spread_that_the_result_lacks_is_refused() -> None:
         (lambda r: r.rank_curves("ece"), r"^test: ece is no rank test of the report\."),
         (lambda r: r.event_reliability(), r'^event: the report has no Brier score\. Evaluate with metrics="scores"\.$'),
         (lambda r: r.render("xml"), r"^format: 'xml' is not known\. "),
+        (lambda r: r[3], r"^metric: 3 is not in the report\. Known: "),
+        (lambda r: r[["mpjpe"]], r"^metric: \['mpjpe'\] is not in the report\. Did you mean mpjpe\?$"),
+        (lambda r: r[None], r"^metric: None is not in the report\."),
+        (lambda r: r.value("mpjpe", joint=3), r"^joint: 3 is not in the report\. Known: .*Head"),
+        (lambda r: r.value("mpjpe", joint=["Head"]), r"^joint: \['Head'\] is not in the report\."),
+        (lambda r: r.value("mpjpe", group=3), r"^group: 3 is not in the report\."),
+        (lambda r: r.value("mpjpe", group=["action=sitting"]), r"^group: \['action=sitting'\] is not in the report\."),
+        (lambda r: r.interval("mpjpe", joint=3), r"^joint: 3 is not in the report\."),
+        (lambda r: r.interval(3), r"^metric: 3 is not in the report\."),
+        (lambda r: r.count("mpjpe", joint=3), r"^joint: 3 is not in the report\."),
+        (lambda r: r.definition(3), r"^metric: 3 is not in the report\."),
+        (lambda r: r.test(["ece"]), r"^metric: \['ece'\] is not in the report\."),
+        (lambda r: r.curve(3), r"^curve: 3 is not known\."),
+        (lambda r: r.curve(["pck_curve"]), r"^curve: \['pck_curve'\] is not known\."),
+        (lambda r: r.calibration(3), r"^definition: 3 is not known\."),
+        (lambda r: r.calibration("paper", ["all"]), r"^group: \['all'\] is not in the report\."),
+        (lambda r: r.rank_curves(3), r"^test: 3 is no rank test of the report\."),
+        (lambda r: r.rank_curves(["ece"]), r"^test: \['ece'\] is no rank test of the report\."),
+        (lambda r: r.render(3), r"^format: 3 is not known\."),
+        (lambda r: Report(r.totals, [3]), r"^by: "),
+        (lambda r: Report(r.totals, 3), r"^by: "),
     ],
 )
 def test_what_is_not_in_a_report_is_refused_with_the_nearest(call: Any, words: str) -> None:

@@ -205,11 +205,18 @@ def test_of_more_joints_six_are_named_and_the_rest_counted() -> None:
 
 
 @pytest.mark.parametrize(
-    ("area", "side"), [(-0.001, "overconfident"), (0.0, "underconfident"), (0.1, "underconfident")]
+    ("area", "looks"),
+    [
+        (-0.001, "ECE 0.040, on neither side throughout"),
+        (0.0, "ECE 0.040, on neither side throughout"),
+        (0.02, "ECE 0.040, on neither side throughout"),
+        (-0.021, "Looks overconfident"),
+        (0.1, "Looks underconfident"),
+    ],
 )
-def test_where_nothing_can_be_tested_the_sign_alone_is_said(area: float, side: str) -> None:
+def test_where_nothing_can_be_tested_the_side_is_named_by_the_rule_of_tests(area: float, looks: str) -> None:
     (first,) = sentences(0.04, area, float("nan"))
-    assert first == f"Looks {side} (signed area {area:+.3f}); whether by chance can't be tested here."
+    assert first == f"{looks} (signed area {area:+.3f}); whether by chance can't be tested here."
 
 
 @pytest.mark.parametrize(("coverage", "share"), [(0.916, "92"), (0.0, "0"), (1.0, "100")])

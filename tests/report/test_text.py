@@ -53,7 +53,7 @@ def test_every_ece_stands_with_its_definition_and_what_a_perfect_sampler_shows()
     (line,) = (line for line in text.splitlines() if line.startswith("ECE  "))
     assert "exchangeable; median of 16 joints (no root); " in line
     floor = report_of().value("ece_floor")
-    assert f"{floor:.4f} if" in text
+    assert f"independent frames: {floor:.4f}" in " ".join(text.split())
     (line,) = (line for line in text.splitlines() if line.startswith("ECE (paper)"))
     assert f"{report_of().value('ece_paper'):.5f}" in line
 
@@ -128,7 +128,7 @@ def test_the_poses_of_a_group_are_those_of_the_number_that_most_count_in() -> No
 def test_the_chance_of_a_perfect_sampler_is_left_out_of_a_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
     for most, shown in ((17, True), (16, False)):
         monkeypatch.setattr(text_module, "MESH", most)
-        assert cells(report_of(), "ECE")[-1].endswith("if frames were independent") is shown
+        assert ("; calibrated, independent frames: 0.0" in cells(report_of(), "ECE")[-1]) is shown
 
 
 def test_where_nothing_can_be_tested_no_p_value_is_shown() -> None:

@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -260,6 +261,8 @@ def test_results_that_were_not_made_alike_are_refused_with_what_differs() -> Non
         PoseDataError, match=r"N 12 against 5.*same options; n_hypotheses takes as many hypotheses of each"
     ):
         compare_totals([totals_of(X, Y), totals_of(X[:5], Y)], ["a", "b"])
+    with pytest.raises(PoseDataError, match=r"best frame against sequence\. Evaluate both with the same options\.$"):
+        compare_totals([totals_of(X, Y), totals_of(X, Y, best="sequence")], ["a", "b"])
 
 
 def test_other_poses_are_refused_with_how_many_there_are() -> None:
@@ -296,9 +299,19 @@ def test_the_true_poses_of_each_sequence_are_compared() -> None:
         compare_totals([totals_of(X, Y, "mpjpe"), totals_of(X, swapped, "mpjpe")], ["a", "b"])
 
 
-def test_another_truth_is_refused() -> None:
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda y: y + 5.0,
+        lambda y: y + np.array([10.0, -10.0, 0.0]),
+        lambda y: y[..., [0, 2, 1]],
+        lambda y: y[:, ::-1],
+    ],
+    ids=["moved", "moved in two directions", "axes exchanged", "joints exchanged"],
+)
+def test_another_truth_is_refused(change: Any) -> None:
     with pytest.raises(PoseDataError, match="a and b were evaluated against different true poses; expected the same"):
-        compare_totals([totals_of(X, Y), totals_of(X, Y + 5.0)], ["a", "b"])
+        compare_totals([totals_of(X, Y), totals_of(X, change(Y))], ["a", "b"])
 
 
 def test_one_model_is_nothing_to_compare() -> None:
@@ -344,3 +357,18 @@ def test_models_are_not_ranked_by_an_event_that_each_chooses_itself() -> None:
 def test_models_are_called_calibrated_by_their_own_test(three: Comparison) -> None:
     assert "narrow" not in three.calibrated()
     assert "right" in three.calibrated()
+
+
+def test_what_has_no_test_is_not_called_calibrated(three: Comparison) -> None:
+    for ask in (three.feasible, three.calibrated):
+        with pytest.raises(PoseDataError, match=r"^test: mpjpe is no calibration error or rank test\. "):
+            ask("mpjpe")
+    few = {"sequence": sequences(M, 5)}
+    pair = compare_totals([totals_of(X, Y, "ece", few), totals_of(X + 1, Y, "ece", few)], ["a", "b"])
+    with pytest.raises(PoseDataError, match=r"^calibrated: ece has no test on 5 sequences; expected at least 6\.$"):
+        pair.calibrated()
+
+
+def test_a_form_is_one_of_a_few(three: Comparison) -> None:
+    with pytest.raises(PoseDataError, match=r"^format: 5 is not known\. Known: csv, json, latex, markdown\.$"):
+        three.render(5)  # type: ignore[arg-type]

@@ -103,6 +103,9 @@ def test_no_number_where_nothing_is_left_or_all_are_alike(kind: str) -> None:
     _, without = PAIRS[kind]
     alike, one = np.ones(4), np.zeros(4, dtype=int)
     assert np.isnan(without(np.arange(4.0), np.arange(1, 5.0), one)).all()
+    for seed in range(20):  # sums of the same numbers in another order, whose difference is not 0
+        spread, error = np.random.default_rng(seed).gamma(2, 20, (2, 999))
+        assert np.isnan(without(spread, error, np.zeros(999, dtype=int))).all()
     assert without(np.zeros(0), np.zeros(0), np.zeros(0, dtype=int)).shape == (0,)
     if kind == "rank correlation":
         assert np.isnan(without(alike, np.arange(4.0), np.arange(4))).all()

@@ -233,6 +233,17 @@ def test_of_a_mesh_evenly_spaced_joints_that_count_are_tested(over: str) -> None
     np.testing.assert_array_equal(thin(counts[:, :MESH]), np.arange(3, MESH))  # all that count
 
 
+@pytest.mark.parametrize("over", OVER)
+def test_the_curves_that_are_tested_of_a_mesh_reject_a_calibrated_one_as_often_as_the_level_says(over: str) -> None:
+    """With all 2^7 patterns the p-values of symmetric deviations are uniform: 6 / 128 of them lie below 5 %."""
+    random = np.random.default_rng(21)
+    times, counts = 250, np.ones((8, MESH + 150))
+    curves = (random.normal(size=(8, MESH + 150, 1)) * np.sqrt(LEVELS * (1 - LEVELS)) for _ in range(times))
+    rejected = sum(sign_flips(D, counts, Deviation(over=over)).p < 0.05 for D in curves)
+    low, high = stats.binom(times, 6 / 128).interval(0.999)
+    assert low <= rejected <= high
+
+
 # --- what is kept of the level ----------------------------------------------------------------------------------------
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -54,6 +56,27 @@ def test_climatology_has_as_many_hypotheses_and_is_the_same_every_time() -> None
     assert (read(climatology(pairs, seed=1)) != read(climatology(pairs))).any()
     poses = np.array([3, 1])
     np.testing.assert_array_equal(read(climatology(pairs).select(poses)), read(climatology(pairs))[:, poses])
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"n_hypotheses": -1}, r"^n_hypotheses: -1; expected a whole number, at least 1\.$"),
+        ({"n_hypotheses": 0}, r"^n_hypotheses: 0; expected a whole number, at least 1\.$"),
+        ({"n_hypotheses": 2.0}, r"^n_hypotheses: 2\.0; expected a whole number, at least 1\.$"),
+        ({"seed": "a"}, r"^seed: 'a'; expected a whole number, at least 0\.$"),
+        ({"seed": -1}, r"^seed: -1; expected a whole number, at least 0\.$"),
+        ({"seed": True}, r"^seed: True; expected a whole number, at least 0\.$"),
+    ],
+)
+def test_numbers_that_are_none_are_refused(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(PoseDataError, match=words):
+        climatology(pairs_of(*skewed(2, 7, 9, 2)), **changes)
+
+
+def test_climatology_is_of_pose_data() -> None:
+    with pytest.raises(PoseDataError, match=r"^pairs: ndarray; expected PoseData\.$"):
+        climatology(np.zeros((3, 4, 2, 3)))  # type: ignore[arg-type]
 
 
 def test_one_sequence_has_no_others_to_draw_from() -> None:

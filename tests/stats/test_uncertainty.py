@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,9 +12,9 @@ from posecal.calibration import LEVELS
 from posecal.engine.metric import Deviation, Statistic
 from posecal.engine.protocol import Protocol
 from posecal.engine.totals import Totals
-from posecal.stats import uncertainty
+from posecal.stats import resampling, uncertainty
 from posecal.stats.jackknife import jackknife, joint_leave_one_out, leave_one_out
-from posecal.stats.resampling import sign_flips
+from posecal.stats.resampling import LEVEL, holm, sign_flips, thin
 from posecal.stats.uncertainty import (
     effective_poses,
     effective_sample_size,
@@ -110,6 +111,52 @@ def test_every_joint_is_tested_as_if_it_were_the_only_one() -> None:
             assert p[k] == alone or (math.isnan(p[k]) and math.isnan(alone))
         assert np.isnan(p).tolist() == [False, False, True]  # joint 2 counts in 4 sequences
         assert p[0] != p[1]
+
+
+@pytest.mark.parametrize("S", [6, 9])
+def test_joints_too_many_for_any_to_be_significant_are_not_tested(S: int) -> None:
+    """All sequences lean to one side, so each joint's p-value is one of 2^(S - 1) patterns, the smallest there is."""
+    patterns = 2 ** (S - 1)
+    most = int(LEVEL * patterns)
+    assert most / patterns < LEVEL < (most + 1) / patterns  # the smallest p-value of so many joints by Holm
+    for joints, tested in ((most, True), (most + 1, False)):
+        some = of_joints(joints, S)
+        p = joint_p_values(some, ECE)
+        assert p.shape == (joints,)
+        np.testing.assert_array_equal(p, 1 / patterns if tested else math.nan)
+        assert min(holm(p.tolist())) < LEVEL or not tested
+    some.sums["inside"][:, 1], some.counts["inside"][:, 1] = 0, 0  # a joint that never counts is none to adjust for
+    p = joint_p_values(some, ECE)
+    np.testing.assert_array_equal(np.delete(p, 1), 1 / patterns)
+    assert math.isnan(p[1])
+
+
+def of_joints(joints: int, S: int) -> Totals:
+    """Sums of joints that lean to one side in every sequence alike, and their pooled curve."""
+    some = random_totals(1, S, S)
+    some.spec = replace(some.spec, joints=tuple(map(str, range(joints))))
+    counts = np.full((S, joints + 1), 3)
+    some.add("inside", np.arange(S), counts[..., None] * (LEVELS + 0.1 * LEVELS * (1 - LEVELS)), counts)
+    return some
+
+
+def test_a_test_of_a_mesh_is_that_of_the_curves_that_it_judges(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(resampling, "MESH", 2)
+    some = with_curves(8)
+    judged = some.spec.joints
+    D, counts = sequence_deviations(some, INSIDE, judged=slice(None, -1))
+    chosen = thin(sequence_deviations(some, INSIDE)[1][:, :-1])
+    np.testing.assert_array_equal(chosen, [0, 2])
+    assert len(judged) == 2
+    np.testing.assert_array_equal(D, sequence_deviations(some, INSIDE)[0][:, chosen])
+    np.testing.assert_array_equal(counts, sequence_deviations(some, INSIDE)[1][:, chosen])
+    assert null(some, ECE) == sign_flips(D, counts, Deviation(over="median"))
+    np.testing.assert_array_equal(sequence_deviations(some, INSIDE, judged=slice(-1, None))[0][:, 0], pooled(some))
+
+
+def pooled(some: Totals) -> Array:
+    """Deviations of the last curve."""
+    return sequence_deviations(some, INSIDE)[0][:, -1]
 
 
 def test_of_one_sequence_nothing_is_uncertain() -> None:

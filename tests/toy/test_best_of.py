@@ -75,7 +75,7 @@ class TestExpectedMinMpjpe:
             pytest.param(45, 200, 0.1973, marks=pytest.mark.slow),
             pytest.param(45, 200, 0.5, marks=pytest.mark.slow),
             pytest.param(10, 200, 0.37, marks=pytest.mark.slow),
-            (2, 50, 0.55),
+            pytest.param(2, 50, 0.55, marks=pytest.mark.slow),
             pytest.param(100, 500, 0.15, marks=pytest.mark.slow),
         ],
     )

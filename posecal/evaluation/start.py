@@ -1,0 +1,46 @@
+"""The accumulator that the first batch of an evaluation starts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from posecal.calibration.rank_tests import NEEDS_COORDINATE_RANGE, PreRank
+from posecal.data.pose_data import PoseData
+from posecal.engine.accumulate import Accumulator
+from posecal.engine.cells import CellIndex
+from posecal.engine.prepare import Prepared, prepare
+from posecal.engine.protocol import Protocol
+from posecal.engine.scope import DataSpec
+from posecal.errors import PoseDataError, option
+from posecal.registry import registered_metrics, statistics_of
+
+
+def start_accumulator(
+    spec: DataSpec,
+    protocol: Protocol,
+    data: PoseData,
+    by: Sequence[str],
+    preranks: Mapping[str, PreRank],
+    prepared: Prepared | None,
+    threads: int | None,
+    *,
+    complete: bool,
+) -> Accumulator:
+    """Make an accumulator of the statistics that a protocol needs, without poses so far.
+
+    Raises
+    ------
+    PoseDataError
+        Where a metric depends on the whole set, and neither ``prepared`` nor all poses (``complete``) are there.
+    """
+    own = tuple(m for m in registered_metrics() if m.headline or m.name in protocol.wanted)
+    statistics = statistics_of(protocol, spec, by, preranks, own)
+    if prepared is None and any(statistic.name in NEEDS_COORDINATE_RANGE for statistic in statistics):
+        if not complete:
+            raise PoseDataError(
+                "metrics: tarp_box depends on all true poses, which come in batches here; expected "
+                f"{option('prepared')} with posecal.prepare of them, or metrics without it."
+            )
+        prepared = prepare(data)
+    index = CellIndex([entry for entry in by if entry != "occlusion"], protocol.average, [*data.labels])
+    return Accumulator(spec, protocol, statistics, index, prepared=prepared, own_metrics=own, threads=threads)
