@@ -39,7 +39,7 @@ def merge_totals(parts: Sequence[Totals], names: Sequence[str] | None = None) ->
         Where two differ in more than their poses, or hold the same poses.
     """
     if not hasattr(parts, "__len__") or not parts or not all(isinstance(part, Totals) for part in parts):
-        raise PoseDataError("merge: expected results, at least one.")
+        raise PoseDataError("merge: expected results (Totals, such as report.totals), at least one.")
     names = names or [_ordinal(number) for number in range(1, len(parts) + 1)]
     labels = [name for name in parts[0].cells if all(name in part.cells for part in parts)]
     _refuse_unlike(parts, names)

@@ -130,7 +130,7 @@ def test_labels_that_one_shard_lacks_are_dropped_and_their_cells_joined() -> Non
 
 @pytest.mark.parametrize("parts", [[], [3], [totals(), "result.npz"]])
 def test_what_is_no_result_is_refused(parts: list[Any]) -> None:
-    with pytest.raises(PoseDataError, match=r"^merge: expected results, at least one\."):
+    with pytest.raises(PoseDataError, match=r"^merge: expected results \(Totals, such as report\.totals\), at least"):
         merge_totals(parts)
 
 
@@ -201,5 +201,5 @@ def test_velocities_per_frame_add_at_any_frame_rate() -> None:
 
 @pytest.mark.parametrize("what", [5, [], None, [5]])
 def test_only_results_are_merged(what: Any) -> None:
-    with pytest.raises(PoseDataError, match=r"^merge: expected results, at least one\.$"):
+    with pytest.raises(PoseDataError, match=r"^merge: expected results \(Totals, such as report\.totals\), at least"):
         merge_totals(what)
