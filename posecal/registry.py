@@ -52,7 +52,7 @@ def register(metric: Metric, /, *, replace: bool = False) -> Metric:
     Raises
     ------
     PoseDataError
-        For what is no metric, for a name of :func:`reserved_names` or of another registered one, and for a name that
+        For what is no metric, for a name that is reserved or that of another registered one, and for a name that
         can't be a column's.
 
     Examples

@@ -39,9 +39,9 @@ class Statistic:
     name : str
         Unique within a protocol.
     compute : callable
-        From a block to (B, *shape); NaN where a pose (or a joint of it) does not count.
+        From a block to (B, …); NaN where a pose (or a joint of it) does not count.
     per_joint : bool
-        Whether the first axis of the shape is joints, each of which counts or not.
+        Whether the second axis is joints, each of which counts or not.
     per_pose : bool
         Whether the values of all poses are kept, for orders over poses, which no sums give.
     """

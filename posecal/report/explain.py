@@ -21,7 +21,6 @@ EVERYTHING = DataSpec(
     labels=("sequence",),
     fps=50.0,
     has_scores=True,
-    has_occlusion=True,
     reference="climatology",
     n_reference=200,
 )

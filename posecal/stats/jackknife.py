@@ -174,7 +174,7 @@ class _Pairs:
         sums, counts = totals.of_cells(statistic, cells)
         pairs, of_cell = np.unique(sequence * G + group, return_inverse=True)
         of_pair = sum_by(of_cell, len(pairs), sums), sum_by(of_cell, len(pairs), counts)
-        return cls(*np.divmod(pairs, max(G, 1)), *of_pair, sum_by(group, G, sums), sum_by(group, G, counts))
+        return cls(*np.divmod(pairs, G), *of_pair, sum_by(group, G, sums), sum_by(group, G, counts))
 
     def rest(self, some: slice) -> tuple[FloatArray, Counts]:
         """Sums and counts of the groups of some pairs without the pairs' sequences."""
@@ -231,7 +231,7 @@ def _means_without(totals: Totals, statistic: Statistic, cells: Cells) -> Iterat
 def _student(freedom: int) -> float:
     from scipy.special import stdtrit
 
-    return float(stdtrit(freedom, 0.975))
+    return float(stdtrit(freedom, 0.975))  # NaN for none
 
 
 def jackknife(value: float, without: FloatArray, present: BoolArray | None = None) -> Interval:
@@ -299,7 +299,7 @@ def jackknife_columns(without: FloatArray, present: BoolArray | None = None) -> 
     centred = np.where(counted, without - np.where(counted, without, 0).sum(axis=0) / several, 0)
     error = np.sqrt((several - 1) / several * (centred**2).sum(axis=0))
     distinct, which = np.unique(number, return_inverse=True)
-    students = np.array([_student(int(n) - 1) if n > 1 else np.nan for n in distinct])
+    students = np.array([_student(int(n) - 1) for n in distinct])
     return error, error * students[which]
 
 

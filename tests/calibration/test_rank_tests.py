@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from posecal.calibration import LEVELS
-from posecal.calibration.rank_tests import RANK_TESTS, rank_test_metrics, user_weights, weights_of_ranks
+from posecal.calibration.rank_tests import RANK_TESTS, Pool, rank_test_metrics, user_weights, weights_of_ranks
 from posecal.engine.block import Block, iter_blocks
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec, Scope
@@ -238,12 +238,26 @@ def test_a_rank_test_is_its_definition(name: str, N: int) -> None:
         np.testing.assert_allclose(found[m, 0], rank_inside(PRERANKS[name](pool)), atol=1e-9)
 
 
+@pytest.mark.parametrize("name", PRERANKS)
+def test_points_are_ranked_by_the_number_that_the_definition_names(name: str) -> None:
+    x, y = skewed(4, 5, 3, 4)
+    prerank = TESTS[name].prerank
+    assert prerank is not None
+    found = prerank(Pool.of(Block(x, y), np.ones(4, dtype=bool)))
+    for m in range(3):
+        expected = np.array(PRERANKS[name](np.concatenate([x[:, m], y[m][None]])))
+        if name in {"average_rank", "band_depth"}:
+            expected /= 4 * 3  # a mean over coordinates, there a sum
+        np.testing.assert_allclose(found[m] + (name == "average_rank"), expected)  # from 0, there from 1
+
+
 @pytest.mark.parametrize("N", [3, 6])
 def test_tarp_in_a_box_is_its_definition(N: int) -> None:
     x, y = skewed(N, N, 7, 4)
     where = np.random.default_rng(N).random((7, 4)) < 0.7
     where[0], where[1] = False, True
     y[:, 2, 1] = 12.5  # nothing to tell
+    y[:, 3], x[:, :, 3] = 1e-3 * y[:, 3], 1e-3 * x[:, :, 3]  # sides of less than a millimetre
     found = TESTS["tarp_box"].weights(Block(x, y, where=where), np.ones(4, dtype=bool))
     assert np.isnan(found[0]).all()
     for m in range(1, 7):

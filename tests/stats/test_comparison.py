@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from posecal.errors import PoseDataError
 from posecal.stats import comparison
 from posecal.stats.comparison import Comparison, compare_totals
 from posecal.stats.jackknife import leave_one_out
-from posecal.stats.resampling import holm
+from posecal.stats.resampling import LEVEL, holm
 from tests.helpers.samplers import gaussian, pairs_of, sequences
 from tests.helpers.sums import accumulate
 
@@ -254,9 +255,8 @@ def test_each_metric_of_each_model_is_left_one_sequence_out_once(monkeypatch: py
 
 
 def test_results_that_were_not_made_alike_are_refused_with_what_differs() -> None:
-    other = totals_of(X, Y, align="rigid")
-    with pytest.raises(PoseDataError, match=r"a and b were not made alike: align default against rigid|align .*rigid"):
-        compare_totals([totals_of(X, Y), other], ["a", "b"])
+    with pytest.raises(PoseDataError, match=r"^a and b were not made alike: align similarity against rigid\. Evaluate"):
+        compare_totals([totals_of(X, Y), totals_of(X, Y, align="rigid")], ["a", "b"])
     with pytest.raises(
         PoseDataError, match=r"N 12 against 5.*same options; n_hypotheses takes as many hypotheses of each"
     ):
@@ -314,6 +314,26 @@ def test_another_truth_is_refused(change: Any) -> None:
         compare_totals([totals_of(X, Y), totals_of(X, change(Y))], ["a", "b"])
 
 
+def test_true_poses_are_compared_but_for_rounding() -> None:
+    one = totals_of(X, Y, "mpjpe")
+    largest = np.abs(one.sums["truth"].reshape(S, -1)).max()
+    assert largest > 1000
+
+    def moved(share: float) -> Totals:
+        return replace(one, sums={**one.sums, "truth": one.sums["truth"] + share * largest})
+
+    assert compare_totals([one, moved(0.9e-4)], ["a", "b"]).names == ("a", "b")
+    with pytest.raises(PoseDataError, match="a and b were evaluated against different true poses"):
+        compare_totals([one, moved(1.5e-4)], ["a", "b"])
+
+
+def test_a_metric_of_one_s_own_is_the_same_for_both() -> None:
+    own = [Metric.from_function(lambda x, y: x[0, :, 0, 0], name="own", definition=text) for text in ("one", "other")]
+    pair = [replace(totals_of(X, Y, "mpjpe"), own_metrics=(metric,)) for metric in own]
+    with pytest.raises(PoseDataError, match=r"^a and b define own differently; expected the same metrics\.$"):
+        compare_totals(pair, ["a", "b"])
+
+
 def test_one_model_is_nothing_to_compare() -> None:
     with pytest.raises(PoseDataError, match="compare: 1 model; expected at least 2"):
         compare_totals([totals_of(X, Y)], ["a"])
@@ -359,9 +379,17 @@ def test_models_are_called_calibrated_by_their_own_test(three: Comparison) -> No
     assert "right" in three.calibrated()
 
 
+def test_at_the_level_itself_a_test_does_not_reject() -> None:
+    pair = compare_totals([totals_of(X, Y, "ece"), totals_of(X + 1, Y, "ece")], ["a", "b"])
+    test = pair._null("ece", "a")
+    for name, p in (("a", LEVEL), ("b", LEVEL * 0.999)):
+        pair._memory["null", "ece", name] = replace(test, p=p)
+    assert pair.calibrated() == ["a"]
+
+
 def test_what_has_no_test_is_not_called_calibrated(three: Comparison) -> None:
     for ask in (three.feasible, three.calibrated):
-        with pytest.raises(PoseDataError, match=r"^test: mpjpe is no calibration error or rank test\. "):
+        with pytest.raises(PoseDataError, match=r"^test: mpjpe is no calibration error or rank test\. Known: ece, "):
             ask("mpjpe")
     few = {"sequence": sequences(M, 5)}
     pair = compare_totals([totals_of(X, Y, "ece", few), totals_of(X + 1, Y, "ece", few)], ["a", "b"])

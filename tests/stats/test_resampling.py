@@ -21,8 +21,10 @@ from posecal.stats.resampling import (
     MESH,
     MIN_DRAWS,
     MIN_SEQUENCES,
+    _signs,
     holm,
     n_draws,
+    n_patterns,
     sign_flips,
     sign_flips_of_each,
     thin,
@@ -70,10 +72,11 @@ def some(seed: int, S: int = 7, J: int = 3) -> tuple[Array, Array]:
     return bridge * np.sqrt(counts)[..., None], counts
 
 
+@pytest.mark.parametrize("J", [3, 4])
 @pytest.mark.parametrize("over", ["median", "mean", "worst"])
 @pytest.mark.parametrize("offset", [None, 0.02 * np.sin(np.arange(Q))], ids=["unbiased", "biased definition"])
-def test_few_sequences_are_flipped_in_every_way(over: str, offset: Array | None) -> None:
-    D, counts = some(3)
+def test_few_sequences_are_flipped_in_every_way(over: str, offset: Array | None, J: int) -> None:
+    D, counts = some(3, J=J)
     every = [
         flipped(D, counts, signs, 0 if offset is None else offset) for signs in itertools.product((1, -1), repeat=7)
     ]
@@ -158,6 +161,27 @@ def test_six_is_the_smallest_number_at_which_anything_can_be_rejected() -> None:
     # All sequences deviate alike: of the 2^(S-1) patterns only one is as extreme, the observed one.
     found = sign_flips(np.ones((MIN_SEQUENCES, 1, Q)), np.ones((MIN_SEQUENCES, 1), int), Deviation())
     assert found.p == 1 / 2 ** (MIN_SEQUENCES - 1) < 0.05 < 1 / 2 ** (MIN_SEQUENCES - 2)
+
+
+@pytest.mark.parametrize(("S", "draws", "every"), [(8, 128, True), (8, 127, False), (9, 128, False)])
+def test_signs_are_drawn_where_there_are_more_patterns_than_draws(S: int, draws: int, every: bool) -> None:
+    D, counts = some(4, S=S)
+    one, other = (sign_flips(D, counts, Deviation(), draws=draws, seed=seed) for seed in (0, 1))
+    assert (one == other) == every
+    assert one.p * draws == pytest.approx(round(one.p * draws))
+
+
+def test_there_are_as_many_patterns_as_are_tried() -> None:
+    for S in (0, 1, 2, 6, 11, 12, 13, 300):
+        assert n_patterns(S, 3 * Q) == len(_signs(S, n_draws(DRAWS, 3 * Q), 0)) == min(2 ** max(S - 1, 0), DRAWS)
+    assert n_patterns(300, 6890 * Q) == MIN_DRAWS
+    assert n_patterns(8, 6890 * Q, draws=50) == 50
+
+
+def test_curves_on_the_diagonal_are_as_calibrated_as_can_be() -> None:
+    D, counts = np.zeros((8, 2, Q)), np.ones((8, 2), int)
+    assert sign_flips(D, counts, Deviation()).p == 1
+    assert sign_flips_of_each(D, counts).tolist() == [1, 1]
 
 
 def test_nothing_that_counts_gives_no_number() -> None:

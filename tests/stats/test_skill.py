@@ -52,7 +52,7 @@ def test_climatology_has_as_many_hypotheses_and_is_the_same_every_time() -> None
     pairs = pairs_of(*skewed(2, 7, 9, 2))
     np.testing.assert_array_equal(read(climatology(pairs)), read(climatology(pairs)))
     assert climatology(pairs).shape == pairs.shape
-    assert climatology(pairs).names[0] == "climatology"
+    assert climatology(pairs).names == ("climatology", "truth")
     assert (read(climatology(pairs, seed=1)) != read(climatology(pairs))).any()
     poses = np.array([3, 1])
     np.testing.assert_array_equal(read(climatology(pairs).select(poses)), read(climatology(pairs))[:, poses])
@@ -83,6 +83,22 @@ def test_one_sequence_has_no_others_to_draw_from() -> None:
     pairs = pairs_of(*skewed(3, 2, 5, 2), labels={"sequence": ["a"] * 5})
     with pytest.raises(PoseDataError, match=r"^truth: one sequence; climatology samples complete poses of other seq"):
         climatology(pairs)
+
+
+def test_a_sequence_that_has_all_complete_poses_has_no_others_to_draw_from() -> None:
+    x, y = skewed(3, 2, 5, 2)
+    where = np.array([[True, True]] * 3 + [[True, False]] * 2)
+    pairs = pairs_of(x, y, where=where, labels={"sequence": ["a"] * 3 + ["b"] * 2})
+    with pytest.raises(PoseDataError, match=r"^truth: too few true poses without missing joints; climatology samples"):
+        climatology(pairs)
+
+
+def test_a_reference_has_at_least_two_hypotheses() -> None:
+    x, y = skewed(3, 2, 5, 2)
+    pairs = pairs_of(x, y)
+    assert with_reference(pairs, pairs_of(x[:2], y)).reference is not None
+    with pytest.raises(PoseDataError, match=r"^hypotheses: N = 1; fair scores need at least 2\."):
+        with_reference(pairs, pairs_of(x[:1], y))
 
 
 # --- skills -----------------------------------------------------------------------------------------------------------
