@@ -12,7 +12,7 @@ from posecal.data.arrays import FloatArray
 from posecal.data.pose_data import PoseData
 from posecal.engine.block import Block
 from posecal.engine.cells import SPREAD, label_name, spread_cuts, spread_labels
-from posecal.engine.chunks import map_blocks
+from posecal.engine.chunks import map_blocks, read_chunks
 from posecal.engine.coordinate_range import CoordinateRange, coordinate_range
 from posecal.engine.protocol import Protocol
 from posecal.errors import PoseDataError, checked_type
@@ -163,15 +163,18 @@ def refuse_non_finite(data: PoseData, name: str, bad: Indices) -> None:
 
 
 def refuse_non_finite_hypotheses(data: PoseData) -> None:
-    """Refuse a batch with coordinates that are not finite, before any of it is counted.
+    """Refuse a batch with coordinates that are not finite, or its reference's, before any of it is counted.
 
     Raises
     ------
     PoseDataError
         Where a joint that counts has one.
     """
-    hypotheses = data.hypotheses.read(0, len(data.truth))
-    if np.isfinite(hypotheses.sum()):  # one fast pass; true of nearly every batch
-        return
-    bad = ~np.isfinite(hypotheses).all(axis=(0, 3))
-    refuse_non_finite(data, data.names[0], np.argwhere(bad if data.where is None else bad & data.where))
+    for some in (data,) if data.reference is None else (data, data.reference):
+        start, bad = 0, np.zeros((0, 2), dtype=np.intp)
+        for chunk in read_chunks(some.replace(reference=None)):
+            if not np.isfinite(chunk.hypotheses.sum()):  # one fast pass; finite for nearly every batch
+                places = np.argwhere(~np.isfinite(chunk.hypotheses).all(axis=(0, 3)))
+                bad = np.concatenate([bad, places + np.array([start, 0])])
+            start += len(chunk)
+        refuse_non_finite(data, some.names[0], bad if data.where is None else bad[data.where[tuple(bad.T)]])

@@ -172,7 +172,6 @@ class Evaluation:
         if self._axes is not None and not is_stored:
             given["axes"] = self._axes
         data = as_pose_data(hypotheses, truth, {**self._options, **given})
-        refuse_non_finite_hypotheses(data)
         n_given, repeated = len(data.truth), 0
         if frame_id is not None:
             data = self._new_frames(data, frame_id)
@@ -238,6 +237,8 @@ class Evaluation:
         lack = lack_of_scored(data, self.protocol)
         if lack and complete:
             raise PoseDataError(lack)
+        if not complete:  # all poses are checked as they are measured
+            refuse_non_finite_hypotheses(data)
         if len(data.truth):
             spec = DataSpec.of(data, has_mask=has_mask, preranks=tuple(self._preranks))
             self._count(data, spec, progress, "all" if hold_back else "none" if complete else "rest", n_given)
@@ -343,14 +344,13 @@ class Evaluation:
                 f"merge: {len(common):,} frames are in both ({first_few(common)}), and not in the last batch of "
                 "either; expected each frame in one process."
             )
-        repeated, other._repeated = other._repeated, 0
         parts = [*kept._parts(), *other._parts()]
         if len(parts) > 1:
             merge_totals(parts)  # refuses what does not fit before anything changes
         self.__dict__.update(kept.__dict__)
         self._others = [*self._others, *other._parts()]
         self._frames_of_others = self._frames_of_others | frames
-        self._repeated += repeated
+        self._repeated += other._repeated
         self._batches += other._batches
         self._has_frames = other._has_frames if self._has_frames is None else self._has_frames
         lacks = [lack for lack in (self._lack, other._lack) if lack is not None]

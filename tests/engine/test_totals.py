@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from posecal.engine.metric import Metric, ReadOff, entry
+from posecal.engine.metric import Metric, ReadOff, Statistic, entry
 from posecal.engine.protocol import Protocol
 from posecal.engine.totals import Totals, difference_of_signatures
 from posecal.errors import PoseDataError
@@ -209,6 +209,32 @@ def test_numbers_per_joint_are_averaged_alike() -> None:
 
 def test_a_metric_without_joints_has_no_numbers_per_joint() -> None:
     assert np.isnan(totals().by_joint(metric())).tolist() == [True, True]
+
+
+@pytest.mark.parametrize("statistic", [HEIGHT, JOINTS], ids=["of poses", "of joints"])
+def test_averaged_groups_weigh_alike_and_together_as_much_as_their_poses(statistic: Statistic) -> None:
+    some, pooled = (random_totals(3, G=9, protocol=Protocol(average=average)) for average in ("action", "poses"))
+    for each in (some, pooled):  # a group in which a joint never counts
+        cells = next(cells for _, cells in each.groups("action"))
+        each.sums["joints"][cells, 1] = each.counts["joints"][cells, 1] = 0
+    sums, counts = some.by_sequence(statistic)
+    total = some.counts[statistic.name].sum(axis=0)
+    np.testing.assert_allclose(counts.sum(axis=0), total)
+    of_groups = np.stack([some.counts[statistic.name][cells].sum(axis=0) for _, cells in some.groups("action")])
+    means = np.stack([some.mean(statistic, cells) for _, cells in some.groups("action")])
+    np.testing.assert_allclose(sums.sum(axis=0), total * np.nanmean(means, axis=0))
+    expected = (of_groups > 0).sum(axis=0) ** 2 / np.where(of_groups > 0, 1 / np.maximum(of_groups, 1), 0).sum(axis=0)
+    np.testing.assert_allclose(some.effective_sample_size(statistic), expected)
+    np.testing.assert_array_equal(pooled.effective_sample_size(statistic), total)
+    np.testing.assert_array_equal(pooled.by_sequence(statistic)[1].sum(axis=0), total)
+
+
+def test_a_joint_that_never_counts_is_of_no_pose() -> None:
+    for average in ("poses", "action"):
+        some = random_totals(3, protocol=Protocol(average=average))
+        some.counts["joints"][:, 1] = 0
+        assert some.effective_sample_size(JOINTS)[1] == 0
+        assert some.effective_sample_size(JOINTS)[0] > 0
 
 
 def clips(k: int, protocol: Protocol | None = None) -> tuple[Totals, Metric]:

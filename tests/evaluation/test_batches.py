@@ -130,6 +130,30 @@ def test_labels_in_a_mapping_are_answered_with_the_keywords(world: Arrays) -> No
         evaluation.update(world["hypotheses"], world["truth"], labels=labels)
 
 
+def test_a_mask_stands_in_the_signature(world: Arrays) -> None:
+    assert "where=all,mask " in in_batches(world, [30], "where").signature
+    assert "where=all " in in_batches(world, [30], "sequence").signature
+
+
+def test_poses_of_sequences_of_one_frame_stay_in_their_cells(world: Arrays) -> None:
+    """Of orders over poses, such as the rank correlation, a group's are those of its own poses."""
+    names = np.arange(M).astype(str)
+    names[1::3] = names[0::3]  # a sequence of two frames, and one of a single frame, in turn
+    alone = {**world, "sequence": names}
+    one = in_batches(alone, [11], "sequence", "action", by="action")
+    assert sorted(set(one.totals.poses.tolist())) == [1, 2]
+    np.testing.assert_array_equal(one.totals.cells["sequence"][one.totals.cell_of], names)
+    for action in ("walk", "sit", "run"):
+        poses = np.flatnonzero(world["action"] == action)
+        part = {
+            name: values[:, poses] if name == "hypotheses" else values[poses]
+            for name, values in alone.items()
+            if name in ("hypotheses", "truth", "sequence")
+        }
+        expected = in_one_call(part, "sequence")["spread_error_correlation"]
+        assert one.value("spread_error_correlation", f"action={action}") == pytest.approx(expected, rel=1e-12)
+
+
 def test_a_velocity_reaches_over_the_end_of_a_batch(world: Arrays) -> None:
     one = in_batches(world, [4], "sequence", metrics=["mpjve"])
     assert one["mpjve"] == pytest.approx(in_one_call(world, "sequence", metrics=["mpjve"])["mpjve"], rel=1e-12)
@@ -216,6 +240,36 @@ def test_frames_of_earlier_batches_that_both_have_are_refused(world: Arrays, mon
     assert first.totals().poses.sum() == before
 
 
+def test_a_frame_of_the_last_batch_of_either_is_dropped_there(world: Arrays, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("posecal.engine.block.BLOCK_BYTES", 4000)  # blocks of nine poses
+    first, second = np.append(np.arange(40, 90), 3), np.arange(40)
+    for rows in ((first, second), (second, first)):
+        one, other = (rank(world, some) for some in rows)
+        one.merge(other)
+        report = one.compute()
+        assert report.totals.poses.sum() == M
+        assert "1 pose came more than once, by frame_id; each frame is counted once." in report.remarks
+        assert report["min_mpjpe"] == pytest.approx(in_one_call(world, "sequence")["min_mpjpe"], rel=1e-12)
+        assert other.totals().poses.sum() == len(rows[1])  # stays as it is
+
+
+def test_an_evaluation_without_batches_adds_nothing(world: Arrays) -> None:
+    for merged, other in (
+        (rank(world, np.arange(M)), posecal.Evaluation()),
+        (posecal.Evaluation(), rank(world, np.arange(M))),
+    ):
+        merged.merge(other)
+        assert_same(merged.compute(), in_one_call(world, "sequence"))
+
+
+def test_a_process_of_which_all_frames_are_known_adds_nothing(world: Arrays) -> None:
+    first, second = rank(world, np.arange(M)), rank(world, np.arange(20))
+    first.merge(second)
+    report = first.compute()
+    assert report.totals.poses.sum() == M
+    assert any(remark.startswith("20 poses came more than once") for remark in report.remarks)
+
+
 def test_evaluations_that_were_not_made_alike_do_not_merge(world: Arrays) -> None:
     first, second = rank(world, np.arange(0, 40)), posecal.Evaluation(unit="mm", axes="NMKD")
     second.update(world["hypotheses"][:5, 40:], world["truth"][40:])
@@ -261,6 +315,12 @@ def test_what_depends_on_all_poses_is_prepared_or_refused(world: Arrays) -> None
     )
     report = in_batches(world, [30], "sequence", metrics="rank_tests", prepared=posecal.prepare(data))
     assert_same(report, in_one_call(world, "sequence", metrics="rank_tests"))
+    poses = posecal.prepare(
+        posecal.PoseData(world["hypotheses"], world["truth"], unit="mm", axes="NMKD", joints=JOINTS)
+    )
+    for sizes in ([30], [7, 40]):  # without sequences each pose is one by itself
+        report = in_batches(world, sizes, metrics="tarp_box", prepared=poses)
+        assert report["tarp_box"] == pytest.approx(in_one_call(world, metrics="tarp_box")["tarp_box"], rel=1e-12)
     cut = "predicted_spread=50"
     assert_same(in_batches(world, [30], "sequence", by=cut), in_one_call(world, "sequence", by=cut))
 

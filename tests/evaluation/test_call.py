@@ -284,9 +284,13 @@ def test_no_joint_to_score_is_refused(some: World) -> None:
         accumulate(replace(some, occluded=np.ones_like(some.occluded)).pairs, Protocol(where="visible"))
 
 
+@pytest.mark.parametrize("block", [1, 3000, 10**9])
 @pytest.mark.parametrize("side", ["truth", "hypotheses"])
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_what_is_not_finite_is_refused_with_its_frames_and_joint(some: World, side: str, value: float) -> None:
+def test_what_is_not_finite_is_refused_with_its_frames_and_joint(
+    some: World, side: str, value: float, block: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("posecal.engine.block.BLOCK_BYTES", block)
     x, y = some.x.copy(), some.y.copy()
     for m in (3, 7):
         if side == "truth":

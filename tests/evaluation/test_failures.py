@@ -11,6 +11,7 @@ import pytest
 import posecal
 from posecal.errors import PoseDataError
 from posecal.registry import register, unregister
+from posecal.stats.skill import with_reference
 
 N, M, K = 7, 60, 5
 Arrays = tuple[npt.NDArray[Any], npt.NDArray[Any]]
@@ -29,6 +30,63 @@ def batch(arrays: Arrays, start: int, stop: int) -> Arrays:
 
 def evaluation(**options: Any) -> posecal.Evaluation:
     return posecal.Evaluation(**{"unit": "mm", "axes": "NMKD", "threads": 1, **options})
+
+
+# --- what is not finite -----------------------------------------------------------------------------------------
+
+
+def holed(arrays: Arrays, *places: tuple[int, int], value: float = np.nan) -> Arrays:
+    hypotheses = arrays[0].copy()
+    for pose, joint in places:
+        hypotheses[3, pose, joint, 1] = value
+    return hypotheses, arrays[1]
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("window", [1, 10**9])
+def test_pose_data_that_are_not_finite_are_refused_before_any_is_counted(
+    arrays: Arrays, window: int, value: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("posecal.engine.chunks.WINDOW_BYTES", window)
+    some, broken = evaluation(), holed(arrays, (41, 2), (55, 4), (55, 1), value=value)
+    some.add(posecal.PoseData(*batch(arrays, 0, 30), unit="mm"))
+    refused = r"^hypotheses has non-finite coordinates in 2 of 30 frames \(first: frame 11, joint 2\)\. Mask those"
+    with pytest.raises(PoseDataError, match=refused):
+        some.add(posecal.PoseData(*batch(broken, 30, 60), unit="mm"))
+    some.add(posecal.PoseData(*batch(arrays, 30, 60), unit="mm"))
+    assert some.compute()["mpjpe"] == pytest.approx(posecal.evaluate(*arrays, unit="mm")["mpjpe"], rel=1e-12)
+    assert some.totals().poses.sum() == M
+
+
+def test_a_reference_that_is_not_finite_is_refused_by_its_name(arrays: Arrays) -> None:
+    data, other = (posecal.PoseData(*some, unit="mm") for some in (arrays, holed(arrays, (7, 3))))
+    some = evaluation(metrics="scores")
+    with pytest.raises(
+        PoseDataError, match=r"^other has non-finite coordinates in 1 of 60 frames \(first: frame 7, jo"
+    ):
+        some.add(with_reference(data, other.replace(names=("other", "truth"))))
+    some.add(with_reference(data, data.replace(names=("other", "truth"))))
+    assert some.compute()["energy_skill"] == pytest.approx(0, abs=1e-12)
+
+
+@pytest.mark.parametrize("block", [4000, 10**9])
+def test_joints_and_frames_that_do_not_count_may_be_anything(
+    arrays: Arrays, block: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("posecal.engine.block.BLOCK_BYTES", block)
+    places = ((41, 2), (55, 4))
+    occluded = np.zeros((M, K), dtype=bool)
+    occluded[tuple(np.transpose(places))] = True
+    found, expected = evaluation(protocol=posecal.Protocol(where="visible")), evaluation()
+    for part in (slice(0, 45), slice(45, 60)):
+        truth, masks = arrays[1][part], occluded[part]
+        found.update(holed(arrays, *places)[0][:, part], truth, occluded=masks)
+        expected.update(arrays[0][:, part], truth, where=~masks)
+    assert found.compute()["mpjpe"] == pytest.approx(expected.compute()["mpjpe"], rel=1e-12)
+    again = evaluation()
+    again.update(*arrays, frame_id=np.arange(M))
+    again.update(*holed(arrays, (7, 1)), frame_id=np.arange(M))  # all known
+    assert again.totals().poses.sum() == M
 
 
 # --- failures part way ----------------------------------------------------------------------------------------

@@ -28,7 +28,7 @@ ALSO = {
     "posecal/metrics/": ("test_definitions.py", "test_laws.py", "test_registry.py", "test_wrong_arguments.py"),
     "posecal/calibration/curve.py": ("test_error.py",),
     "posecal/calibration/ranks.py": ("test_exactness.py",),
-    "posecal/engine/accumulate.py": ("test_averaged.py", "test_batches.py", "test_failures.py", "test_memory.py"),
+    "posecal/engine/accumulate.py": ("test_averaged.py", "test_batches.py", "test_call.py", "test_failures.py"),
     "posecal/engine/chunks.py": ("test_batches.py",),
     "posecal/engine/prepare.py": ("test_batches.py", "test_call.py", "test_failures.py"),
     "posecal/evaluation/": ("test_batches.py", "test_call.py", "test_failures.py"),
