@@ -247,7 +247,7 @@ def checked_index(value: Any, name: str, size: int, of: str) -> int:
         For anything else.
     """
     try:
-        index = size if isinstance(value, bool) else operator.index(value)
+        index = size if isinstance(value, bool | np.bool_) else operator.index(value)
     except TypeError:
         index = size
     if not -size <= index < size:
