@@ -15,6 +15,8 @@ from posecal.engine.protocol import Protocol
 from posecal.errors import PoseDataError
 from posecal.evaluation import evaluate
 from posecal.metrics import diversity, min_mpjpe, mpjpe, mpjve, radius
+from posecal.report.report import Report
+from posecal.stats.skill import climatology, with_reference
 from tests.helpers import oracles
 from tests.helpers.random_worlds import JOINTS, World, skewed, world
 from tests.helpers.sums import accumulate
@@ -135,6 +137,29 @@ def test_occluded_joints_are_scored_by_themselves(some: World) -> None:
     report = evaluate(some.x, some.y, occluded=some.occluded, protocol=Protocol(where="occluded"), root_joint="none")
     expected = np.nanmean(min_mpjpe(some.x, some.y, where=some.occluded))
     np.testing.assert_allclose(report.value("min_mpjpe"), expected)
+
+
+# --- a reference -----------------------------------------------------------------------------------------------------
+
+
+def test_skills_are_relative_to_climatology_arrays_or_pose_data(some: World) -> None:
+    given = {"unit": "mm", "axes": "NMKD", "labels": {"sequence": some.sequence}, "root_joint": "none"}
+    data = PoseData(some.x, some.y, **given)  # type: ignore[arg-type]
+    other = some.y + 90 * np.random.default_rng(4).standard_normal((N + 3, *some.y.shape))
+    scores: dict[str, float] = {}
+    for name, reference, pairs in (
+        ("climatology", "climatology", climatology(data)),
+        ("arrays", other, PoseData(other, some.y, **given)),  # type: ignore[arg-type]
+    ):
+        expected = Report(accumulate(with_reference(data, pairs), Protocol(metrics="scores")))["crps_skill"]
+        report = evaluate(some.x, some.y, reference=reference, metrics="scores", scores=some.scores, **given)  # type: ignore[arg-type]
+        assert report["crps_skill"] == expected
+        assert evaluate(data, reference=pairs, metrics="scores")["crps_skill"] == expected
+        scores[name] = expected
+    assert evaluate(data, reference="climatology", metrics="scores")["crps_skill"] == scores["climatology"]
+    assert scores["arrays"] != scores["climatology"]
+    with pytest.raises(PoseDataError, match=r'^reference: expected "climatology" or PoseData where the data are PoseD'):
+        evaluate(data, reference=other, metrics="scores")
 
 
 # --- which poses -----------------------------------------------------------------------------------------------------

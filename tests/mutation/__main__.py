@@ -32,7 +32,6 @@ ALSO = {
     "posecal/engine/chunks.py": ("test_batches.py",),
     "posecal/engine/prepare.py": ("test_batches.py", "test_call.py", "test_failures.py"),
     "posecal/evaluation/": ("test_batches.py", "test_call.py", "test_failures.py"),
-    "posecal/evaluation/call.py": ("test_skill.py",),
     "posecal/report/report.py": ("test_sheet.py", "test_text.py"),
     "posecal/report/table.py": ("test_report.py",),
     "posecal/stats/jackknife.py": ("test_uncertainty.py",),
