@@ -185,11 +185,14 @@ class Block:
 
     @cached_property
     def variance(self) -> FloatArray:
-        """Mean squared deviation of the hypotheses from their mean, (B, K, D), mm², in double; 0 where all agree."""
+        """Mean squared deviation of the hypotheses from their mean, (B, K, D), mm², in double; 0 where all agree.
+
+        The mean lies within one deviation of the median, so that no digits are lost in the difference.
+        """
         n = self.n_hypotheses
         squares = np.einsum("bkdn,bkdn->bkd", self.from_median, self.from_median).astype(np.float64) / n
         mean = np.einsum("bkdn->bkd", self.from_median).astype(np.float64) / n
-        return np.asarray(np.maximum(squares - mean**2, 0))  # the mean lies within one deviation of the median
+        return np.asarray(squares - mean**2)
 
     @cached_property
     def squared_errors(self) -> FloatArray:

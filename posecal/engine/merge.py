@@ -36,11 +36,13 @@ def merge_totals(parts: Sequence[Totals], names: Sequence[str] | None = None) ->
     Raises
     ------
     PoseDataError
-        Where two differ in more than their poses, or hold the same poses.
+        Where two differ in more than their poses, or hold the same poses, and for other than one name each.
     """
     if not hasattr(parts, "__len__") or not parts or not all(isinstance(part, Totals) for part in parts):
         raise PoseDataError("merge: expected results (Totals, such as report.totals), at least one.")
-    names = names or [_ordinal(number) for number in range(1, len(parts) + 1)]
+    names = [_ordinal(number) for number in range(1, len(parts) + 1)] if names is None else names
+    if len(names) != len(parts):
+        raise PoseDataError(f"names: {len(names)} for {len(parts)} results; expected one each.")
     labels = [name for name in parts[0].cells if all(name in part.cells for part in parts)]
     _refuse_unlike(parts, names)
     _refuse_repeated(parts, names, labels)

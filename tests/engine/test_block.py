@@ -54,6 +54,19 @@ def test_offsets_do_not_depend_on_the_memory_layout(order: str, dtype: str) -> N
     np.testing.assert_array_equal(found, (x.astype("f8") - y.astype("f8")).transpose(1, 2, 3, 0))
 
 
+def test_poses_whose_root_is_right_already_stay_as_they_are(arrays: tuple[Array, Array]) -> None:
+    x, y = arrays
+    x[:, 3, 2] = y[3, 2]  # in one pose of seven
+    expected = oracles.relative(x, 2) - oracles.relative(y, 2)
+    np.testing.assert_allclose(Block(x, y, root=2).offsets, expected.transpose(1, 2, 3, 0), atol=1e-12)
+    np.testing.assert_array_equal(Block(x, y, root=2).offsets[3], (x[:, 3] - y[3]).transpose(1, 2, 0))
+
+
+def test_no_joint_is_occluded_unless_it_is_said(arrays: tuple[Array, Array]) -> None:
+    occluded = Block(*arrays).occluded
+    assert (occluded.shape, occluded.any()) == ((M, K), False)
+
+
 def test_positions_are_relative_to_the_root(arrays: tuple[Array, Array]) -> None:
     x, y = arrays
     block = Block(x, y, root=2)

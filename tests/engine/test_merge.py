@@ -76,6 +76,7 @@ def test_runs_of_frames_stay_runs_of_frames_of_their_own_shard() -> None:
     merged, whole = merge_totals(parts), accumulate(pairs)
     assert not merged.has_sequences
     assert merged.poses.tolist() == [1] * 23
+    assert merged.cells["sequence"].tolist() == [f"1/{run}" for run in range(9)] + [f"2/{run}" for run in range(14)]
     for name, sums in whole.sums.items():
         np.testing.assert_allclose(merged.sums[name], sums, rtol=1e-12, err_msg=name)
     one = known_metrics(Protocol(), whole.spec)["mpjpe"]
@@ -167,13 +168,22 @@ def test_the_same_poses_twice_are_refused() -> None:
         merge_totals([totals(), totals()], ["one.npz", "two.npz"])
 
 
-@pytest.mark.parametrize(("row", "name"), [(2, "2nd"), (3, "3rd"), (4, "4th"), (11, "11th"), (21, "21st")])
+@pytest.mark.parametrize(
+    ("row", "name"),
+    [(2, "2nd"), (3, "3rd"), (4, "4th"), (11, "11th"), (12, "12th"), (13, "13th"), (21, "21st"), (22, "22nd")],
+)
 def test_results_without_names_are_called_by_their_number(row: int, name: str) -> None:
     parts = [
         totals(sums={"height": np.full(4, 100.0 * number)}, counts={"height": np.ones(4)}) for number in range(row)
     ]
     with pytest.raises(PoseDataError, match=rf"^the 1st result and the {name} result hold the same poses"):
         merge_totals([*parts[:-1], parts[0]])
+
+
+@pytest.mark.parametrize("names", [[], ["one"], ["one", "two", "three"]])
+def test_each_result_has_one_name(names: list[str]) -> None:
+    with pytest.raises(PoseDataError, match=rf"^names: {len(names)} for 2 results; expected one each\.$"):
+        merge_totals([totals(), totals()], names)
 
 
 def test_values_per_pose_of_shards_follow_their_cells() -> None:

@@ -1,7 +1,7 @@
 """Batches that fail part way, options that stand where labels do, and what batches may lack."""
 
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -65,6 +65,10 @@ def test_a_reference_that_is_not_finite_is_refused_by_its_name(arrays: Arrays) -
         PoseDataError, match=r"^other has non-finite coordinates in 1 of 60 frames \(first: frame 7, jo"
     ):
         some.add(with_reference(data, other.replace(names=("other", "truth"))))
+    with pytest.raises(
+        PoseDataError, match=r"^other has non-finite coordinates in 1 of 60 frames \(first: frame 7, jo"
+    ):
+        posecal.evaluate(data, reference=other.replace(names=("other", "truth")), metrics="scores")
     some.add(with_reference(data, data.replace(names=("other", "truth"))))
     assert some.compute()["energy_skill"] == pytest.approx(0, abs=1e-12)
 
@@ -209,11 +213,11 @@ def test_sequences_that_prepared_lacks_are_refused(arrays: Arrays) -> None:
 # --- what batches may lack ------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("left_out", [[9, 13, *range(14, 28), 29, 30, 41], range(14, 28), range(20, 30), range(30, 60)])
 @pytest.mark.parametrize("size", [7, 10, 30])
-def test_no_velocity_reaches_over_poses_that_are_left_out(arrays: Arrays, size: int) -> None:
+def test_no_velocity_reaches_over_poses_that_are_left_out(arrays: Arrays, size: int, left_out: Sequence[int]) -> None:
     flags = np.array(["yes"] * M)
-    flags[[9, 13, 29, 30, 41]] = "no"
-    flags[14:28] = "no"
+    flags[list(left_out)] = "no"
     protocol = posecal.Protocol(frames="good", metrics="mpjve, mpjpe")
     labels = {"sequence": np.array(["a"] * M), "good": flags}
     one = posecal.evaluate(*arrays, unit="mm", axes="NMKD", labels=labels, protocol=protocol)
@@ -263,13 +267,18 @@ def none_occluded(rows: slice) -> dict[str, Any]:
         (none_occluded, posecal.Protocol(where="occluded"), r"^where: no joint of truth is occluded"),
     ],
 )
+@pytest.mark.parametrize("starts", [(0, 20, 40), (20, 0, 40), (20, 40, 0)])
 def test_a_batch_in_which_nothing_counts_is_no_error(
-    arrays: Arrays, extra: Callable[[slice], dict[str, Any]], protocol: posecal.Protocol, message: str
+    arrays: Arrays,
+    extra: Callable[[slice], dict[str, Any]],
+    protocol: posecal.Protocol,
+    message: str,
+    starts: tuple[int, ...],
 ) -> None:
     some = evaluation(protocol=protocol)
-    for start in (0, 20, 40):
+    for number, start in enumerate(starts):
         some.update(*batch(arrays, start, start + 20), **extra(slice(start, start + 20)))
-        if start == 0:
+        if number == start == 0:
             with pytest.raises(PoseDataError, match=message):
                 some.compute()
     given = extra(slice(0, M))
@@ -277,6 +286,24 @@ def test_a_batch_in_which_nothing_counts_is_no_error(
     one = posecal.evaluate(*arrays, unit="mm", axes="NMKD", protocol=protocol, **given, **labels)
     assert some.compute().totals.poses.sum() == one.totals.poses.sum()
     assert some.compute()["mpjpe"] == pytest.approx(one["mpjpe"], rel=1e-12)
+
+
+@pytest.mark.parametrize("where", ["all", "occluded"])
+def test_of_all_poses_some_must_count(arrays: Arrays, where: str) -> None:
+    none = np.zeros((M, K), dtype=bool)
+    data = posecal.PoseData(*arrays, unit="mm", **({"where": none} if where == "all" else {"occluded": none}))
+    some = evaluation(protocol=posecal.Protocol(where=where))  # type: ignore[arg-type]
+    with pytest.raises(PoseDataError, match=r"^where: no joint of truth (counts|is occluded); expected some to score"):
+        some.add(data, complete=True)
+    with pytest.raises(PoseDataError, match=r"^evaluation: no batch so far"):
+        some.compute()
+
+
+def test_a_batch_of_one_frame_may_have_its_name_alone(arrays: Arrays) -> None:
+    some = evaluation()
+    for frame, name in ((0, "a"), (1, ["b"]), (0, "a")):
+        some.update(*batch(arrays, frame, frame + 1), frame_id=name)
+    assert some.totals().poses.sum() == 2
 
 
 def test_labels_may_come_in_any_order(arrays: Arrays) -> None:

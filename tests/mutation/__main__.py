@@ -30,6 +30,7 @@ ALSO = {
     "posecal/calibration/ranks.py": ("test_exactness.py",),
     "posecal/engine/accumulate.py": ("test_averaged.py", "test_batches.py", "test_call.py", "test_failures.py"),
     "posecal/engine/chunks.py": ("test_batches.py",),
+    "posecal/engine/metric.py": ("test_own_metrics.py",),
     "posecal/engine/prepare.py": ("test_batches.py", "test_call.py", "test_failures.py"),
     "posecal/evaluation/": ("test_batches.py", "test_call.py", "test_failures.py"),
     "posecal/report/report.py": ("test_sheet.py", "test_text.py"),

@@ -10,20 +10,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from posecal.engine.metric import Metric
+from posecal.engine.metric import Metric, Statistic
 from posecal.engine.protocol import Protocol
 from posecal.engine.totals import Totals
 from posecal.registry import known_metrics
 from posecal.stats import jackknife as module
 from posecal.stats.jackknife import (
     Interval,
+    counting_sequences,
     jackknife,
     jackknife_columns,
     joint_leave_one_out,
     leave_one_out,
     paired_p,
 )
-from tests.helpers.example_totals import JOINTS, KEPT, PAIR, metric, random_totals
+from tests.helpers.example_totals import HEIGHT, JOINTS, KEPT, PAIR, metric, random_totals
 from tests.helpers.random_worlds import world
 
 Array = np.ndarray
@@ -164,6 +165,27 @@ def test_per_joint_each_sequence_is_left_out_as_if_its_cells_had_not_been_there(
             names = some.cells["sequence"][chosen]
             counts = [some.counts["joints"][chosen[names == name]].sum(axis=0) > 0 for name in sorted(set(names))]
             np.testing.assert_array_equal(present, counts)
+
+
+@pytest.mark.parametrize("statistic", [HEIGHT, JOINTS, PAIR, KEPT], ids=["number", "joints", "pair", "per pose"])
+def test_sequences_count_that_have_a_pose_of_which_something_is_known(statistic: Statistic) -> None:
+    one = metric(statistic, finish=lambda mean: mean)
+    for seed in range(8):
+        some = random_totals(seed, C=20, S=9)
+        some.per_pose["kept"][:, 0] = -1
+        for name in some.sums:
+            some.sums[name] = -np.abs(some.sums[name])
+        for cells in (None, np.arange(3, 15), np.array([5])):
+            chosen = np.arange(20) if cells is None else cells
+            names, expected = some.cells["sequence"][chosen], []
+            for name in sorted(set(names)):
+                own = chosen[names == name]
+                if statistic is KEPT:
+                    values = some.per_pose["kept"][np.isin(some.cell_of, own)]
+                    expected.append(bool((~np.isnan(values)).all(axis=1).any()))
+                else:
+                    expected.append(bool((some.counts[statistic.name][own] > 0).any()))
+            assert counting_sequences(some, one, cells).tolist() == expected
 
 
 def test_a_statistic_that_is_not_per_joint_counts_at_every_joint() -> None:
