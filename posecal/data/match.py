@@ -70,8 +70,12 @@ class Matcher:
         marks, true_marks = self._occluded(hypotheses, (m, k)), self._occluded(truth, self.true_shape[:2])
         where = None if truth.where is None else attempt(problems, checked_mask, truth.where, self.true_shape[:2])
         scores = hypotheses.scores
-        if scores is not None and scores.shape != (n, m):
-            problems.append(f"{hypotheses.name}: scores {scores.shape}; expected (N, M) = {(n, m)}.")
+        if scores is not None:
+            text = self.layouts[0].text
+            poses_first = text.index("M") < text.index("N") and scores.shape == (m, n)
+            scores = scores.T if poses_first else scores
+            if scores.shape != (n, m):
+                problems.append(f"{hypotheses.name}: scores {scores.shape}; expected (N, M) = {(n, m)}.")
         fps = hypotheses.fps if truth.fps is None else truth.fps
         if fps is not None:
             fps = attempt(problems, checked_number, fps, "fps", _is_rate, "frames per second, above 0")

@@ -67,7 +67,7 @@ def evaluate(
     occluded : bool array (M, K), optional
         The joints whose keypoints were not seen; instead of a file's.
     scores : array (N, M), optional
-        The model's score of each hypothesis; instead of a file's.
+        The model's score of each hypothesis, (M, N) where ``axes`` has M first; instead of a file's.
     fps : float, optional
         Frames per second; instead of a file's.
     frame_id, truth_frame_id : arrays (M,), optional

@@ -334,6 +334,21 @@ def test_marks_follow_their_joints() -> None:
     np.testing.assert_array_equal(pairs.occluded, marks)
 
 
+def test_scores_are_in_the_order_of_the_declared_axes() -> None:
+    scores = np.arange(N * M, dtype=float).reshape(N, M)
+    poses_first = hyps(hypotheses().swapaxes(0, 1), axes="MNKD", scores=scores.T)
+    np.testing.assert_array_equal(match_poses(poses_first, gt()).scores, scores)
+    as_documented = hyps(hypotheses().swapaxes(0, 1), axes="MNKD", scores=scores)
+    np.testing.assert_array_equal(match_poses(as_documented, gt()).scores, scores)
+
+
+def test_declared_axes_decide_the_order_of_scores_where_n_is_m() -> None:
+    scores = np.arange(N * N, dtype=float).reshape(N, N)
+    for axes, right in (("MNKD", scores.T), ("NMKD", scores)):
+        poses = hyps(np.zeros((N, N, K, 3)), axes=axes, scores=scores)
+        np.testing.assert_array_equal(match_poses(poses, gt(truth()[:N])).scores, right)
+
+
 def test_scores_of_another_shape_are_refused() -> None:
     with pytest.raises(PoseDataError, match=r"^hyps\.npz: scores \(7, 5\); expected \(N, M\) = \(5, 7\)\.$"):
         match_poses(hyps(scores=np.zeros((M, N))), gt())
