@@ -94,7 +94,7 @@ class ReadOff:
         return self.read(self.summary(means))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Metric:
     """A reported number, with everything that one must know to read it.
 
@@ -320,7 +320,7 @@ def mean_over_joints(values: FloatArray) -> FloatArray:
     return np.where(number > 0, np.nansum(values, axis=-1) / np.maximum(number, 1), np.nan)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Curve:
     """A number as a function of another, for pictures.
 

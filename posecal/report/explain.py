@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from functools import cache
 
 from posecal.data.arrays import checked_choice
@@ -125,7 +124,7 @@ def _changing_options() -> dict[str, set[str]]:
     for option, values in _TRIED.items():
         for value in values:
             for name, metric in known_metrics(Protocol().changed({option: value}), EVERYTHING).items():
-                shown = replace(default[name], definition=metric.definition, label=metric.label, unit=metric.unit)
-                if shown != default[name]:
+                before = default[name]
+                if (metric.definition, metric.label, metric.unit) != (before.definition, before.label, before.unit):
                     changing[name].add(option)
     return changing
