@@ -152,16 +152,18 @@ def as_label_arrays(labels: object, name: str) -> dict[str, npt.NDArray[np.str_]
 
 
 def as_marks(values: object, name: str) -> BoolArray:
-    """Convert a mask of joints.
+    """Convert a mask: yes/no, or numbers of which each is 0 or 1.
 
     Raises
     ------
     PoseDataError
-        Where it is not boolean.
+        Where it holds something else.
     """
     array = as_array(values, name)
+    if array.dtype.kind in "fiu" and ((array == 0) | (array == 1)).all():
+        array = array == 1
     if array.dtype.kind != "b":
-        raise PoseDataError(f"{name}: dtype {array.dtype}; expected bool (M, K).")
+        raise PoseDataError(f"{name}: dtype {array.dtype}; expected bool (M, K), or numbers 0 and 1.")
     return cast(BoolArray, array)
 
 
@@ -228,14 +230,15 @@ def checked_mask(values: object, shape: tuple[int, ...], name: str = "where") ->
     Raises
     ------
     PoseDataError
-        Where it is not boolean, or of another shape.
+        Where it is no mask, or of another shape.
     """
-    mask = as_array(values, name)
-    if mask.dtype != bool or mask.shape != shape:
+    array = as_array(values, name)
+    is_mask = array.dtype.kind in "bfiu" and ((array == 0) | (array == 1)).all()
+    if not is_mask or array.shape != shape:
         raise PoseDataError(
-            f"{name}: {mask.dtype} {mask.shape}; expected bool (M, K) = {shape}, True where a joint counts."
+            f"{name}: {array.dtype} {array.shape}; expected bool (M, K) = {shape}, True where a joint counts."
         )
-    return cast(BoolArray, mask)
+    return as_marks(array, name)
 
 
 def checked_index(value: Any, name: str, size: int, of: str) -> int:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from posecal.data.arrays import FloatArray
+from posecal.data.degenerate import distinct_hypotheses
 from posecal.data.skeleton import Skeleton
 from posecal.errors import PoseDataError, option
 
@@ -47,7 +48,8 @@ def check_units(data: PoseData, unit: str | None, true_unit: str | None, declare
     name, true_name = data.names
     is_known = unit is not None or declared.unit is not None
     is_true_known = any(given is not None for given in (true_unit, declared.truth_unit, declared.unit))
-    size = pose_size(data.hypotheses.read(0, 8)[:12].reshape(-1, k, d))
+    some = data.hypotheses.read(0, 8)
+    size = pose_size(some[:12].reshape(-1, k, d))
     true_size = pose_size(data.truth)
     sides = ("truth_unit", true_name, true_size, is_true_known), ("unit", name, size, is_known)
     tiny = [(key, metres_message(which, length), known) for key, which, length, known in sides if 0 < length < TINY]
@@ -70,6 +72,12 @@ def check_units(data: PoseData, unit: str | None, true_unit: str | None, declare
                 f"{option('truth_unit')} for the other."
             )
         remarks.append(f"{ratio}. Are their units right?")
+    distinct, n = distinct_hypotheses(some), len(some)
+    if 1 < distinct < n:
+        remarks.append(
+            f"{name}: only {distinct} of N = {n} hypotheses are distinct, by the first {some.shape[1]} frames. Spread, "
+            "calibration and scores are then those of fewer hypotheses."
+        )
     return remarks or _check_bones(data)
 
 

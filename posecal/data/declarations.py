@@ -117,6 +117,8 @@ def choose_layouts(
     """
     x, y = hypotheses.array.shape, truth.array.shape
     own = resolve(hypotheses, "axes", hypotheses.axes, axes)
+    if own is None and len(x) == len(y) == 3 and x[1:] == y[1:] and truth_axes is None is truth.axes:
+        own = TRUTH  # of the truth's own shape: one prediction of each pose
     true_own = resolve(truth, "truth_axes", truth.axes, truth_axes)
     both = f"{hypotheses.name} {x} and {truth.name} {y}: expected (N, M, K, D) and (M, K, D)"
     layout = named_call(hypotheses, Layout, own or HYPOTHESES, HYPOTHESES)

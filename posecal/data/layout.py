@@ -10,9 +10,12 @@ letter   axis
 ``T``    frames of a clip; clips and their frames together are the poses
 ``K``    joints
 ``D``    coordinates
+``C``    coordinates with a confidence after them, which is left out
 ``I``    iterations of a sampler, of which the last counts
 ``(…)``  several axes flattened into one, such as ``(KD)`` or ``(DK)``
 =======  ==========================================================================================
+
+A layout without ``N`` holds one prediction of each pose, one without ``D`` a single coordinate of each joint.
 
 Axes are declared and never guessed: where the numbers of hypotheses and of poses agree, a guess is a wrong number.
 """
@@ -87,7 +90,7 @@ class Layout:
     Attributes
     ----------
     text : str
-        Such as ``NMKD``, ``MKND`` or ``MN(DK)``.
+        Such as ``NMKD``, ``MKND``, ``MN(DK)``, ``NMKC`` or ``MKD`` (of hypotheses: one of each pose).
     core : str
         The letters that it must have, ``NMKD`` for hypotheses and ``MKD`` for the truth.
     coordinates : int
@@ -102,9 +105,11 @@ class Layout:
     --------
     >>> Layout("MN(DK)", "NMKD").sizes((7, 5, 51))
     {'M': 7, 'N': 5, 'D': 3, 'K': 17}
-    >>> Layout("NMK", "NMKD")
+    >>> Layout("MKC", "NMKD").shape((7, 17, 4))
+    (1, 7, 17, 3)
+    >>> Layout("NKD", "NMKD")
     Traceback (most recent call last):
-    posecal.errors.PoseDataError: axes: 'NMK' lacks D; expected each letter of NMKD once, such as MNKD or MN(DK).
+    posecal.errors.PoseDataError: axes: 'NKD' lacks M; expected each letter of NMKD once, such as MNKD or MN(DK).
     """
 
     text: str
@@ -115,9 +120,10 @@ class Layout:
         text = str(self.text)
         letters = re.sub(r"[()]", "", text)
         missing = [letter for letter in self.core if letter not in letters]
-        unknown = [letter for letter in letters if letter not in self.core + "TI"]
-        repeated = len(set(letters)) < len(letters)
-        grouped = re.fullmatch(r"(?:[A-Z]|\([A-Z]+\))+", text) and re.search(r"\([^)]*[NMTI]", text) is None
+        missing = missing if {"M", "K"} & {*missing} else []
+        unknown = [letter for letter in letters if letter not in self.core + "TIC"]
+        repeated = len(set(letters)) < len(letters) or {"C", "D"} <= set(letters)
+        grouped = re.fullmatch(r"(?:[A-Z]|\([A-Z]+\))+", text) and re.search(r"\([^)]*[NMTIC]", text) is None
         if missing or unknown or repeated or not grouped:
             what = f"lacks {', '.join(missing)}" if missing else "is no layout"
             other = "MNKD or MN(DK)" if "N" in self.core else "MDK or M(DK)"
@@ -153,7 +159,9 @@ class Layout:
             else:
                 known = {"D": self.coordinates, "K": length // self.coordinates}
                 lengths.update({letter: known[letter] for letter in group})
-        return lengths
+        if "C" in lengths:
+            lengths["D"] = lengths.pop("C") - 1
+        return {**{letter: 1 for letter in self.core if letter not in lengths}, **lengths}
 
     def shape(self, shape: tuple[int, ...]) -> tuple[int, ...]:
         """Give the shape in the paper's layout, clips and frames joined."""
@@ -191,7 +199,7 @@ class Layout:
         return runs[0] if len(runs) == 1 else np.concatenate(runs, axis=self.core.index("M"))
 
     def store(self, array: npt.NDArray[F], clip_length: int | None = None) -> npt.NDArray[F]:
-        """Give an array (N, M, K, D) or (M, K, D) in this layout, the inverse of :meth:`read`; without iterations.
+        """Give an array (N, M, K, D) or (M, K, D) in this layout, as :meth:`read` reads it, without iterations.
 
         Parameters
         ----------
@@ -210,7 +218,8 @@ class Layout:
         if clip_length is not None:
             order = order.replace("M", "MT")
             sizes |= {"M": sizes["M"] // clip_length, "T": clip_length}
-        groups = [group for group in self.groups if group != "I"]
+        groups = [group.replace("C", "D") for group in self.groups if group != "I"]
+        order = "".join(letter for letter in order if letter in "".join(groups))
         split = array.reshape([sizes[letter] for letter in order])
         moved = split.transpose([order.index(letter) for letter in "".join(groups)])
         return moved.reshape([math.prod(sizes[letter] for letter in group) for group in groups])
@@ -221,16 +230,19 @@ class Layout:
         clip, start = divmod(first, sizes[frame])
         chosen = {"I": slice(sizes.get("I", 1) - 1, sizes.get("I", 1)), "M": slice(clip, clip + 1)}
         chosen[frame] = slice(start, start + number)
+        chosen["C"] = slice(0, sizes["D"])
         some = array.part(
             tuple(chosen.get(group, slice(0, size)) for group, size in zip(self.groups, array.shape, strict=True))
         )
-        letters = "".join(self.groups)
+        letters = "".join(self.groups).replace("C", "D")
         lengths = {letter: part.stop - part.start for letter, part in chosen.items()}
         split = some.reshape([lengths.get(letter, sizes[letter]) for letter in letters])
         single = {"I", "M"} - {frame}
         split = split.squeeze(axis=tuple(axis for axis, letter in enumerate(letters) if letter in single))
         remaining = [letter for letter in letters if letter not in single]
-        return split.transpose([remaining.index(letter) for letter in self.core.replace("M", frame)])
+        core = self.core.replace("M", frame)
+        moved = split.transpose([remaining.index(letter) for letter in core if letter in remaining])
+        return np.expand_dims(moved, [axis for axis, letter in enumerate(core) if letter not in remaining])
 
 
 def plausible_layouts(shape: tuple[int, ...], truth: tuple[int, ...]) -> list[str]:

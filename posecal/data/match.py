@@ -11,10 +11,12 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray, checked_mask, checked_number
-from posecal.data.declarations import Declarations, choose_layouts, named_call, resolve, unit_factor
-from posecal.data.layout import HYPOTHESES, Layout, plausible_layouts
+from posecal.data.declarations import Declarations, choose_layouts, unit_factor
+from posecal.data.degenerate import column_problem
+from posecal.data.layout import plausible_layouts
 from posecal.data.skeleton import Skeleton, canonical_name
 from posecal.data.stored_poses import ArrayHypotheses, Labels, Rows, StoredPoses, in_millimetres
 from posecal.errors import PosecalError, PoseDataError, attempt, did_you_mean, first_few, option, raise_all
@@ -49,7 +51,7 @@ class Matcher:
         self.true_shape = self.layouts[1].shape(truth.array.shape)
         self.problems: list[str | PosecalError] = []
         self.remarks: list[str] = []
-        raise_all(_empty(poses) for poses in (hypotheses, truth) if 0 in poses.array.shape)
+        raise_all(empty_problem(poses) for poses in (hypotheses, truth) if 0 in poses.array.shape)
 
     def attributes(self) -> dict[str, Any]:
         """Give the attributes of :class:`posecal.data.pose_data.PoseData`, in the truth's order of frames and joints.
@@ -64,11 +66,16 @@ class Matcher:
         factor, true_factor = self._unit_factors()
         rows, true_rows = self._frames()
         true_names, columns, true_columns = self._joints()
-        if d != self.true_shape[2]:
+        stored = self.layouts[1].read(truth.array, np.arange(self.true_shape[0]))
+        columns_differ = d != self.true_shape[2]
+        if beside := self._columns_beside(stored):
+            problems += beside
+        elif columns_differ:
             problems.append(f"{hypotheses.name} has D = {d} and {truth.name} {self.true_shape[2]}; expected as many.")
         labels, true_labels = self._labels_of(hypotheses, m), self._labels_of(truth, self.true_shape[0])
         marks, true_marks = self._occluded(hypotheses, (m, k)), self._occluded(truth, self.true_shape[:2])
         where = None if truth.where is None else attempt(problems, checked_mask, truth.where, self.true_shape[:2])
+        valid, true_valid = self._valid(hypotheses, (m, k)), self._valid(truth, self.true_shape[:2])
         scores = hypotheses.scores
         if scores is not None:
             text = self.layouts[0].text
@@ -84,7 +91,12 @@ class Matcher:
             n = int(attempt(problems, checked_number, count, which, range(1, n + 1).__contains__, expected) or 0)
         raise_all(problems)
 
-        y = in_millimetres(self.layouts[1].read(truth.array, np.arange(self.true_shape[0])), true_factor)
+        known = _both(_part(valid, rows, columns), _part(true_valid, true_rows, true_columns))
+        if known is not None:
+            counts = np.asarray(known.any(axis=1))
+            self._remark_invalid(known, counts)
+            rows, true_rows, known = rows[counts], true_rows[counts], known[counts]
+        y = in_millimetres(stored, true_factor)
         root = attempt(problems, root_index, self.declared.root_joint, true_names, y)
         labels = {name: values[rows] for name, values in labels.items()}
         labels = self._merged(labels, {name: values[true_rows] for name, values in true_labels.items()}, true_rows)
@@ -113,11 +125,39 @@ class Matcher:
             "scores": None if scores is None else scores[:n, rows],
             "fps": fps,
             "names": (hypotheses.name, truth.name),
-            "where": _part(where, true_rows, true_columns),
+            "where": _both(known, _part(where, true_rows, true_columns)),
             "usable": None,
             "remarks": tuple(self.remarks),
             "reference": None,
         }
+
+    def _columns_beside(self, truth: npt.NDArray[np.generic]) -> list[str]:
+        """Say which of the two hold something beside coordinates; the hypotheses are looked at where it may be so."""
+        (layout, true_layout), first = self.layouts, np.arange(min(8, self.shape[1]))
+        of_truth = column_problem(self.truth.name, truth, "truth_axes", true_layout.text)
+        if not of_truth and self.shape[3] <= 3:
+            return []
+        hypotheses = layout.read(self.hypotheses.array, first)
+        found = column_problem(self.hypotheses.name, hypotheses, "axes", layout.text), of_truth
+        return [problem for problem in found if problem]
+
+    def _valid(self, poses: StoredPoses, shape: tuple[int, ...]) -> BoolArray | None:
+        """Give the joints that are known, (M, K), of a mask of joints or of poses; None without one."""
+        valid = poses.valid
+        if valid is not None and valid.shape not in {shape, shape[:1]}:
+            self.problems.append(f"{poses.name}: valid {valid.shape}; expected (M, K) = {shape} or (M,).")
+            return None
+        return None if valid is None else np.broadcast_to(valid if valid.ndim == 2 else valid[:, None], shape)
+
+    def _remark_invalid(self, known: BoolArray, counts: BoolArray) -> None:
+        """Say how many joints and poses are not valid."""
+        poses, joints = int((~counts).sum()), int((~known[counts]).sum())
+        if not counts.any():
+            raise PoseDataError(f"valid: no joint of {self.truth.name} is valid; expected some.")
+        if poses:
+            self.remarks.append(f"valid: {poses:,} of {len(known):,} frames have no valid joint; left out.")
+        if joints:
+            self.remarks.append(f"valid: {joints:,} of {known[counts].size:,} joints are not valid; left out.")
 
     def _unit_factors(self) -> tuple[float, float]:
         """Millimetres in one unit of both; ``unit`` is for what declares none, or must agree with both."""
@@ -181,7 +221,7 @@ class Matcher:
         size, true_size = self.shape[2], self.true_shape[1]
         names = joint_names(self.hypotheses, size, self.declared, self.problems)
         true_names = joint_names(self.truth, true_size, self.declared, self.problems)
-        true_names = true_names or (names if size == true_size else None) or _numbered(true_size)
+        true_names = true_names or (names if size == true_size else None) or numbered(true_size)
         common = option("shared_joints", "common")
         if names is None:
             if size != true_size:
@@ -283,49 +323,13 @@ def root_index(declared: str | int | None, names: Names, truth: FloatArray) -> i
     return index
 
 
-def resolve_hypotheses(
-    poses: StoredPoses, declarations: Declarations | None = None
-) -> tuple[ArrayHypotheses, Names, int | None]:
-    """Read hypotheses without a truth.
-
-    Parameters
-    ----------
-    poses : StoredPoses
-        Hypotheses, as stored or passed; undeclared they are (N, M, K, D) in mm.
-    declarations : Declarations, optional
-        What the user declares about them.
-
-    Returns
-    -------
-    hypotheses : ArrayHypotheses
-        Read some poses at a time.
-    joints : tuple of str
-        Their joints, numbered where they have no names.
-    root : int or None
-        The joint that positions are relative to.
-
-    Raises
-    ------
-    PoseDataError
-        For a layout, a unit or names that don't fit.
-    """
-    declared = declarations or Declarations()
-    axes = resolve(poses, "axes", poses.axes, declared.axes) or HYPOTHESES
-    layout = named_call(poses, Layout, axes, HYPOTHESES)
-    n, m, k, _ = named_call(poses, layout.shape, poses.array.shape)
-    problems: list[str | PosecalError] = [_empty(poses)] if 0 in poses.array.shape else []
-    factor = attempt(problems, unit_factor, poses, "unit", declared.unit) or 1.0
-    joints = joint_names(poses, k, declared, problems) or _numbered(k)
-    raise_all(problems)
-    hypotheses = ArrayHypotheses(poses.array, layout, np.arange(m), np.arange(k), factor, n)
-    return hypotheses, joints, root_index(declared.root_joint, joints, hypotheses.read(0, 1)[0])
-
-
-def _empty(poses: StoredPoses) -> str:
+def empty_problem(poses: StoredPoses) -> str:
+    """Say that poses have an axis of length 0."""
     return f"{poses.name}: nothing in it; its shape is {poses.array.shape}."
 
 
-def _numbered(size: int) -> Names:
+def numbered(size: int) -> Names:
+    """Name K joints by their number."""
     return tuple(f"joint {k}" for k in range(size))
 
 
@@ -335,6 +339,11 @@ def _repeated(names: Sequence[str]) -> list[str]:
 
 def _part(mask: BoolArray | None, rows: Rows, columns: Rows) -> BoolArray | None:
     return None if mask is None else mask[rows][:, columns]
+
+
+def _both(first: BoolArray | None, second: BoolArray | None) -> BoolArray | None:
+    """Give the joints that both masks hold; None is one that holds all."""
+    return second if first is None else first if second is None else first & second
 
 
 def _is_rate(fps: float) -> bool:

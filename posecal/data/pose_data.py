@@ -13,6 +13,7 @@ import numpy.typing as npt
 from posecal.data.arrays import BoolArray, FloatArray, as_array, as_label_arrays, as_labels, as_marks, as_scores
 from posecal.data.checks import check_units
 from posecal.data.declarations import Declarations
+from posecal.data.degenerate import truth_remarks
 from posecal.data.layout import HYPOTHESES
 from posecal.data.match import Matcher
 from posecal.data.read import read_poses
@@ -263,4 +264,6 @@ def match_poses(hypotheses: StoredPoses, truth: StoredPoses, declarations: Decla
     """
     declared = declarations or Declarations()
     data = _with_attributes(PoseData, **Matcher(hypotheses, truth, declared).attributes())
-    return data.replace(remarks=(*data.remarks, *check_units(data, hypotheses.unit, truth.unit, declared)))
+    remarks = check_units(data, hypotheses.unit, truth.unit, declared)
+    remarks += truth_remarks(data.truth, data.where, data.joints, [] if data.root is None else [data.root], truth.name)
+    return data.replace(remarks=(*data.remarks, *remarks))

@@ -23,7 +23,7 @@ Role = Literal["hypotheses", "truth"]
 
 _NAMES: dict[Role, tuple[str, ...]] = {"hypotheses": ("hypotheses", "hyps"), "truth": ("truth", "gt")}
 _MARKS = ("occluded", "visible")
-_RESERVED = (*_MARKS, "axes", "unit", "joints", "frame_id", "scores", "fps")
+_RESERVED = (*_MARKS, "axes", "unit", "joints", "frame_id", "scores", "fps", "valid")
 
 
 def read_poses(source: npt.ArrayLike | str | os.PathLike[str], role: Role) -> StoredPoses:
@@ -97,6 +97,7 @@ def _read_archive(file: FileIO, path: Path, role: Role) -> StoredPoses:
         "labels": {key: values for key, values in labels.items() if values is not None},
         "marks": {key: mask for key, mask in marks.items() if mask is not None},
         "scores": read(as_scores, "scores"),
+        "valid": read(as_marks, "valid"),
         "fps": read(_number, "fps"),
     }
     raise_all(problems)

@@ -43,6 +43,8 @@ class StoredPoses:
         ``occluded`` or ``visible``.
     where : bool array (M, K) or None
         The joints that count.
+    valid : bool array (M, K) or (M,) or None
+        The joints, or the poses, that are known; the others may hold anything.
     scores : array (N, M) or None
         The model's score of each hypothesis.
     fps : float or None
@@ -59,13 +61,14 @@ class StoredPoses:
     required_labels: frozenset[str] = COMMON_LABELS
     marks: Mapping[str, BoolArray] = field(default_factory=dict)
     where: BoolArray | None = None
+    valid: BoolArray | None = None
     scores: FloatArray | None = None
     fps: float | None = None
 
     @property
     def frame_members(self) -> dict[str, npt.NDArray[np.generic]]:
         """What is declared about the frames, without their coordinates, as members of a file."""
-        others = {"frame_id": self.frame_id, "scores": self.scores, "fps": self.fps}
+        others = {"frame_id": self.frame_id, "scores": self.scores, "fps": self.fps, "valid": self.valid}
         return {**self.labels, **self.marks, **{k: np.asarray(v) for k, v in others.items() if v is not None}}
 
 

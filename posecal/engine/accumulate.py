@@ -21,6 +21,7 @@ from posecal.data.pose_data import PoseData
 from posecal.engine.block import Block, block_length
 from posecal.engine.cells import CellIndex
 from posecal.engine.chunks import Chunk, join_chunks, read_chunks
+from posecal.engine.coinciding import Coinciding
 from posecal.engine.metric import Metric, Statistic
 from posecal.engine.prepare import Prepared, refuse_non_finite
 from posecal.engine.protocol import Protocol
@@ -118,6 +119,7 @@ class Accumulator:
         self._length = self._measured = self._given = 0
         self._before: Chunk | None = None  # the pose before the pending ones
         self._last_sequence: str | None = None  # of the pose that came last, None where it does not count
+        self._coinciding = Coinciding()
         self._failure = ""  # what stopped a batch when some of it was counted
 
     def add(
@@ -207,7 +209,7 @@ class Accumulator:
             version=posecal.__version__,
             cells={name: values[used] for name, values in cells.items()},
             poses=final._poses[used],
-            remarks=tuple(self._remarks),
+            remarks=(*self._remarks, *self._coinciding.remarks()),
             has_sequences=self._index.has_sequences,
             sums={name: sums[used] for name, (sums, _) in final._sums.items()},
             counts={name: counts[used] for name, (_, counts) in final._sums.items()},
@@ -278,6 +280,7 @@ class Accumulator:
             stop = start + len(chunk)
             follows = chunk.follows.copy()
             follows[0] |= continues and start == 0
+            self._coinciding.add(data.names[0], chunk.hypotheses, chunk.where, data.frame_id[start:stop])
             yield replace(chunk, cells=cells[start:stop], sequence=numbers[start:stop], follows=follows)
             start = stop
 

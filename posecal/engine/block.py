@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray, checked, checked_root, squared_norms, working_dtype
+from posecal.data.degenerate import LARGEST, is_outside
 from posecal.engine.coordinate_range import CoordinateRange, coordinate_range
 from posecal.errors import PoseDataError
 
@@ -127,10 +128,10 @@ class Block:
 
     @cached_property
     def non_finite(self) -> BoolArray:
-        """The poses and joints, (B, K), at which a coordinate that counts is NaN or infinite."""
-        if np.isfinite(np.einsum("bkn->", self.squared_errors)):  # one fast pass; true of nearly every block
+        """The poses and joints, (B, K), at which a coordinate that counts is NaN, infinite or beyond 10 km."""
+        if np.einsum("bkn->", self.squared_errors) < LARGEST**2:  # one fast pass; true of nearly every block
             return np.zeros_like(self.where)
-        return np.asarray(~np.isfinite(self.offsets).all(axis=(2, 3)))
+        return np.asarray(is_outside(self.offsets).any(axis=(2, 3)))
 
     @cached_property
     def reference(self) -> Block | None:

@@ -8,14 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.arrays import FloatArray
+from posecal.data.arrays import BoolArray, FloatArray
+from posecal.data.degenerate import LARGEST, is_outside, refuse_one_point
 from posecal.data.pose_data import PoseData
 from posecal.engine.block import Block
 from posecal.engine.cells import SPREAD, label_name, spread_cuts, spread_labels
 from posecal.engine.chunks import map_blocks, read_chunks
 from posecal.engine.coordinate_range import CoordinateRange, coordinate_range
 from posecal.engine.protocol import Protocol
-from posecal.errors import PoseDataError, checked_type
+from posecal.errors import PoseDataError, checked_type, first_few
 
 Indices = npt.NDArray[np.intp]
 
@@ -120,6 +121,7 @@ def select_scored(data: PoseData, protocol: Protocol) -> PoseData:
                 f"frames: {name} has no label {protocol.frames!r}; expected a yes/no member (M,) of that name."
             )
         data = data.select(np.flatnonzero(np.isin(np.char.lower(values), ("yes", "1", "true"))))
+    data = _with_counting_root(data, is_masked=protocol.where != "all")
     where, usable = data.where, None
     if protocol.where != "all":
         if data.occluded is None:
@@ -130,14 +132,34 @@ def select_scored(data: PoseData, protocol: Protocol) -> PoseData:
         scored = data.occluded if protocol.where == "occluded" else ~data.occluded
         usable = np.ones_like(scored) if where is None else where
         where = scored if where is None else scored & where
-    bad = ~np.isfinite(data.truth).all(axis=2)
+    bad = is_outside(data.truth).any(axis=2)
     refuse_non_finite(data, name, np.argwhere(bad if where is None else bad & where))
+    refuse_one_point(data.truth, where, data.frame_id, name)
     return data.replace(where=where, usable=usable)
+
+
+def _with_counting_root(data: PoseData, *, is_masked: bool) -> PoseData:
+    """Leave out poses whose root does not count: all their joints would be relative to a joint that is not known."""
+    if data.root is None or (data.where is None and not is_masked):
+        return data
+    lost: BoolArray = np.asarray(is_outside(data.truth[:, data.root]).any(axis=1))
+    if data.where is not None:
+        lost |= ~data.where[:, data.root] & data.where.any(axis=1)
+    if not lost.any():
+        return data
+    frames = first_few(data.frame_id[lost].tolist())
+    remark = (
+        f"the root {data.joints[data.root]} does not count in {lost.sum():,} of {len(lost):,} frames (first: "
+        f"{frames}): left out, since their positions are relative to it."
+    )
+    return data.select(~lost).replace(remarks=(*data.remarks, remark))
 
 
 def lack_of_scored(data: PoseData, protocol: Protocol) -> str:
     """Say that :func:`select_scored` left no pose or no joint; nothing where it left some."""
     if not len(data.truth):
+        if protocol.frames == "all":
+            return f"where: the root of {data.names[1]} counts in no frame; expected some."
         return f"frames: no pose of {data.names[1]} has the label {protocol.frames}; expected some."
     if data.where is not None and not data.where.any():
         what = "counts" if protocol.where == "all" else f"is {protocol.where}"
@@ -155,8 +177,15 @@ def refuse_non_finite(data: PoseData, name: str, bad: Indices) -> None:
     """
     if len(bad):
         frames, (frame, joint) = len(np.unique(bad[:, 0])), bad[0]
+        sources = data.hypotheses, *([] if data.reference is None else [data.reference.hypotheses])
+        poses = [data.truth[frame], *(source.read(int(frame), int(frame) + 1)[:, 0] for source in sources)]
+        roots = [] if data.root is None else [np.isfinite(pose[..., data.root, :]).all() for pose in poses]
+        if data.root is not None and not all(roots):
+            joint = data.root  # which makes all others so
+        is_finite = all(np.isfinite(pose[..., joint, :]).all() for pose in poses)
+        what = "coordinates beyond 10 km (1e7 mm)" if is_finite else "non-finite coordinates"
         raise PoseDataError(
-            f"{name} has non-finite coordinates in {frames:,} of {len(data.truth):,} frames (first: frame "
+            f"{name} has {what} in {frames:,} of {len(data.truth):,} frames (first: frame "
             f"{data.frame_id[frame]}, joint {data.joints[joint].removeprefix('joint ')}). Mask those joints with "
             "where, or leave those frames out."
         )
@@ -173,8 +202,9 @@ def refuse_non_finite_hypotheses(data: PoseData) -> None:
     for some in (data,) if data.reference is None else (data, data.reference):
         start, bad = 0, np.zeros((0, 2), dtype=np.intp)
         for chunk in read_chunks(some.replace(reference=None)):
-            if not np.isfinite(chunk.hypotheses.sum()):  # one fast pass; finite for nearly every batch
-                places = np.argwhere(~np.isfinite(chunk.hypotheses).all(axis=(0, 3)))
+            flat = chunk.hypotheses.reshape(-1)
+            if not np.vdot(flat, flat) < LARGEST**2:  # one fast pass; true of nearly every batch
+                places = np.argwhere(is_outside(chunk.hypotheses).any(axis=(0, 3)))
                 bad = np.concatenate([bad, places + np.array([start, 0])])
             start += len(chunk)
         refuse_non_finite(data, some.names[0], bad if data.where is None else bad[data.where[tuple(bad.T)]])

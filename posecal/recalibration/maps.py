@@ -12,9 +12,9 @@ from typing import Any, BinaryIO
 import numpy as np
 
 import posecal
+from posecal.data.alone import resolve_hypotheses
 from posecal.data.arrays import FloatArray
 from posecal.data.declarations import Declarations
-from posecal.data.match import resolve_hypotheses
 from posecal.data.read import read_poses
 from posecal.data.write import Archive, write_file
 from posecal.engine.chunks import WINDOW_BYTES

@@ -69,7 +69,7 @@ class Report:
     --------
     >>> import numpy as np
     >>> from posecal.evaluation import evaluate
-    >>> report = evaluate(np.full((2, 8, 4, 3), 4.0), np.full((8, 4, 3), 1.0), unit="mm")
+    >>> report = evaluate(np.full((2, 8, 2, 3), 4.0), np.full((8, 2, 3), 1.0), unit="mm")
     >>> round(report["mpjpe"], 3)
     5.196
     """

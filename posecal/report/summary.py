@@ -71,7 +71,7 @@ def summarize(report: Report) -> list[str]:
     --------
     >>> import numpy as np
     >>> from posecal.evaluation import evaluate
-    >>> summarize(evaluate(np.zeros((1, 8, 4, 3)), np.zeros((8, 4, 3)), unit="mm"))
+    >>> summarize(evaluate(np.zeros((1, 8, 2, 3)), np.zeros((8, 2, 3)), unit="mm"))
     []
     """
     if not {"ece", "signed_area"} <= report.metrics.keys() or math.isnan(report["ece"]):

@@ -55,7 +55,7 @@ def test_flags_declare_what_the_hypotheses_don_t() -> None:
         "Fit a map on these joints."
     )
     assert "named.npz has joints that the map lacks: Hip." in refused(*words[:2], "named.npz", *words[3:6])
-    assert "axes: 'MNK' lacks D" in refused(*words[:-2], "--axes=MNK", code=2)
+    assert "axes: 'MND' lacks K" in refused(*words[:-2], "--axes=MND", code=2)
     assert "--root-joint: 'Tail' is not among the joints." in refused(
         *words[:2], "narrow.npz", *words[3:6], "--root-joint=Tail"
     )

@@ -25,7 +25,7 @@ from tests.helpers.shell import EVALUATE, done, refused, run
         ([*EVALUATE, "--set", "pck_threshold=wide"], "pck_threshold: 'wide'; expected a length in mm."),
         ([*EVALUATE, "--metrics", "mpjp"], "metrics: mpjp not known. Did you mean mpjpe?"),
         ([*EVALUATE, "--metrics", ""], "metrics: ''; expected default, rank_tests, scores, all, or names with commas."),
-        ([*EVALUATE, "--axes", "NMKK"], "axes: 'NMKK' lacks D; expected each letter of NMKD once"),
+        ([*EVALUATE, "--axes", "NMKK"], "axes: 'NMKK' is no layout; expected each letter of NMKD once"),
         ([*EVALUATE, "--unit", "inch"], "unit: 'inch'; expected mm, cm, m, or the millimetres in one unit"),
         ([*EVALUATE, "--hypotheses", "0"], "'--hypotheses'"),
         ([*EVALUATE, "--threads", "0"], "'--threads'"),

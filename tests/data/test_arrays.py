@@ -68,7 +68,7 @@ def test_what_are_no_real_numbers_is_refused(dtype: str) -> None:
 @pytest.mark.parametrize(
     ("where", "found"),
     [
-        (np.ones((3, 4)), r"float64 \(3, 4\)"),
+        (np.full((3, 4), 0.5), r"float64 \(3, 4\)"),
         (np.ones((4, 3), dtype=bool), r"bool \(4, 3\)"),
         ([1, 0], r"int64 \(2,\)"),
     ],

@@ -84,7 +84,7 @@ def test_clips_and_frames_multiply_to_poses() -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("NMK", r"axes: 'NMK' lacks D; expected each letter of NMKD once, such as MNKD or MN\(DK\)\."),
+        ("NMD", r"axes: 'NMD' lacks K; expected each letter of NMKD once, such as MNKD or MN\(DK\)\."),
         ("", r"axes: '' lacks N, M, K, D; expected"),
         ("nmkd", r"axes: 'nmkd' lacks N, M, K, D; expected"),
         ("NMKDX", r"axes: 'NMKDX' is no layout; expected"),

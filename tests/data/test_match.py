@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from posecal.data.alone import resolve_hypotheses
 from posecal.data.declarations import Declarations
-from posecal.data.match import resolve_hypotheses
 from posecal.data.pose_data import PoseData, match_poses
 from posecal.errors import PoseDataError
 from tests.helpers.small_files import (

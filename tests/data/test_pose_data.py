@@ -253,12 +253,12 @@ def test_the_first_hypotheses_may_be_kept() -> None:
     ("arguments", "words"),
     [
         (
-            {"where": np.ones((M, K))},
+            {"where": np.full((M, K), 0.5)},
             "where: float64 (7, 17); expected bool (M, K) = (7, 17), True where a joint count",
         ),
         ({"where": OCCLUDED.T}, "where: bool (17, 7); expected bool (M, K) = (7, 17), True where a joint counts."),
         ({"where": [[True], []]}, "where: lists of unequal lengths; expected an array."),
-        ({"occluded": OCCLUDED * 1}, "occluded: dtype int64; expected bool (M, K)."),
+        ({"occluded": OCCLUDED * 2}, "occluded: dtype int64; expected bool (M, K), or numbers 0 and 1."),
         ({"occluded": OCCLUDED.T}, "truth: occluded (17, 7); expected (M, K) = (7, 17)."),
         ({"scores": SCORES.T}, "hypotheses: scores (7, 5); expected (N, M) = (5, 7)."),
         ({"scores": SCORES * np.nan}, "scores: 35 of 35 are NaN; expected numbers (N, M)."),
@@ -278,7 +278,7 @@ def test_the_first_hypotheses_may_be_kept() -> None:
         ({"unit": "inch"}, "unit: 'inch'; expected mm, cm, m, or the millimetres in one unit as a number (25.4) or"),
         ({"unit": -3}, "unit: -3; expected mm, cm, m, or the millimetres in one unit as a number (25.4) or"),
         ({"unit": ["mm"]}, "unit: ['mm']; expected mm, cm, m, or the millimetres in one unit as a number (25.4) or"),
-        ({"axes": "NMK"}, "axes: 'NMK' lacks D; expected each letter of NMKD once, such as MNKD or MN(DK)."),
+        ({"axes": "NMD"}, "axes: 'NMD' lacks K; expected each letter of NMKD once, such as MNKD or MN(DK)."),
         ({"axes": 4}, "axes: 4 lacks N, M, K, D; expected each letter of NMKD once, such as MNKD or MN(DK)."),
         ({"axes": [*"NMKD"]}, "axes: ['N', 'M', 'K', 'D'] is no layout; expected each letter of NMKD once, such as MN"),
         ({"truth_axes": "KD"}, "axes: 'KD' lacks M; expected each letter of MKD once, such as MDK or M(DK)."),
@@ -332,7 +332,7 @@ def test_everything_that_is_wrong_is_said_at_once() -> None:
             None,  # type: ignore[arg-type]
             "here.npz",
             labels={"a": 0.5, "b": 1.5},
-            occluded=[1],
+            occluded=[2],
             where=[[True], []],
             unit="inch",
         )

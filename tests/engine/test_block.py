@@ -341,10 +341,11 @@ def test_a_root_may_be_counted_from_the_end() -> None:
     np.testing.assert_array_equal(min_mpjpe(x, y, root=np.int64(-1)), min_mpjpe(x, y, root=K - 1))
 
 
-def test_large_numbers_whose_squares_overflow_are_not_called_infinite() -> None:
-    x, y = np.full((1, 1, 1, 3), 1e25, dtype="f4"), np.zeros((1, 1, 3), dtype="f4")
+@pytest.mark.parametrize(("value", "is_refused"), [(9.9e6, False), (1.1e7, True), (1e19, True), (1e25, True)])
+def test_coordinates_beyond_ten_kilometres_count_as_not_finite(value: float, is_refused: bool) -> None:
+    x, y = np.full((1, 1, 1, 3), -value, dtype="f4"), np.zeros((1, 1, 3), dtype="f4")
     with np.errstate(over="ignore"):
-        assert not Block(x, y).non_finite.any()
+        assert Block(x, y).non_finite.all() == is_refused
 
 
 # --- cutting ------------------------------------------------------------------------------------------------------

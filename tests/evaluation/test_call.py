@@ -338,7 +338,7 @@ def test_what_is_not_finite_is_passed_over_where_it_does_not_count(some: World) 
         np.testing.assert_array_equal(sums, expected[name])
 
 
-@pytest.mark.parametrize("where", [np.ones((M, K)), np.ones((K, M), dtype=bool)])
+@pytest.mark.parametrize("where", [np.full((M, K), 2), np.ones((K, M), dtype=bool)])
 def test_a_mask_of_another_type_or_shape_is_refused(arrays: tuple[Array, Array], where: npt.ArrayLike) -> None:
     with pytest.raises(PoseDataError, match=r"where: .*; expected bool \(M, K\) = \(12, 4\)"):
         evaluate(*arrays, where=where)

@@ -51,7 +51,7 @@ WRONG = {
     "fps": (*NO_NUMBER[1:], 0, -25.0, float("inf")),
     "sizes": (None, "a", 3, [1.5], [0], [N + 1], [[1]], [True], [1, [2]]),
     "sequence": ("abc", 3, ["a"], [["a"] * M], ["a", ["b", "c"], "d", "e", "f"]),
-    "where": ("yes", 3, np.ones((M, K)), np.ones((M, K + 1), bool), [[True], [True, False]]),
+    "where": ("yes", 3, np.full((M, K), 2), np.ones((M, K + 1), bool), [[True], [True, False]]),
     "root": ("Hip", 1.5, True, K, -K - 1, [0], np.zeros(2), 1j),
 }
 

@@ -97,7 +97,7 @@ def test_our_own_pairs_of_motion_hold_the_hip(tmp_path, motion_file):
     ("changes", "words"),
     [
         ({"axes": "NMKD"}, "axes: 'NMKD' is no layout"),
-        ({"axes": "MK"}, "axes: 'MK' lacks D"),
+        ({"axes": "MK"}, "axes: MK names 2 axes; the array has 3"),
         ({"axes": ["MKD", "MKD"]}, "axes has 2 values; expected one word"),
         ({"truth": numbers(M, 4, 3)}, r"truth \(3, 4, 3\); expected \(M, 3, 3\)"),
         ({"truth": numbers(M, 3, 2)}, r"truth \(3, 3, 2\); expected \(M, 3, 3\)"),

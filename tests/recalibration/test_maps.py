@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from posecal.data.alone import resolve_hypotheses
 from posecal.data.declarations import Declarations
-from posecal.data.match import resolve_hypotheses
 from posecal.data.read import read_poses
 from posecal.errors import PoseDataError, PoseFileError
 from posecal.recalibration import RadiusMap, SpreadMap, apply_map, maps, read_map, write_map

@@ -1,0 +1,49 @@
+"""Reading of hypotheses without a truth, as maps are applied to."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from posecal.data.declarations import Declarations, named_call, resolve, unit_factor
+from posecal.data.layout import HYPOTHESES, Layout
+from posecal.data.match import Names, empty_problem, joint_names, numbered, root_index
+from posecal.data.stored_poses import ArrayHypotheses, StoredPoses
+from posecal.errors import PosecalError, attempt, raise_all
+
+
+def resolve_hypotheses(
+    poses: StoredPoses, declarations: Declarations | None = None
+) -> tuple[ArrayHypotheses, Names, int | None]:
+    """Read hypotheses without a truth.
+
+    Parameters
+    ----------
+    poses : StoredPoses
+        Hypotheses, as stored or passed; undeclared they are (N, M, K, D) in mm.
+    declarations : Declarations, optional
+        What the user declares about them.
+
+    Returns
+    -------
+    hypotheses : ArrayHypotheses
+        Read some poses at a time.
+    joints : tuple of str
+        Their joints, numbered where they have no names.
+    root : int or None
+        The joint that positions are relative to.
+
+    Raises
+    ------
+    PoseDataError
+        For a layout, a unit or names that don't fit.
+    """
+    declared = declarations or Declarations()
+    axes = resolve(poses, "axes", poses.axes, declared.axes) or HYPOTHESES
+    layout = named_call(poses, Layout, axes, HYPOTHESES)
+    n, m, k, _ = named_call(poses, layout.shape, poses.array.shape)
+    problems: list[str | PosecalError] = [empty_problem(poses)] if 0 in poses.array.shape else []
+    factor = attempt(problems, unit_factor, poses, "unit", declared.unit) or 1.0
+    joints = joint_names(poses, k, declared, problems) or numbered(k)
+    raise_all(problems)
+    hypotheses = ArrayHypotheses(poses.array, layout, np.arange(m), np.arange(k), factor, n)
+    return hypotheses, joints, root_index(declared.root_joint, joints, hypotheses.read(0, 1)[0])

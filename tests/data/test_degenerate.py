@@ -1,0 +1,273 @@
+"""Poses that are one point, joints that repeat others, masks of what is known, and columns that are no coordinates."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import posecal
+from posecal.data.degenerate import column_problem, distinct_hypotheses, truth_remarks
+from posecal.data.layout import Layout, MemoryArray
+from posecal.data.pose_data import PoseData, match_poses
+from posecal.errors import PoseDataError
+from tests.helpers.small_files import FRAMES, JOINTS, K, M, N, gt, hypotheses, hyps, truth
+
+Array = np.ndarray[Any, Any]
+
+
+def evaluated(x: Array, y: Array, **options: Any) -> posecal.Report:
+    return posecal.evaluate(x, y, axes="NMKD", unit="mm", joints=JOINTS, threads=1, **options)
+
+
+# --- one point ------------------------------------------------------------------------------------------------
+
+
+def test_true_poses_that_are_one_point_are_refused_with_their_number_and_the_first() -> None:
+    y = truth()
+    y[[2, 5]] = 7.0
+    with pytest.raises(
+        PoseDataError, match=r"^truth: in 2 of 7 frames \(first: 2, 5\) all joints lie in one point; exp"
+    ):
+        evaluated(hypotheses(), y)
+
+
+def test_only_the_joints_that_count_make_a_pose_one_point() -> None:
+    y, where = truth(), np.ones((M, K), dtype=bool)
+    y[2, :4] = 7.0
+    where[2, 4:] = False
+    with pytest.raises(PoseDataError, match=r"in 1 of 7 frames \(first: 2\)"):
+        evaluated(hypotheses(), y, where=where)
+    where[2, 2:4] = False  # two joints that agree may be
+    assert evaluated(hypotheses(), y, where=where).totals.poses.sum() == M
+
+
+def test_a_remark_counts_the_frames_whose_hypotheses_are_points_or_the_same() -> None:
+    x = hypotheses()
+    x[:, [1, 4]] = 0
+    x[:, 3] = x[0, 3]
+    remarks = evaluated(x, truth()).remarks
+    points = "hypotheses: in 2 of 7 frames (first: 1, 4) every hypothesis is one point. Are these frames without a "
+    assert any(remark.startswith(points) for remark in remarks)
+    assert (
+        "hypotheses: in 1 of 7 frames (first: 3) all hypotheses are the same. A sampler gives different ones."
+        in remarks
+    )
+
+
+def test_one_hypothesis_of_its_own_and_points_apart_are_no_remark() -> None:
+    x = hypotheses()
+    x[:-1, 1] = 0
+    remarks = " ".join(evaluated(x, truth()).remarks)
+    assert "one point" not in remarks
+    assert "the same" not in remarks
+
+
+def test_batches_count_coinciding_hypotheses_together() -> None:
+    x = hypotheses()
+    x[:, [1, 4, 5, 6]] = 0
+    evaluation = posecal.Evaluation(axes="NMKD", unit="mm", joints=JOINTS)
+    for rows in (slice(0, 3), slice(3, 7)):
+        evaluation.update(x[:, rows], truth()[rows], frame_id=FRAMES[rows])
+    wanted = (
+        f"hypotheses: in 4 of 7 frames (first: {FRAMES[1]}, {FRAMES[4]}, {FRAMES[5]}) every hypothesis is one point"
+    )
+    assert [remark for remark in evaluation.compute().remarks if remark.startswith(wanted)]
+
+
+@pytest.mark.parametrize(("copies", "distinct"), [(1, 5), (2, 3), (3, 2)])
+def test_copies_of_hypotheses_are_remarked_on_with_how_many_are_distinct(copies: int, distinct: int) -> None:
+    x = hypotheses()[np.arange(N) // copies]
+    assert distinct_hypotheses(x) == distinct
+    remarks = [remark for remark in evaluated(x, truth()).remarks if "distinct" in remark]
+    assert remarks == [
+        f"hypotheses: only {distinct} of N = 5 hypotheses are distinct, by the first 7 frames. Spread, calibration and "
+        "scores are then those of fewer hypotheses."
+    ] * (copies > 1)
+
+
+# --- joints ---------------------------------------------------------------------------------------------------
+
+
+def test_joints_that_equal_others_in_every_frame_are_named_with_them() -> None:
+    y = truth().astype(float)
+    y[:, 5], y[:, 9] = y[:, 2], y[:, 2]
+    y[1:, 12] = y[1:, 3]  # not in the first frame
+    y[:1, 14] = y[:1, 4]  # in the first frame alone
+    remarks = truth_remarks(y, None, [f"j{k}" for k in range(K)], [0], "gt")
+    assert remarks == [
+        "gt: 2 of 17 joints equal others in every frame (j5 = j2, j9 = j2), which so count twice in means over joints. "
+        "The protocol's option joints chooses those to score."
+    ]
+
+
+def test_joints_that_are_zero_in_some_frames_are_remarked_on_but_the_root() -> None:
+    y = truth().astype(float)
+    y[[1, 2, 6], 7] = 0
+    assert not y[:, 0].any()
+    remarks = truth_remarks(y, None, JOINTS, [0], "gt")
+    assert remarks == [
+        "gt: joints are exactly 0 in some of 7 frames (Spine in 3). Where 0 stands for a joint that is not known, mark "
+        "it in a member valid (M, K)."
+    ]
+
+
+# --- what is known --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dtype", [bool, int, float])
+def test_joints_that_are_not_valid_do_not_count_whatever_they_hold(dtype: type) -> None:
+    valid = np.ones((M, K), dtype=dtype)
+    valid[2, 3], valid[5] = 0, 0
+    y = truth().astype(float)
+    y[valid == 0] = np.nan
+    data = match_poses(hyps(joints=JOINTS), gt(y, joints=JOINTS, valid=posecal.data.arrays.as_marks(valid, "valid")))
+    keep = [0, 1, 2, 3, 4, 6]
+    assert data.order.tolist() == keep
+    np.testing.assert_array_equal(data.where, valid[keep] == 1)
+    assert data.remarks[:2] == (
+        "valid: 1 of 7 frames have no valid joint; left out.",
+        "valid: 1 of 102 joints are not valid; left out.",
+    )
+    errors = np.linalg.norm(hypotheses() - truth(), axis=-1)
+    errors[:, valid == 0] = np.nan
+    right = np.nanmean(errors[:, keep], axis=2).mean()
+    assert posecal.evaluate(data, metrics="mpjpe")["mpjpe"] == pytest.approx(right, rel=1e-6)
+
+
+def test_masks_of_both_files_and_of_the_caller_are_joined() -> None:
+    masks = np.random.default_rng(0).random((3, M, K)) < 0.9
+    predicted, true = (
+        hyps(joints=JOINTS[::-1], valid=masks[0][:, ::-1]),
+        gt(joints=JOINTS, valid=masks[1], where=masks[2]),
+    )
+    np.testing.assert_array_equal(match_poses(predicted, true).where, masks.all(axis=0))
+
+
+def test_frames_that_are_not_valid_are_left_out() -> None:
+    valid = np.arange(M) % 2 == 0
+    data = match_poses(hyps(), gt(valid=valid))
+    assert data.order.tolist() == [0, 2, 4, 6]
+    with pytest.raises(PoseDataError, match=r"^valid: no joint of gt\.npz is valid; expected some\.$"):
+        match_poses(hyps(), gt(valid=~valid & valid))
+
+
+def test_a_mask_of_another_shape_is_refused() -> None:
+    with pytest.raises(PoseDataError, match=r"^gt\.npz: valid \(17, 7\); expected \(M, K\) = \(7, 17\) or \(M,\)\.$"):
+        match_poses(hyps(), gt(valid=np.ones((K, M), dtype=bool)))
+
+
+def test_poses_whose_root_does_not_count_are_left_out_with_a_remark() -> None:
+    where = np.ones((M, K), dtype=bool)
+    where[[1, 4], 0] = False
+    report = evaluated(hypotheses(), truth(), where=where, metrics="mpjpe")
+    keep = [0, 2, 3, 5, 6]
+    right = np.linalg.norm(hypotheses() - truth(), axis=-1)[:, keep].mean()
+    assert report["mpjpe"] == pytest.approx(right, rel=1e-6)
+    remark = (
+        "the root Hip does not count in 2 of 7 frames (first: 1, 4): left out, since their positions are relative to "
+    )
+    assert f"{remark}it." in report.remarks
+
+
+def test_a_root_that_is_not_known_is_named_and_no_other_joint() -> None:
+    y = truth().astype(float)
+    y[3, 0] = np.nan
+    with pytest.raises(
+        PoseDataError, match=r"^truth has non-finite coordinates in 1 of 7 .* \(first: frame 3, joint Hip\)"
+    ):
+        evaluated(hypotheses(), y)
+    x = hypotheses()
+    x[2, 5, 0] = np.inf
+    with pytest.raises(PoseDataError, match=r"^hypotheses has non-finite .* \(first: frame 5, joint Hip\)"):
+        evaluated(x, truth())
+    report = evaluated(
+        hypotheses(), y, occluded=~np.isfinite(y).all(axis=2), protocol=posecal.Protocol(where="visible")
+    )
+    assert report.totals.poses.sum() == M - 1
+
+
+# --- fill values ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("value", [1.1e7, -1e19, 1e20, np.inf, np.nan])
+def test_fill_values_are_refused_in_one_call_and_in_batches(value: float) -> None:
+    x, what = hypotheses(), "coordinates beyond 10 km" if np.isfinite(value) else "non-finite coordinates"
+    x[3, 4, 6, 1] = value
+    words = rf"^hypotheses has {what}.* in 1 of 7 frames \(first: frame 4, joint LFoot\)"
+    with pytest.raises(PoseDataError, match=words):
+        evaluated(x, truth())
+    evaluation = posecal.Evaluation(axes="NMKD", unit="mm", joints=JOINTS)
+    with pytest.raises(PoseDataError, match=words):
+        evaluation.update(x, truth())
+    y = truth()
+    y[4, 6, 1] = value
+    with pytest.raises(PoseDataError, match=rf"^truth has {what}.* in 1 of 7 frames \(first: frame 4, joint LFoot\)"):
+        evaluated(hypotheses(), y)
+
+
+# --- columns and axes -----------------------------------------------------------------------------------------
+
+
+def with_confidence(poses: Array, values: Array) -> Array:
+    return np.concatenate([poses, values], axis=-1)
+
+
+def test_a_fourth_coordinate_is_refused_with_what_it_looks_like() -> None:
+    random = np.random.default_rng(1)
+    y = with_confidence(truth(), random.uniform(0.2, 1, (M, K, 1)))
+    x = with_confidence(hypotheses(), np.full((N, M, K, 1), 3.0))
+    with pytest.raises(PoseDataError) as refused:
+        match_poses(hyps(x), gt(y))
+    assert str(refused.value).splitlines()[1:] == [
+        '  - hyps.npz has D = 4 coordinates; expected at most 3 of a position. Pass axes="NMKC" to leave out the '
+        "last as a confidence, or store coordinates alone.",
+        f"  - gt.npz has D = 4 coordinates; the last lies between {y[..., 3].min():.2g} and 1, as a confidence does; "
+        'expected at most 3 of a position. Pass truth_axes="MKC" to leave out the last as a confidence, or store '
+        "coordinates alone.",
+    ]
+
+
+def test_a_confidence_that_is_declared_is_left_out() -> None:
+    x, y = (with_confidence(poses, np.ones((*poses.shape[:-1], 1))) for poses in (hypotheses(), truth()))
+    data = PoseData(x.swapaxes(0, 1), y, axes="MNKC", truth_axes="MKC", joints=JOINTS, unit="mm")
+    np.testing.assert_array_equal(data.truth, truth())
+    np.testing.assert_array_equal(data.hypotheses.read(0, M), hypotheses())
+    only = PoseData(x, truth(), axes="NMKC", joints=JOINTS, unit="mm")
+    np.testing.assert_array_equal(only.hypotheses.read(2, 4), hypotheses()[:, 2:4])
+
+
+def test_pixels_with_a_confidence_are_no_positions() -> None:
+    random = np.random.default_rng(2)
+    pixels = np.concatenate([random.uniform(0, 640, (9, 4, 2)), random.uniform(0, 1, (9, 4, 1))], axis=-1)
+    assert "has D = 3 coordinates; the last lies between" in column_problem("gt", pixels, "truth_axes", "MKD")
+    for poses in (pixels[..., :2], pixels * [1, 1, 300], pixels * [1, 1, 0], pixels / 640):
+        assert column_problem("gt", poses, "truth_axes", "MKD") == ""
+
+
+@pytest.mark.parametrize("declared", ["MKD", None])
+def test_one_prediction_of_each_pose_is_one_hypothesis(declared: str | None) -> None:
+    data = PoseData(hypotheses()[0], truth(), axes=declared, joints=JOINTS, unit="mm")
+    assert data.shape == (1, M, K, 3)
+    np.testing.assert_array_equal(data.hypotheses.read(1, 3), hypotheses()[:1, 1:3])
+    right = np.linalg.norm(hypotheses()[0] - truth(), axis=-1).mean()
+    assert posecal.evaluate(data)["mpjpe"] == pytest.approx(right, rel=1e-6)
+
+
+def test_one_prediction_may_have_the_axes_of_its_own() -> None:
+    data = PoseData(hypotheses()[0].transpose(0, 2, 1), truth(), axes="MDK", joints=JOINTS, unit="mm", truth_axes="MKD")
+    np.testing.assert_array_equal(data.hypotheses.read(0, M)[0], hypotheses()[0])
+
+
+def test_a_layout_without_coordinates_has_one_of_each_joint() -> None:
+    values = np.arange(24.0).reshape(2, 3, 4)
+    layout = Layout("NMK", "NMKD")
+    assert layout.shape(values.shape) == (2, 3, 4, 1)
+    np.testing.assert_array_equal(layout.read(MemoryArray(values), np.array([0, 2])), values[:, [0, 2], :, None])
+    np.testing.assert_array_equal(layout.store(values[..., None]), values)
+
+
+def test_clips_of_one_prediction_are_read_frame_by_frame() -> None:
+    clips = np.arange(2 * 3 * 4 * 2.0).reshape(2, 3, 4, 2)
+    layout = Layout("MTKD", "NMKD")
+    assert layout.shape(clips.shape) == (1, 6, 4, 2)
+    np.testing.assert_array_equal(layout.read(MemoryArray(clips), np.arange(6)), clips.reshape(1, 6, 4, 2))
