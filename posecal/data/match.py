@@ -16,8 +16,9 @@ import numpy.typing as npt
 from posecal.data.arrays import BoolArray, FloatArray, checked_mask, checked_number
 from posecal.data.declarations import Declarations, choose_layouts, unit_factor
 from posecal.data.degenerate import column_problem
+from posecal.data.joint_names import distinguished, find_joint, match_joints, remarks_on_names, repeated_names
 from posecal.data.layout import plausible_layouts
-from posecal.data.skeleton import Skeleton, canonical_name
+from posecal.data.skeleton import ALL_NAMES, Skeleton
 from posecal.data.stored_poses import ArrayHypotheses, Labels, Rows, StoredPoses, in_millimetres
 from posecal.errors import PosecalError, PoseDataError, attempt, did_you_mean, first_few, option, raise_all
 
@@ -230,9 +231,18 @@ class Matcher:
                     f"many, or joints named in both and {common}."
                 )
             return true_names, np.arange(size), np.arange(size)
-        lacking = [name for name in true_names if name not in names]
-        beyond = [name for name in names if name not in true_names]
-        shared = [k for k, name in enumerate(true_names) if name in names]
+        matched, ambiguous = match_joints(true_names, names)
+        if ambiguous:
+            self.problems.append(
+                f"{self.truth.name} and {self.hypotheses.name} name some joints ambiguously: "
+                f"{first_few(ambiguous)}; expected names that mean one joint. Rename them in one of the two."
+            )
+            return true_names, np.arange(size), np.arange(true_size)
+        shared, columns = sorted(matched), [matched[k] for k in sorted(matched)]
+        lacking = [name for k, name in enumerate(true_names) if k not in matched]
+        beyond = [name for k, name in enumerate(names) if k not in columns]
+        for some in dict.fromkeys((true_names, names)):
+            self.remarks += remarks_on_names(some, ALL_NAMES)
         for poses, missing in ((self.hypotheses, lacking), (self.truth, beyond)):
             if missing and shared and self.declared.shared_joints == "same":
                 self.problems.append(
@@ -243,8 +253,7 @@ class Matcher:
             self._nothing_shared("joint", names, true_names)
         elif (lacking or beyond) and self.declared.shared_joints == "common":
             self.remarks.append(f"{len(shared)} joints are in both; left out: {first_few([*lacking, *beyond], 5)}.")
-        columns = np.array([names.index(true_names[k]) for k in shared], dtype=np.intp)
-        return true_names, columns, np.array(shared, dtype=np.intp)
+        return true_names, np.array(columns, dtype=np.intp), np.array(shared, dtype=np.intp)
 
     def _labels_of(self, poses: StoredPoses, number: int) -> Labels:
         """Give the labels that have a value for each of so many poses; all of those must that can only be labels."""
@@ -286,7 +295,7 @@ class Matcher:
 def joint_names(
     poses: StoredPoses, size: int, declared: Declarations, problems: list[str | PosecalError]
 ) -> Names | None:
-    """Give posecal's names of K joints, as stored or else as declared; None where there are none."""
+    """Give the names of K joints, as stored or else as declared; None where there are none."""
     names = declared.joint_names if poses.joints is None else poses.joints
     if names is None:
         return None
@@ -295,8 +304,8 @@ def joint_names(
         what = f"{declared.joints} has {len(names)} joints" if of_set else f"{len(names)} joints named"
         problems.append(f"{poses.name}: {what} for K = {size}; expected one name each.")
         return None
-    names = tuple(canonical_name(name) for name in names)
-    if repeated := _repeated(names):
+    names = distinguished(names)
+    if repeated := repeated_names(names):
         problems.append(f"{poses.name} names joints more than once: {first_few(repeated)}.")
     return names
 
@@ -316,8 +325,8 @@ def root_index(declared: str | int | None, names: Names, truth: FloatArray) -> i
     root = str(declared)
     if root == "none":
         return None
-    index = int(root) if root.isdecimal() else next((k for k, n in enumerate(names) if n == canonical_name(root)), -1)
-    if not 0 <= index < len(names):
+    index = int(root) if root.isdecimal() else find_joint(root, names)
+    if index is None or not 0 <= index < len(names):
         which = option("root_joint")
         raise PoseDataError(f"{which}: {declared!r} is not among the joints. {did_you_mean(root, names)}")
     return index

@@ -1,22 +1,23 @@
-"""Joint sets and skeletons: named joints on one human tree.
+"""Joint sets and skeletons: named joints and their parents.
 
 The field numbers the same joints in different orders, so posecal joins by name and keeps no table of indices.
-There is one tree of joints; a *joint set* such as ``h36m-17`` is a tuple of names on it, and the bones of any
-named selection follow from the tree: a joint's parent is its nearest ancestor that is present.
-
-Names are Human3.6M's. Other spellings (``right_ankle``, ``RAnkle``, ``Pelvis``) mean the same joint; joints that
-only lie near each other (MPII's upper neck, Human3.6M's neck/nose) stay different.
+A *joint set* such as ``h36m-17`` is a tuple of names, with parents and a root. Those of persons are on one tree, and
+the bones of any named selection follow from it: a joint's parent is its nearest ancestor that is present.
+:mod:`posecal.data.joint_names` tells which names mean the same joint.
 """
 
 from __future__ import annotations
 
-import re
+import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
+from importlib.resources import files
 
 import numpy as np
 import numpy.typing as npt
 
+from posecal.data.joint_names import joint_keys, side_of
 from posecal.errors import PoseDataError, did_you_mean
 
 # name: (parent, rest position in mm; x to the person's left, y backwards, z up, the hip at the origin)
@@ -44,67 +45,60 @@ _TREE: dict[str, tuple[str | None, tuple[float, float, float]]] = {
 REST_POSE: dict[str, tuple[float, float, float]] = {name: rest for name, (_, rest) in _TREE.items()}
 """A standing person in round millimetres: x to the person's left, y backwards, z up, hip at the origin."""
 
-_H36M_17 = (
-    *("Hip", "RHip", "RKnee", "RFoot", "LHip", "LKnee", "LFoot", "Spine", "Thorax"),
-    *("Neck/Nose", "Head", "LShoulder", "LElbow", "LWrist", "RShoulder", "RElbow", "RWrist"),
-)
 
-JOINT_SETS: dict[str, tuple[str, ...]] = {
-    "h36m-17": _H36M_17,
-    "h36m-16": _H36M_17[1:],
-    "h36m-14": tuple(name for name in _H36M_17 if name not in {"Hip", "Spine", "Neck/Nose"}),
-    "lsp-14": (
-        *("RFoot", "RKnee", "RHip", "LHip", "LKnee", "LFoot", "RWrist", "RElbow", "RShoulder"),
-        *("LShoulder", "LElbow", "LWrist", "Thorax", "Head"),
-    ),
-    "3dhp-14": (
-        *("Head", "Thorax", "RShoulder", "RElbow", "RWrist", "LShoulder", "LElbow", "LWrist"),
-        *("RHip", "RKnee", "RFoot", "LHip", "LKnee", "LFoot"),
-    ),
-    "mpii-16": (
-        *("RFoot", "RKnee", "RHip", "LHip", "LKnee", "LFoot", "Hip", "Thorax", "UpperNeck", "Head"),
-        *("RWrist", "RElbow", "RShoulder", "LShoulder", "LElbow", "LWrist"),
-    ),
+@dataclass(frozen=True)
+class JointSet:
+    """The joints of a data set.
+
+    Attributes
+    ----------
+    names : tuple of str
+        K names, in the data set's order.
+    root : str
+        The joint that poses are relative to, a midpoint (``LHip+RHip``), or one for each part, with commas.
+    source : str
+        Who defined it.
+    parents : tuple of int
+        The number of each joint's parent, -1 where it has none; empty where the joints are on the human tree.
+    rest : tuple of pairs of float
+        Where a picture puts the joints of what is no person, across and up; else empty.
+    """
+
+    names: tuple[str, ...]
+    root: str
+    source: str
+    parents: tuple[int, ...] = ()
+    rest: tuple[tuple[float, float], ...] = ()
+
+
+_TABLE = tomllib.loads(files(__package__).joinpath("joint_sets.toml").read_text(encoding="utf-8"))
+
+JOINT_SET_TABLE: dict[str, JointSet] = {
+    name: JointSet(
+        tuple(entry["names"]),
+        entry["root"],
+        entry["source"],
+        tuple(entry.get("parents", ())),
+        tuple(map(tuple, entry.get("rest", ()))),
+    )
+    for name, entry in _TABLE.items()
 }
+"""Joint sets by name, with parents, roots and sources; they stand in ``joint_sets.toml``."""
+
+JOINT_SETS: dict[str, tuple[str, ...]] = {name: entry.names for name, entry in JOINT_SET_TABLE.items()}
 """Joint sets by name, each in its data set's own order."""
 
-_SPELLINGS = {
-    **{re.sub(r"[^a-z]", "", name.lower()): name for name in _TREE},
-    **dict.fromkeys(("pelvis", "root", "hips", "midhip"), "Hip"),
-    **dict.fromkeys(("neck",), "Thorax"),
-    **dict.fromkeys(("nose", "necknose"), "Neck/Nose"),
-    **dict.fromkeys(("headtop",), "Head"),
-    **{f"{side}ankle": f"{side.upper()}Foot" for side in "lr"},
-}
+
+ALL_NAMES = tuple(dict.fromkeys(name for names in JOINT_SETS.values() for name in names))
+"""The names of all joint sets."""
 
 
 @cache
-def canonical_name(name: str) -> str:
-    """Give posecal's name for a joint, whatever its spelling; a name it doesn't know stays as it is.
-
-    Parameters
-    ----------
-    name : str
-        A joint's name, in any case, with any separators, sides written out or as a letter.
-
-    Returns
-    -------
-    str
-        The name in ``REST_POSE``, or ``name``.
-
-    Notes
-    -----
-    Differs from the published code: none.
-
-    Examples
-    --------
-    >>> canonical_name("right_ankle"), canonical_name("Pelvis"), canonical_name("antenna 3")
-    ('RFoot', 'Hip', 'antenna 3')
-    """
-    letters = re.sub(r"[^a-z0-9]", "", name.lower())
-    letters = re.sub(r"^(right|left)", lambda side: side[0][0], letters)
-    letters = re.sub(r"^(.+)(right|left)$", lambda word: word[2][0] + word[1], letters)
-    return _SPELLINGS.get(letters, name)
+def known_set(joints: tuple[str, ...]) -> JointSet | None:
+    """Give the smallest joint set that has all these joints, in any order and spelling; None where none has."""
+    keys = set(joint_keys(joints))
+    fitting = [entry for entry in JOINT_SET_TABLE.values() if keys <= set(joint_keys(entry.names))]
+    return min(fitting, key=lambda entry: len(entry.names), default=None)
 
 
 def joint_set(name: str) -> tuple[str, ...]:
@@ -160,17 +154,27 @@ class Skeleton:
     joints: tuple[str, ...]
 
     @cached_property
+    def _tree(self) -> Mapping[str, str | None]:
+        """The parent of each joint by their keys: of a data set that has all these joints, or of a person."""
+        found = None if set(joint_keys(self.joints)) <= _TREE.keys() else known_set(self.joints)
+        if found is None or not found.parents:
+            return {name: parent for name, (parent, _) in _TREE.items()}
+        keys = joint_keys(found.names)
+        return {key: keys[p] if p >= 0 else None for key, p in zip(keys, found.parents, strict=True)}
+
+    @cached_property
     def parents(self) -> tuple[int, ...]:
         """The index of each joint's nearest ancestor that is present, -1 where none is."""
-        index = {canonical_name(name): k for k, name in enumerate(self.joints)}
+        keys, tree = joint_keys(self.joints), self._tree
+        index = {key: k for k, key in enumerate(keys)}
 
-        def parent(name: str) -> int:
-            ancestor = _TREE.get(canonical_name(name), (None, None))[0]
+        def parent(key: str) -> int:
+            ancestor = tree.get(key)
             while ancestor is not None and ancestor not in index:
-                ancestor = _TREE[ancestor][0]
+                ancestor = tree[ancestor]
             return -1 if ancestor is None else index[ancestor]
 
-        return tuple(parent(name) for name in self.joints)
+        return tuple(map(parent, keys))
 
     @property
     def bones(self) -> tuple[tuple[int, int], ...]:
@@ -180,12 +184,12 @@ class Skeleton:
     @property
     def root(self) -> int | None:
         """The index of the hip, the origin of root-relative poses; None where it is not among the joints."""
-        return next((k for k, name in enumerate(self.joints) if canonical_name(name) == "Hip"), None)
+        return next((k for k, key in enumerate(joint_keys(self.joints)) if key == "Hip"), None)
 
     @property
     def is_known(self) -> bool:
         """Whether every joint is on the human tree."""
-        return all(canonical_name(name) in _TREE for name in self.joints)
+        return set(joint_keys(self.joints)) <= _TREE.keys()
 
     @property
     def rest_pose(self) -> npt.NDArray[np.float64]:
@@ -196,14 +200,13 @@ class Skeleton:
         PoseDataError
             Where a joint is not on the human tree.
         """
-        unknown = [name for name in self.joints if canonical_name(name) not in _TREE]
+        keys = joint_keys(self.joints)
+        unknown = [name for name, key in zip(self.joints, keys, strict=True) if key not in _TREE]
         if unknown:
-            raise PoseDataError(f"joints: {', '.join(unknown)} not known; expected names such as {_H36M_17[3]}.")
-        return np.array([REST_POSE[canonical_name(name)] for name in self.joints])
+            raise PoseDataError(f"joints: {', '.join(unknown)} not known; expected names such as RFoot.")
+        return np.array([REST_POSE[key] for key in keys])
 
     @property
     def side(self) -> tuple[str, ...]:
         """``left``, ``right`` or ``middle`` for each joint."""
-        sides = {"L": "left", "R": "right"}
-        known = (canonical_name(name) for name in self.joints)
-        return tuple(sides.get(name[0], "middle") if name in _TREE else "middle" for name in known)
+        return tuple(map(side_of, self.joints))

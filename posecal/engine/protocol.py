@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, fields, replace
 from numbers import Integral, Real
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from posecal.data.skeleton import JOINT_SETS, REST_POSE, canonical_name
+from posecal.data.joint_names import canonical_name, find_joint, joint_keys
+from posecal.data.skeleton import JOINT_SETS, REST_POSE
 from posecal.errors import PoseDataError, did_you_mean, raise_all
 
 OverJoints = Literal["median", "mean", "worst", "pooled"]
@@ -213,18 +214,23 @@ def named_joints(option: str, text: str, joints: tuple[str, ...]) -> tuple[str, 
     if text == "all":
         return joints
     if text.startswith("all but "):
-        left_out = canonical_name(text.removeprefix("all but "))
-        if left_out not in {*joints, *REST_POSE}:
-            raise PoseDataError(f"{option}: {left_out!r} is no joint. {did_you_mean(left_out, joints)}")
-        return tuple(name for name in joints if name != left_out)
-    asked = JOINT_SETS.get(text) or tuple(canonical_name(name.strip()) for name in text.split(","))
-    missing = [name for name in asked if name not in joints]
-    if text not in JOINT_SETS and missing:
-        known = [*joints, *JOINT_SETS]
-        raise PoseDataError(
-            f"{option}: {missing[0]!r} is not among the poses' joints. {did_you_mean(missing[0], known)}"
-        )
-    chosen = tuple(name for name in joints if name in asked)
+        name = text.removeprefix("all but ")
+        left_out = find_joint(name, joints)
+        if left_out is None and canonical_name(name) not in REST_POSE:
+            raise PoseDataError(f"{option}: {name!r} is no joint. {did_you_mean(name, joints)}")
+        return tuple(joint for k, joint in enumerate(joints) if k != left_out)
+    if text in JOINT_SETS:
+        keys = set(joint_keys(JOINT_SETS[text]))
+        chosen = tuple(name for name, key in zip(joints, joint_keys(joints), strict=True) if key in keys)
+    else:
+        asked = {name.strip(): find_joint(name.strip(), joints) for name in text.split(",")}
+        missing = [name for name, index in asked.items() if index is None]
+        if missing:
+            known = [*joints, *JOINT_SETS]
+            raise PoseDataError(
+                f"{option}: {missing[0]!r} is not among the poses' joints. {did_you_mean(missing[0], known)}"
+            )
+        chosen = tuple(joint for k, joint in enumerate(joints) if k in asked.values())
     if not chosen:
         raise PoseDataError(f"{option}: the poses have none of the joints of {text}. They have {', '.join(joints)}.")
     return chosen

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from posecal.data.arrays import BoolArray
+from posecal.data.joint_names import joint_keys
 from posecal.data.pose_data import PoseData
 from posecal.data.skeleton import JOINT_SETS
 from posecal.engine.protocol import Protocol, named_joints
@@ -133,7 +134,7 @@ class Scope:
     def pck(self) -> BoolArray:
         """The joints of PCK and AUC."""
         text = self.protocol.pck_joints
-        if text == Protocol().pck_joints and not set(JOINT_SETS[text]) & set(self.spec.joints):
+        if text == Protocol().pck_joints and not {*JOINT_SETS[text]} & {*joint_keys(self.spec.joints)}:
             text = "all"  # joints that are not a person's, or have no names
         return self._mask("pck_joints", text) & self.body
 

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import FloatArray
+from posecal.data.joint_names import canonical_names
 from posecal.engine.metric import Metric, ReadOff, Statistic
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec
@@ -309,12 +310,12 @@ class Totals:
     @property
     def signature(self) -> str:
         """One line that is equal for two results exactly where their numbers can be compared."""
-        s = self.spec
+        s, names = self.spec, canonical_names(self.spec.joints)
         parts = {
             "posecal": self.version,
             "N": str(s.n_hypotheses),
-            "K": f"{len(s.joints)}({zlib.crc32(','.join(s.joints).encode()):08x})",
-            "origin": "as given" if s.root is None else s.joints[s.root],
+            "K": f"{len(s.joints)}({zlib.crc32(','.join(names).encode()):08x})",
+            "origin": "as given" if s.root is None else names[s.root],
             **self.protocol.options,
         }
         parts.pop("metrics")

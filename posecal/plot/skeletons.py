@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from posecal.data.arrays import FloatArray
-from posecal.data.skeleton import Skeleton, canonical_name
+from posecal.data.joint_names import find_joint, joint_keys
+from posecal.data.skeleton import Skeleton
 from posecal.errors import PoseDataError, did_you_mean, first_few, option
 from posecal.plot.style import FAINT, INK, OVER, STYLE, UNDER, given
 
@@ -127,7 +128,8 @@ def poses(
             f"joints: no bones between {first_few(joints)}; expected names such as RKnee, RFoot. Name them with "
             f"{option('joints')}."
         )
-    if cloud is not None and cloud not in joints:
+    at = None if cloud is None else find_joint(cloud, tuple(joints))
+    if cloud is not None and at is None:
         raise PoseDataError(f"joint: {cloud!r} is not among the joints. {did_you_mean(cloud, joints)}")
     turn = _upright(truth, skeleton)
     chosen = np.linspace(0, len(hypotheses) - 1, min(most, len(hypotheses))).astype(int)
@@ -142,8 +144,8 @@ def poses(
     grey = Line3DCollection(shown[:, bones].reshape(-1, 2, 3), colors="#8C8C8C", lw=0.4, alpha=0.35, zorder=1)
     grey.set_gid("hypotheses")
     ax.add_collection3d(grey)
-    if cloud is not None:
-        points = shown[:, list(joints).index(cloud)]
+    if at is not None:
+        cloud, points = joints[at], shown[:, at]
         ax.scatter(*points.T, s=4, color=OVER, alpha=0.8, lw=0, zorder=3, depthshade=False, gid=f"cloud {cloud}")
     for bone in bones:
         ends = " ".join(joints[end] for end in bone)
@@ -167,7 +169,7 @@ def _frame(ax: Axes3D, points: FloatArray) -> None:
 def _upright(truth: FloatArray, skeleton: Skeleton) -> FloatArray:
     """A rotation of the axes, (3, 3), that puts the axis from the feet to the head upwards."""
     known = np.asarray(np.isfinite(truth).all(axis=1))
-    at = {name: k for k, name in enumerate(skeleton.joints) if known[k]}
+    at = {key: k for k, key in enumerate(joint_keys(skeleton.joints)) if known[k]}
     top = next((at[name] for name in ("Head", "Neck/Nose", "Thorax") if name in at), None)
     low = [at[name] for name in ("LFoot", "RFoot", "LKnee", "RKnee", "Hip") if name in at][:2]
     if top is None or not low:
@@ -232,7 +234,8 @@ def draw_poses(
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    cloud = None if cloud is None else canonical_name(cloud)
+    at = None if cloud is None else find_joint(cloud, data.joints)
+    cloud = cloud if at is None else data.joints[at]
     across = min(columns, len(frames))
     down = -(-len(frames) // across)
     wide, tall, side, below = 1.7, 2.25, 2.2, 0.25  # of a picture, of its square axes and of the words, inches

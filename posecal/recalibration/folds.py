@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray, real_array, working_dtype
+from posecal.data.joint_names import match_joints
 from posecal.data.layout import HYPOTHESES, Layout, MemoryArray
 from posecal.data.pose_data import PoseData
 from posecal.data.stored_poses import Rows
@@ -99,10 +100,11 @@ def values_for_joints(names: tuple[str, ...], values: FloatArray, joints: tuple[
     PoseDataError
         Where the map lacks one of them.
     """
-    missing = [joint for joint in joints if joint not in names]
+    matched, _ = match_joints(joints, names)
+    missing = [joint for k, joint in enumerate(joints) if k not in matched]
     if missing:
         raise PoseDataError(f"{whose} has joints that the map lacks: {', '.join(missing)}. Fit a map on these joints.")
-    return values[[names.index(joint) for joint in joints]]
+    return values[[matched[k] for k in range(len(joints))]]
 
 
 def checked_for_map(

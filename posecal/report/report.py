@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast, get_args
 
 from posecal.data.arrays import FloatArray
+from posecal.data.joint_names import find_joint
 from posecal.engine.cells import label_name
 from posecal.engine.metric import Metric
 from posecal.engine.storage import save_totals
@@ -370,11 +371,10 @@ class Report:
             raise PoseDataError(f"joint: {name} has no values per joint. {did_you_mean(name, known)}")
         return self.once(("joints", name, group), lambda: self.totals.by_joint(metric, cells))
 
-    def _joint(self, joint: str) -> int:
-        if not is_among(joint, self._joint_numbers):
-            raise PoseDataError(f"joint: {joint!r} is not in the report. {did_you_mean(joint, self._joint_numbers)}")
-        return self._joint_numbers[joint]
-
-    @cached_property
-    def _joint_numbers(self) -> dict[str, int]:
-        return {joint: k for k, joint in enumerate(self.totals.spec.joints)}
+    def _joint(self, joint: object) -> int:
+        known = self.once("joint numbers", lambda: {name: k for k, name in enumerate(self.totals.spec.joints)})
+        word = joint if isinstance(joint, str) else ""
+        number = known[word] if word in known else find_joint(word, self.totals.spec.joints)
+        if number is None:
+            raise PoseDataError(f"joint: {joint!r} is not in the report. {did_you_mean(joint, known)}")
+        return number

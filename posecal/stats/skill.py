@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from posecal.data.arrays import FloatArray
+from posecal.data.joint_names import joint_keys
 from posecal.data.pose_data import PoseData
 from posecal.data.stored_poses import Rows
 from posecal.errors import PoseDataError, checked_integer, checked_type, option
@@ -119,7 +120,7 @@ def with_reference(pairs: PoseData, reference: PoseData) -> PoseData:
     model, other = pairs.names[0], reference.names[0]
     if reference.shape[0] < 2:
         raise PoseDataError(f"{other}: N = 1; fair scores need at least 2. Give a reference with more hypotheses.")
-    if pairs.joints != reference.joints:
+    if joint_keys(pairs.joints) != joint_keys(reference.joints):
         differ = sorted(set(pairs.joints) ^ set(reference.joints)) or ["their order"]
         raise PoseDataError(
             f"{other} and {model} hold other joints: {', '.join(differ)}. Score those in both with "

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.skeleton import canonical_name
+from posecal.data.joint_names import canonical_name
 from posecal.errors import PoseDataError, PoseFileError, first_few, raise_all
 from posecal_models.data.npz import Members, boolean_array, joint_names, numeric_array, read_npz, text_array
 

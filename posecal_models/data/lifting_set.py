@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.skeleton import canonical_name
+from posecal.data.joint_names import canonical_name
 from posecal.data.units import millimetres_per
 from posecal.data.write import write_file
 from posecal.errors import PoseDataError, PoseFileError, raise_all

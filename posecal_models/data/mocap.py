@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.skeleton import Skeleton, canonical_name
+from posecal.data.joint_names import canonical_name
+from posecal.data.skeleton import Skeleton
 from posecal.data.units import millimetres_per
 from posecal.errors import PoseDataError
 from posecal_models.data.cameras import cameras_around

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from posecal.data.joint_names import canonical_name
 from posecal.data.layout import TRUTH, Layout, MemoryArray
-from posecal.data.skeleton import canonical_name
 from posecal.errors import PoseDataError, PoseFileError, first_few
 
 __all__ = [

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from posecal.data.skeleton import JOINT_SETS, REST_POSE, Skeleton, canonical_name, joint_set
+from posecal.data.joint_names import canonical_name
+from posecal.data.skeleton import JOINT_SETS, REST_POSE, Skeleton, joint_set
 from posecal.errors import PoseDataError
 
 # Human3.6M's own order and parents, as its papers' repositories list them for 17 joints.

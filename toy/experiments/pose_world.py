@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.calibration import calibration_curve
-from posecal.data.skeleton import Skeleton, canonical_name
+from posecal.data.joint_names import canonical_name
+from posecal.data.skeleton import Skeleton
 from posecal.metrics import min_mpjpe
 from toy import pose_figures
 from toy.experiments.result import Result
