@@ -9,6 +9,7 @@ from functools import cache
 from posecal.calibration.error import calibration_metrics
 from posecal.calibration.rank_tests import PreRank, rank_test_metrics
 from posecal.data.skeleton import JOINT_SETS
+from posecal.engine import needs
 from posecal.engine.metric import SUM_OF_TRUE_POSES, Curve, Metric, Statistic
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec, Scope
@@ -135,6 +136,14 @@ def known_metrics(
     PoseDataError
         For options that don't fit the spec.
     """
+    metrics = {metric.name: metric for metric in _all_metrics(protocol, spec, preranks, own)}
+    return {name: needs.in_unit(m, spec) for name, m in metrics.items() if not needs.unmet(m, spec)}
+
+
+def _all_metrics(
+    protocol: Protocol, spec: DataSpec, preranks: Mapping[str, PreRank] | None, own: Sequence[Metric]
+) -> list[Metric]:
+    """Every metric, also those whose needs the data don't meet, in mm."""
     scope = Scope(protocol, spec)
     found = [*mpjpe_metrics(scope), *subset_metrics(scope), *pck_metrics(scope), *cps_metrics(scope)]
     found += velocity_metrics(scope)
@@ -145,7 +154,12 @@ def known_metrics(
     found += [_with_functions(metric) for metric in own]
     if protocol.average != "poses":
         found = [changed(metric, definition=f"{metric.definition}; {_averaged(metric, protocol)}") for metric in found]
-    return {metric.name: metric for metric in found}
+    return found
+
+
+def left_out(protocol: Protocol, spec: DataSpec) -> str:
+    """Say which metrics of the report the data can't have, and what they need; nothing where there is none."""
+    return needs.left_out(_all_metrics(protocol, spec, None, ()), spec, protocol.wanted)
 
 
 def _with_functions(metric: Metric) -> Metric:
@@ -196,7 +210,7 @@ def metrics_of(
     words = protocol.wanted
     families = {metric.family for metric in known.values()}
     possible = {*known, "default", "all", *families.intersection(GROUPS)}
-    raise_all(f"metrics: {word} {_lacks(word, spec, known)}" for word in words if word not in possible)
+    raise_all(f"metrics: {word} {_lacks(word, protocol, spec, known)}" for word in words if word not in possible)
     free = {metric.statistic.name for metric in known.values() if metric.headline} | {"errors_by_n", "inside_reference"}
     return {
         name: metric
@@ -270,7 +284,10 @@ def unmeasured(name: str, protocol: Protocol, spec: DataSpec) -> str:
     return f"was not measured. Evaluate with {option('metrics', ', '.join([*protocol.wanted, more]))}."
 
 
-def _lacks(name: str, spec: DataSpec, known: dict[str, Metric]) -> str:
+def _lacks(name: str, protocol: Protocol, spec: DataSpec, known: dict[str, Metric]) -> str:
+    for metric in _all_metrics(protocol, spec, None, ()):
+        if metric.name == name and (lacking := needs.unmet(metric, spec)):
+            return f"needs {' and '.join(lacking)}; the data are {spec.unit or 'no unit'}, D = {spec.n_coordinates}."
     if "mpjve" in name and "sequence" not in spec.labels:
         return "needs sequences. Store a label sequence in the truth's file."
     if not spec.has_scores and ("weighted_pose" in name or "mode_mpjpe" in name):
@@ -297,7 +314,13 @@ def curves_of(protocol: Protocol, spec: DataSpec) -> dict[str, Curve]:
         Curves by name.
     """
     scope = Scope(protocol, spec)
-    return {curve.name: curve for curve in (subset_curve(scope), pck_curve(scope), cps_curve(scope))}
+    curves = subset_curve(scope), pck_curve(scope), cps_curve(scope)
+    unit = f" [{spec.unit}]" if spec.unit else ""
+    return {
+        curve.name: changed(curve, axes=(curve.axes[0].replace(" [mm]", unit), curve.axes[1].replace(" [mm]", unit)))
+        for curve in curves
+        if not needs.unmet(curve, spec)
+    }
 
 
 def occlusion_metrics_of(protocol: Protocol, spec: DataSpec) -> dict[str, dict[str, Metric]]:
@@ -327,9 +350,7 @@ def occlusion_metrics_of(protocol: Protocol, spec: DataSpec) -> dict[str, dict[s
     if spec.n_hypotheses < 2:
         raise PoseDataError("by: occlusion needs at least 2 hypotheses; there is 1.")
     scope = Scope(protocol, spec)
-    return {
-        occlusion: {metric.name: metric for metric in occlusion_metrics(scope, occlusion)} for occlusion in OCCLUSION
-    }
+    return {kind: {m.name: needs.in_unit(m, spec) for m in occlusion_metrics(scope, kind)} for kind in OCCLUSION}
 
 
 def statistics_of(

@@ -285,6 +285,9 @@ RANK_TESTS: tuple[Test, ...] = (
 NEEDS_COORDINATE_RANGE = frozenset({"tarp_box"})
 """The tests whose ranks depend on which poses are evaluated together: of shards they add, but not to the same."""
 
+_NEEDS_POSITIONS = frozenset({"pair_distance", "tarp_box"})
+"""The tests that measure distances between joints, or the range of coordinates, which angles don't have."""
+
 # --- metrics --------------------------------------------------------------------------------------------------
 
 
@@ -328,6 +331,7 @@ def _rank_metric(scope: Scope, test: Test, weights: Callable[[Block], FloatArray
         by_joint=(statistic, by_joint) if coordinates else None,
         deviation=Deviation(),
         rejection=test.rejection,
+        needs=("positions",) if test.name in _NEEDS_POSITIONS else (),
         range="0 (ranks uniform) to about 0.5",
         reading="A test, not a score: read its p-value, which is adjusted for the number of tests. Small p: the truth "
         "does not rank among the hypotheses as one of them would.",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from posecal.data.declarations import Declarations, named_call, resolve, unit_factor
+from posecal.data.declarations import Declarations, named_call, quantity_of, resolve
 from posecal.data.layout import HYPOTHESES, Layout
 from posecal.data.match import Names, empty_problem, joint_names, numbered, root_index
 from posecal.data.stored_poses import ArrayHypotheses, StoredPoses
@@ -42,7 +42,9 @@ def resolve_hypotheses(
     layout = named_call(poses, Layout, axes, HYPOTHESES)
     n, m, k, _ = named_call(poses, layout.shape, poses.array.shape)
     problems: list[str | PosecalError] = [empty_problem(poses)] if 0 in poses.array.shape else []
-    factor = attempt(problems, unit_factor, poses, "unit", declared.unit) or 1.0
+    unit, factor = attempt(problems, quantity_of, poses, "unit", declared.unit) or ("mm", 1.0)
+    if unit != "mm":
+        problems.append(f"{poses.name}: unit {unit or 'none'}; maps are for lengths, expected mm, cm or m.")
     joints = joint_names(poses, k, declared, problems) or numbered(k)
     raise_all(problems)
     hypotheses = ArrayHypotheses(poses.array, layout, np.arange(m), np.arange(k), factor, n)

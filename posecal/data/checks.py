@@ -45,10 +45,13 @@ def check_units(data: PoseData, unit: str | None, true_unit: str | None, declare
         Where an undeclared unit can't be millimetres, or the two are in different units.
     """
     *_, k, d = data.shape
+    some = data.hypotheses.read(0, 8)
+    remarks = _distinct(data.names[0], some)
+    if data.unit != "mm":
+        return remarks
     name, true_name = data.names
     is_known = unit is not None or declared.unit is not None
     is_true_known = any(given is not None for given in (true_unit, declared.truth_unit, declared.unit))
-    some = data.hypotheses.read(0, 8)
     size = pose_size(some[:12].reshape(-1, k, d))
     true_size = pose_size(data.truth)
     sides = ("truth_unit", true_name, true_size, is_true_known), ("unit", name, size, is_known)
@@ -63,7 +66,7 @@ def check_units(data: PoseData, unit: str | None, true_unit: str | None, declare
             f"{' '.join(undeclared.values())} Pass {advice}, or store unit in the files; {option(key, 'mm')} if it is "
             "right."
         )
-    remarks = [f"{message} Is its unit right?" for _, message, _ in tiny]
+    remarks += [f"{message} Is its unit right?" for _, message, _ in tiny]
     if size > 0 and true_size > 0 and not 0.05 < size / true_size < 20:
         ratio = f"{name} and {true_name} differ in size by a factor of {max(size / true_size, true_size / size):,.0f}"
         if declared.truth_unit is None and not (is_known and true_unit is not None):
@@ -72,13 +75,18 @@ def check_units(data: PoseData, unit: str | None, true_unit: str | None, declare
                 f"{option('truth_unit')} for the other."
             )
         remarks.append(f"{ratio}. Are their units right?")
+    return remarks or _check_bones(data)
+
+
+def _distinct(name: str, some: FloatArray) -> list[str]:
+    """Remark on hypotheses of which some repeat others."""
     distinct, n = distinct_hypotheses(some), len(some)
     if 1 < distinct < n:
-        remarks.append(
+        return [
             f"{name}: only {distinct} of N = {n} hypotheses are distinct, by the first {some.shape[1]} frames. Spread, "
             "calibration and scores are then those of fewer hypotheses."
-        )
-    return remarks or _check_bones(data)
+        ]
+    return []
 
 
 def metres_message(name: str, size: float) -> str:

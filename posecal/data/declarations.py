@@ -12,7 +12,7 @@ from posecal.data.arrays import checked_choice
 from posecal.data.layout import HYPOTHESES, TRUTH, Layout, plausible_layouts
 from posecal.data.skeleton import joint_set
 from posecal.data.stored_poses import StoredPoses
-from posecal.data.units import millimetres_per
+from posecal.data.units import quantity
 from posecal.errors import PosecalError, PoseDataError, attempt, option, raise_all
 
 T = TypeVar("T")
@@ -61,8 +61,8 @@ class Declarations:
         checks: tuple[tuple[object, Callable[[Any], object]], ...] = (
             (self.axes, lambda text: Layout(text, HYPOTHESES)),
             (self.truth_axes, lambda text: Layout(text, TRUTH)),
-            (self.unit, millimetres_per),
-            (self.truth_unit, millimetres_per),
+            (self.unit, quantity),
+            (self.truth_unit, quantity),
             (self.joints, _joint_names),
             (self.root_joint, _root_joint),
             (self.missing, lambda text: checked_choice(text, "missing", ("error", "skip"))),
@@ -130,7 +130,7 @@ def choose_layouts(
     if len(x) != len(layout.groups):
         raise PoseDataError(f"{both}. Declare another layout of {hypotheses.name} with {option('axes')}.")
     true_shape = named_call(truth, true_layout.shape, y)
-    if true_own is None and true_shape[1] == 3 != true_shape[2]:
+    if own is None and true_own is None and true_shape[1] == 3 != true_shape[2]:
         raise PoseDataError(f"{both}, coordinates last. Pass {option('truth_axes', 'MDK')}.")
     if own is not None:
         named_call(hypotheses, layout.shape, x)
@@ -172,15 +172,15 @@ def resolve(poses: StoredPoses, name: str, stored: str | None, declared: object)
     return stored if declared is None else str(declared)
 
 
-def unit_factor(poses: StoredPoses, name: str, declared: object) -> float:
-    """Give the millimetres in one unit of some poses.
+def quantity_of(poses: StoredPoses, name: str, declared: object, otherwise: str = "mm") -> tuple[str, float]:
+    """Give the unit in which poses are measured, and the factor of the stored numbers; see :func:`quantity`.
 
     Raises
     ------
     PoseDataError
         For a unit that is none, or two that differ.
     """
-    return named_call(poses, millimetres_per, resolve(poses, name, poses.unit, declared) or "mm")
+    return named_call(poses, quantity, resolve(poses, name, poses.unit, declared) or otherwise)
 
 
 def named_call(poses: StoredPoses, function: Callable[..., T], *arguments: Any) -> T:

@@ -14,12 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray, checked_mask, checked_number
-from posecal.data.declarations import Declarations, choose_layouts, unit_factor
+from posecal.data.declarations import Declarations, choose_layouts, quantity_of
 from posecal.data.degenerate import column_problem
 from posecal.data.joint_names import distinguished, find_joint, match_joints, remarks_on_names, repeated_names
 from posecal.data.layout import plausible_layouts
 from posecal.data.skeleton import ALL_NAMES, Skeleton
 from posecal.data.stored_poses import ArrayHypotheses, Labels, Rows, StoredPoses, in_millimetres
+from posecal.data.units import OTHERS
 from posecal.errors import PosecalError, PoseDataError, attempt, did_you_mean, first_few, option, raise_all
 
 Names = tuple[str, ...]
@@ -64,7 +65,7 @@ class Matcher:
         """
         hypotheses, truth, problems = self.hypotheses, self.truth, self.problems
         n, m, k, d = self.shape
-        factor, true_factor = self._unit_factors()
+        unit, factor, true_factor = self._quantities()
         rows, true_rows = self._frames()
         true_names, columns, true_columns = self._joints()
         stored = self.layouts[1].read(truth.array, np.arange(self.true_shape[0]))
@@ -98,7 +99,10 @@ class Matcher:
             self._remark_invalid(known, counts)
             rows, true_rows, known = rows[counts], true_rows[counts], known[counts]
         y = in_millimetres(stored, true_factor)
-        root = attempt(problems, root_index, self.declared.root_joint, true_names, y)
+        declared_root = self.declared.root_joint
+        if declared_root is None and unit != "mm":
+            declared_root = "none"  # of positions alone is the root a joint's by itself
+        root = attempt(problems, root_index, declared_root, true_names, y)
         labels = {name: values[rows] for name, values in labels.items()}
         labels = self._merged(labels, {name: values[true_rows] for name, values in true_labels.items()}, true_rows)
         raise_all(problems)
@@ -108,7 +112,7 @@ class Matcher:
             self.remarks.append(
                 f"{hypotheses.name} lacks the root {true_names[root]}; its positions are taken as relative to it."
             )
-        if root is None and self.declared.root_joint != "none":
+        if root is None and declared_root != "none":
             root_joint = option("root_joint")
             self.remarks.append(
                 f"no root joint is known, so positions are taken as they stand; {root_joint} names one."
@@ -117,6 +121,7 @@ class Matcher:
         return {
             "hypotheses": ArrayHypotheses(hypotheses.array, self.layouts[0], rows, columns, factor, n),
             "truth": np.ascontiguousarray(y[true_rows][:, true_columns]),
+            "unit": unit,
             "joints": tuple(true_names[k] for k in true_columns),
             "root": next((k for k, column in enumerate(true_columns) if column == root), None),
             "frame_id": true_rows.astype(str) if truth.frame_id is None else truth.frame_id[true_rows],
@@ -160,13 +165,22 @@ class Matcher:
         if joints:
             self.remarks.append(f"valid: {joints:,} of {known[counts].size:,} joints are not valid; left out.")
 
-    def _unit_factors(self) -> tuple[float, float]:
-        """Millimetres in one unit of both; ``unit`` is for what declares none, or must agree with both."""
-        name, unit = "truth_unit", self.declared.truth_unit
-        if unit is None and not (self.truth.unit is not None and self.hypotheses.unit is None):
-            name, unit = "unit", self.declared.unit
-        factor = attempt(self.problems, unit_factor, self.hypotheses, "unit", self.declared.unit)
-        return factor or 1.0, attempt(self.problems, unit_factor, self.truth, name, unit) or 1.0
+    def _quantities(self) -> tuple[str, float, float]:
+        """The unit that is measured in, and the factors of both; ``unit`` is for what declares none, or must agree."""
+        name, declared = "truth_unit", self.declared.truth_unit
+        if declared is None and not (self.truth.unit is not None and self.hypotheses.unit is None):
+            name, declared = "unit", self.declared.unit
+        stored = {poses.unit for poses in (self.hypotheses, self.truth)} & {*OTHERS}
+        otherwise = stored.pop() if len(stored) == 1 else "mm"  # an angle is compared with angles
+        one = attempt(self.problems, quantity_of, self.hypotheses, "unit", self.declared.unit, otherwise)
+        other = attempt(self.problems, quantity_of, self.truth, name, declared, otherwise)
+        (unit, factor), (true_unit, true_factor) = one or ("mm", 1.0), other or ("mm", 1.0)
+        if unit != true_unit and one and other:
+            self.problems.append(
+                f"{self.hypotheses.name} is in {unit or 'no unit'} and {self.truth.name} in {true_unit or 'no unit'}; "
+                "expected one quantity. Declare the unit of what declares none."
+            )
+        return unit, factor, true_factor
 
     def _frames(self) -> tuple[Rows, Rows]:
         """Match frames by id, or by their order where one of the two has no ids."""

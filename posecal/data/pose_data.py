@@ -56,8 +56,8 @@ class PoseData:
     truth_frame_id : array (M,), optional
         Names of the truth's frames.
     unit, truth_unit : str or float, optional
-        Of what declares none: ``mm``, ``cm``, ``m``, or the millimetres in one unit. mm by default; ``unit`` is for
-        both unless ``truth_unit`` is given.
+        Of what declares none: ``mm``, ``cm``, ``m``, or the millimetres in one unit; ``deg`` or ``rad`` for angles,
+        ``px``, or ``none``. mm by default; ``unit`` is for both unless ``truth_unit`` is given.
     axes, truth_axes : str, optional
         Layouts of what declares none, such as ``MNKD`` and ``MDK``.
     missing : str
@@ -72,7 +72,9 @@ class PoseData:
     hypotheses : Hypotheses
         Read some poses at a time.
     truth : array (M, K, D)
-        True poses, mm.
+        True poses, in ``unit``.
+    unit : str
+        ``mm``, ``deg``, ``px``, or empty.
     joints : tuple of str
         K names, as :mod:`posecal.data.skeleton` spells them; numbered where there are none.
     root : int or None
@@ -123,6 +125,7 @@ class PoseData:
 
     hypotheses: Hypotheses
     truth: FloatArray
+    unit: str
     joints: tuple[str, ...]
     root: int | None
     frame_id: npt.NDArray[np.str_]

@@ -346,7 +346,7 @@ class Accumulator:
 
     def _block(self, chunk: Chunk, start: int, stop: int) -> Callable[[], _Measured]:
         limits = None if self._prepared is None else self._prepared.limits
-        lay_out = chunk.block(start, stop, self.spec.root, limits, self._before)
+        lay_out = chunk.block(start, stop, self.spec.root, limits, self._before, self.spec.period)
         task = partial(_measure_block, self._given, lay_out, chunk.cells[start:stop], self.statistics)
         self._before = replace(chunk.select(slice(stop - 1, stop)), reference=None).copy()
         self._given += stop - start

@@ -17,7 +17,9 @@ import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray, checked, checked_root, squared_norms, working_dtype
 from posecal.data.degenerate import LARGEST, is_outside
+from posecal.engine.circular import unwrapped, wrapped
 from posecal.engine.coordinate_range import CoordinateRange, coordinate_range
+from posecal.engine.memory import reuse_freed_memory
 from posecal.errors import PoseDataError
 
 if TYPE_CHECKING:
@@ -61,6 +63,9 @@ class Block:
         Gives the range of all true poses that are evaluated together; of these by default.
     sequence : array of int (B,), optional
         The sequence of each pose; each pose is one by default.
+    period : float, optional
+        After how much coordinates repeat, such as 360 for degrees. Hypotheses are then unwrapped about their circular
+        mean, which is at most half a period from the truth, and distances from the truth are the shorter way round.
 
     Attributes
     ----------
@@ -87,11 +92,15 @@ class Block:
         reference: FloatArray | None = None,
         limits: Callable[[], CoordinateRange] | None = None,
         sequence: npt.NDArray[np.intp] | None = None,
+        period: float | None = None,
     ) -> None:
-        _reuse_freed_memory()
+        reuse_freed_memory()
         self.occluded = np.zeros(truth.shape[:2], dtype=bool) if occluded is None else occluded
         self.where = np.ones(truth.shape[:2], dtype=bool) if where is None else where
         self.offsets = _offsets(hypotheses, truth, root)
+        if period is not None:
+            self.offsets = unwrapped(self.offsets, period)
+        self._period = period
         self.truth = _relative(truth, root, self.offsets.dtype)
         if not self.where.all():
             self.offsets[~self.where] = 0
@@ -101,9 +110,11 @@ class Block:
         self._shared: dict[Hashable, Any] = {}
         self._make_fit_block: Callable[[], Block] | None = None
         if usable is not None:
-            lay_out = partial(Block, hypotheses, truth, root=root, scores=scores)
+            lay_out = partial(Block, hypotheses, truth, root=root, scores=scores, period=period)
             self._make_fit_block = partial(_where_finite, lay_out, usable)
-        self._reference = None if reference is None else partial(Block, reference, truth, where, root=root)
+        self._reference = (
+            None if reference is None else partial(Block, reference, truth, where, root=root, period=period)
+        )
 
     @property
     def fit_block(self) -> Block:
@@ -150,6 +161,10 @@ class Block:
             self._shared[key] = compute()
         result: Result = self._shared[key]
         return result
+
+    def from_truth(self, offsets: FloatArray) -> FloatArray:
+        """Give the shorter way round from the truth, where coordinates repeat; elsewhere the offsets themselves."""
+        return offsets if self._period is None else wrapped(offsets, self._period)
 
     @property
     def n_hypotheses(self) -> int:
@@ -198,7 +213,7 @@ class Block:
     @cached_property
     def squared_errors(self) -> FloatArray:
         """Squared distance of each hypothesis from the truth per joint, (B, K, N), mm²."""
-        return squared_norms(self.offsets)
+        return squared_norms(self.from_truth(self.offsets))
 
     @cached_property
     def errors(self) -> FloatArray:
@@ -239,7 +254,8 @@ class Block:
         before[1:] = self.offsets[:-1]
         if self._previous is not None:
             before[:1] = _offsets(*self._previous[:2], self._root)
-        return np.where((self.where & self.where_before)[..., None, None], self.offsets - before, 0)
+        steps = self.from_truth(self.offsets - before)
+        return np.where((self.where & self.where_before)[..., None, None], steps, 0)
 
 
 def _where_finite(lay_out: Callable[[BoolArray], Block], where: BoolArray) -> Block:
@@ -265,17 +281,6 @@ def _relative(truth: FloatArray, root: int | None, dtype: np.dtype[np.floating])
     with np.errstate(invalid="ignore", over="ignore"):
         wide = truth.astype(working_dtype(truth.dtype), copy=False)
         return (wide if root is None else wide - wide[:, root, None]).astype(dtype)
-
-
-@cache
-def _reuse_freed_memory() -> None:
-    """Let the memory of one block's arrays be that of the next one's.
-
-    glibc returns freed arrays of more than 128 KiB to the system, which has to clear every page again for the next:
-    half of the time of a walk. It keeps them once a larger array was freed, of up to 32 MiB (``man mallopt``,
-    M_MMAP_THRESHOLD); this one is never written to. Elsewhere nothing happens.
-    """
-    np.empty(31 * 1024 * 1024, dtype=np.uint8)
 
 
 # --- blocks of arrays ---------------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray
 from posecal.data.pose_data import PoseData
+from posecal.data.units import PERIODS
 from posecal.engine.block import Block, block_length
 from posecal.engine.coordinate_range import CoordinateRange
 from posecal.engine.threads import run_in_order
@@ -60,6 +61,7 @@ class Chunk:
         root: int | None,
         limits: CoordinateRange | None = None,
         before: Chunk | None = None,
+        period: float | None = None,
     ) -> Callable[[], Block]:
         """Lay out some poses as a block, when called; ``before`` holds the pose before the first."""
         part = self.select(slice(start, stop))
@@ -78,6 +80,7 @@ class Chunk:
             reference=part.reference,
             limits=None if limits is None else lambda: limits,
             sequence=part.sequence,
+            period=period,
         )
 
 
@@ -142,7 +145,7 @@ def map_blocks(data: PoseData, compute: Callable[[Block], Result], threads: int 
     """
     length = block_length(data.shape, data.hypotheses.read(0, 1).dtype)
     tasks = (
-        partial(_apply, compute, chunk.block(start, start + length, data.root))
+        partial(_apply, compute, chunk.block(start, start + length, data.root, period=PERIODS.get(data.unit)))
         for chunk in read_chunks(data.replace(reference=None), length)
         for start in range(0, len(chunk), length)
     )

@@ -26,6 +26,8 @@ Direction = Literal["lower", "higher", "zero", "none"]
 Family = Literal["accuracy", "calibration", "rank_tests", "scores", "sharpness"]
 Over = Literal["median", "mean", "worst"]
 
+Need = Literal["lengths", "three axes", "positions"]
+
 MetricFunction = Callable[..., npt.ArrayLike]
 """``f(hypotheses, truth)``, with a keyword ``where`` if it takes one, to one value per pose, or per pose and joint."""
 
@@ -144,6 +146,8 @@ class Metric:
         With it: what a perfect sampler's curve is off by at this N.
     rejection : str
         Of tests: what a rejection means.
+    needs : tuple of str
+        What the data must be for it; see :mod:`posecal.engine.needs`.
     """
 
     name: str
@@ -167,6 +171,7 @@ class Metric:
     deviation: Deviation | None = None
     offset: FloatArray | None = None
     rejection: str = ""
+    needs: tuple[Need, ...] = ()
 
     def __post_init__(self) -> None:
         _check_word("direction", self.direction, Direction)
@@ -336,6 +341,8 @@ class Curve:
         One line.
     statistic : Statistic
         Its mean over poses, (T,), is the curve.
+    needs : tuple of str
+        As those of a :class:`Metric`.
     """
 
     name: str
@@ -343,6 +350,7 @@ class Curve:
     axes: tuple[str, str]
     definition: str
     statistic: Statistic
+    needs: tuple[Need, ...] = ()
 
 
 def _weighted_sum_of_truth(block: Block) -> FloatArray:

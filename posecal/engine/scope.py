@@ -11,6 +11,7 @@ from posecal.data.arrays import BoolArray
 from posecal.data.joint_names import joint_keys
 from posecal.data.pose_data import PoseData
 from posecal.data.skeleton import JOINT_SETS
+from posecal.data.units import PERIODS
 from posecal.engine.protocol import Protocol, named_joints
 from posecal.errors import PoseDataError
 
@@ -43,6 +44,10 @@ class DataSpec:
         What skill scores are relative to; empty without skill scores.
     n_reference : int
         Its number of hypotheses.
+    unit : str
+        ``mm``, ``deg``, ``px``, or empty.
+    n_coordinates : int
+        D.
     """
 
     n_hypotheses: int
@@ -56,6 +61,8 @@ class DataSpec:
     preranks: tuple[str, ...] = ()
     reference: str = ""
     n_reference: int = 0
+    unit: str = "mm"
+    n_coordinates: int = 3
 
     @classmethod
     def of(cls, data: PoseData, *, has_mask: bool = False, preranks: tuple[str, ...] = ()) -> DataSpec:
@@ -64,6 +71,8 @@ class DataSpec:
             n_hypotheses=data.shape[0],
             joints=data.joints,
             root=data.root,
+            unit=data.unit,
+            n_coordinates=data.shape[3],
             labels=tuple(data.labels),
             fps=data.fps,
             has_scores=data.scores is not None,
@@ -73,6 +82,11 @@ class DataSpec:
             reference="" if data.reference is None else data.reference.names[0],
             n_reference=0 if data.reference is None else data.reference.shape[0],
         )
+
+    @property
+    def period(self) -> float | None:
+        """After how much coordinates repeat; None where they don't."""
+        return PERIODS.get(self.unit)
 
     def difference(self, other: DataSpec) -> str:
         """Say in what these data differ from others."""

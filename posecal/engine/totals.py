@@ -315,6 +315,7 @@ class Totals:
             "posecal": self.version,
             "N": str(s.n_hypotheses),
             "K": f"{len(s.joints)}({zlib.crc32(','.join(names).encode()):08x})",
+            **({} if s.unit == "mm" else {"unit": s.unit or "none"}),
             "origin": "as given" if s.root is None else names[s.root],
             **self.protocol.options,
         }

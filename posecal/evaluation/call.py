@@ -73,8 +73,9 @@ def evaluate(
     frame_id, truth_frame_id : arrays (M,), optional
         Names of the frames, by which hypotheses and truth are joined; one of them is for both.
     unit, truth_unit : str, optional
-        Of data that declare none: ``mm``, ``cm``, ``m``, or the millimetres in one unit. ``unit`` is for both unless
-        ``truth_unit`` is given; millimetres by default, and refused where they can't be.
+        Of data that declare none: ``mm``, ``cm``, ``m``, or the millimetres in one unit; ``deg`` or ``rad`` for angles,
+        ``px``, or ``none``. ``unit`` is for both unless ``truth_unit`` is given; millimetres by default, and refused
+        where they can't be.
     axes, truth_axes : str, optional
         Layouts of data that declare none, such as ``MNKD``; ``NMKD`` and ``MKD`` by default.
     missing : str

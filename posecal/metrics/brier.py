@@ -15,6 +15,7 @@ import numpy.typing as npt
 from posecal.data.arrays import BoolArray, FloatArray, checked_number, squared_norms
 from posecal.engine.block import Block
 from posecal.engine.metric import Metric, Statistic, entry
+from posecal.engine.protocol import Protocol
 from posecal.engine.scope import Scope
 from posecal.metrics.proper import fair_per_pose
 
@@ -204,7 +205,8 @@ def brier_metrics(scope: Scope) -> Iterator[Metric]:
         f"median of the N={n} hypotheses"
     )
     counted = partial(brier_counts, joints=scope.moving, threshold=threshold)
-    yield _BRIER(
+    make = partial(_BRIER, needs=("lengths",) if threshold == Protocol().pck_threshold else ())
+    yield make(
         name="brier",
         label=f"Brier score, {threshold:g} mm",
         brief=f"of: own median right to {threshold:g} mm at every joint; no ranking, the event is the model's own",
@@ -218,7 +220,7 @@ def brier_metrics(scope: Scope) -> Iterator[Metric]:
             ("discrimination", "that telling poses apart removes"),
         )
     ):
-        yield _BRIER(
+        yield make(
             name=f"brier_{name}",
             label=f"Brier, {name}",
             brief=words.removeprefix("that "),

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray, checked_choice
 from posecal.engine.block import Block, per_pose
-from posecal.engine.metric import Curve, Metric, Statistic
+from posecal.engine.metric import Curve, Metric, Need, Statistic
 from posecal.engine.scope import Scope
 from posecal.geometry.procrustes import ALIGNMENTS, Alignment
 from posecal.metrics.mpjpe import aligned_words
@@ -142,6 +142,10 @@ def _statistic(scope: Scope, name: str, score: Score) -> Statistic:
     return Statistic(name, partial(joints, score=score, select=p.cps_best, align=p.cps_align))
 
 
+def _needs(scope: Scope) -> tuple[Need, ...]:
+    return ("lengths",) if scope.protocol.cps_align == "none" else ("lengths", "three axes")
+
+
 def cps_metrics(scope: Scope) -> Iterator[Metric]:
     """CPS."""
     p, joints, share = scope.protocol, scope.counted(scope.cps), scope.protocol.cps_unit == "share"
@@ -157,6 +161,7 @@ def cps_metrics(scope: Scope) -> Iterator[Metric]:
         + ("; over 300 mm" if share else ""),
         statistic=_statistic(scope, "cps", cps_area),
         finish=lambda means: means / (CPS_MOST if share else 1),
+        needs=_needs(scope),
         headline=True,
         range="0 to 299/300" if share else "0 to 299 mm",
         reading="190 mm means that the worst joint of the best hypothesis is about 110 mm off, after alignment.",
@@ -174,4 +179,5 @@ def cps_curve(scope: Scope) -> Curve:
         definition=f"share of poses with each of {scope.counted(scope.cps)} within τ"
         f"{aligned_words(scope, p.cps_align, scope.cps)}, {SELECTED[p.cps_best]} at each τ",
         statistic=_statistic(scope, "cps_curve", lambda errors: correct_share(errors[..., None], THRESHOLDS)),
+        needs=_needs(scope),
     )

@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray, checked, checked_choice, checked_index
 from posecal.engine.block import Block, per_pose
-from posecal.engine.metric import Metric, Statistic, entry, per_joint
+from posecal.engine.metric import Metric, Need, Statistic, entry, per_joint
 from posecal.engine.scope import Scope
 from posecal.errors import PoseDataError
 from posecal.geometry.procrustes import ALIGNMENTS, Alignment
@@ -222,13 +222,17 @@ def aligned_words(scope: Scope, align: Alignment, scored: BoolArray) -> str:
     return _ALIGNED[align] + ("" if align == "none" or fitted_to_scored else f", fitted to {scope.size(scope.fit)}")
 
 
+_NEEDS: dict[str, tuple[Need, ...]] = {"": (), "pa_": ("positions", "three axes"), "n_": ("positions",)}
+
+
 def mpjpe_metrics(scope: Scope) -> Iterator[Metric]:
     """The MPJPE family, as it stands, aligned (``pa_``) and scaled (``n_``)."""
     variants: tuple[tuple[str, Alignment], ...]
     variants = ("", "none"), ("pa_", scope.protocol.align), ("n_", scope.protocol.scale)
     for prefix, align in variants:
-        yield from _of_hypotheses(scope, prefix, align)
-        yield from _of_one_pose(scope, prefix, align)
+        needs = _NEEDS[prefix]
+        for metric in (*_of_hypotheses(scope, prefix, align), *_of_one_pose(scope, prefix, align)):
+            yield replace(metric, needs=needs)
 
 
 def _label(prefix: str, label: str) -> str:

@@ -20,6 +20,7 @@ import numpy.typing as npt
 from posecal.data.arrays import BoolArray, FloatArray, checked_choice, checked_number
 from posecal.engine.block import Block, per_pose
 from posecal.engine.metric import Curve, Metric, Statistic, entry
+from posecal.engine.protocol import Protocol
 from posecal.engine.scope import Scope
 from posecal.geometry.procrustes import Alignment
 from posecal.metrics.position import joint_errors, linked
@@ -326,6 +327,7 @@ def pck_metrics(scope: Scope) -> Iterator[Metric]:
         f"{SELECTED[select]}",
         statistic=Statistic("pck", partial(right, joints=scope.pck, body=scope.body)),
         in_group_table=True,
+        needs=("lengths",) if p.pck_threshold == Protocol().pck_threshold else (),
         range="0 to 1",
         reading="The share of joints that are right to the threshold, of the best hypothesis at that: it rises with N.",
     )
@@ -337,6 +339,7 @@ def pck_metrics(scope: Scope) -> Iterator[Metric]:
         brief=f"mean of PCK over {grid}",
         definition=f"mean over {grid} of PCK ({p.pck_rule}) over {joints}, {SELECTED[select]} at each threshold",
         statistic=Statistic("auc", partial(area, joints=scope.pck, body=scope.body)),
+        needs=("lengths",),
         range="0 to 30/31 with strict thresholds (none is below 0 mm), else 1",
         reading="PCK without the choice of one threshold.",
     )
@@ -359,4 +362,5 @@ def pck_curve(scope: Scope) -> Curve:
             "pck_curve",
             partial(joint_score, score=reached, select=p.pck_best, joints=scope.pck, body=scope.body),
         ),
+        needs=("lengths",),
     )

@@ -95,7 +95,7 @@ def joint_errors(
 
     def compute() -> FloatArray:
         fitted = block if align == "none" else block.fit_block
-        offsets = fitted.offsets if of is None else pose_of(fitted, of, mode)
+        offsets = fitted.from_truth(fitted.offsets if of is None else pose_of(fitted, of, mode))
         return aligned_errors(offsets, fitted.truth, fitted.weights(fit), align)
 
     return block.share(key, compute)

@@ -92,7 +92,7 @@ def joint_crps(block: Block, joints: BoolArray | None = None) -> FloatArray:
     if n < 2:
         return np.full(scored.shape, np.nan)
     ranks = (2 * np.arange(1, n + 1) - n - 1) / (n * (n - 1))
-    error = np.abs(block.offsets).mean(axis=-1, dtype=np.float64)
+    error = np.abs(block.from_truth(block.offsets)).mean(axis=-1, dtype=np.float64)
     return np.where(scored, (error - block.sorted @ ranks).mean(axis=-1), np.nan)
 
 
@@ -346,6 +346,7 @@ def score_metrics(scope: Scope) -> Iterator[Metric]:
     yield SCORE(
         name="variogram_score",
         label="variogram score",
+        needs=("positions",),
         brief="fair, of √distance between joints",
         definition=f"mean over poses and pairs of {joints} of (√d(y) − mean √d(x))² − var √d(x) / N, d: distance of "
         f"the pair, N={n}",

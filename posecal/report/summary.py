@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 from posecal.errors import for_python
+from posecal.registry import left_out
 from posecal.report.format import p_value
 from posecal.stats.resampling import LEVEL, MIN_SEQUENCES
 
@@ -47,6 +48,8 @@ def _of_statistics(report: Report) -> Iterator[str]:
             f"{units} allow{'s' * (sequences == 1)} no test: even if all err alike, chance would do that in "
             f"{2 / 2**sequences:.0%} of cases. At least {MIN_SEQUENCES} are needed for a p-value."
         )
+    if line := left_out(totals.protocol, totals.spec):
+        yield line
     n = totals.spec.n_hypotheses
     if n < 2:
         yield "calibration and spread need at least 2 hypotheses; there is 1."

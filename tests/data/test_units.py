@@ -27,7 +27,9 @@ def test_a_number_or_a_fraction_is_the_millimetres_in_one_unit(unit: str, factor
     "unit", ["", " ", "inch", "0", "-1", "nan", "inf", "1/0", "0/1", "1/inf", "1/2/3", "mm/2", "1e999"]
 )
 def test_anything_else_is_refused_with_what_a_unit_is(unit: str) -> None:
-    words = r"; expected mm, cm, m, or the millimetres in one unit as a number \(25\.4\) or fraction \(1/0\.0036\)\.$"
+    words = (
+        r"; expected mm, cm, m, or the millimetres in one unit as a number \(25\.4\) or fraction \(1/0\.0036\); deg, "
+    )
     with pytest.raises(PoseDataError, match=rf"^unit: '{unit}'{words}"):
         millimetres_per(unit)
 

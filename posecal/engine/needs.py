@@ -1,0 +1,62 @@
+"""What metrics need of the data, and the unit in which they are given."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from dataclasses import replace
+
+from posecal.data.units import PERIODS
+from posecal.engine.metric import Curve, Metric, Need
+from posecal.engine.scope import DataSpec
+from posecal.errors import first_few
+
+NEEDS: dict[Need, str] = {
+    "lengths": "lengths (or thresholds in the data's own unit)",
+    "three axes": "positions of three coordinates",
+    "positions": "positions, not angles",
+}
+"""What metrics need of the data, in words."""
+
+_SHOWN = 5
+"""How many metrics of one need a remark names."""
+
+
+def unmet(metric: Metric | Curve, spec: DataSpec) -> tuple[str, ...]:
+    """Say in words which needs of a metric the data don't meet."""
+    met = {"lengths": spec.unit == "mm", "three axes": spec.n_coordinates == 3, "positions": spec.unit not in PERIODS}
+    return tuple(NEEDS[need] for need in metric.needs if not met[need])
+
+
+def in_unit(metric: Metric, spec: DataSpec) -> Metric:
+    """Write a metric of posecal's in the unit of the data; a user's own has the unit that the user gave it."""
+    if spec.unit == "mm" or metric.function is not None:
+        return metric
+    texts = {name: getattr(metric, name) for name in ("label", "brief", "definition", "range", "reading")}
+    texts = {name: text.replace(" mm", f" {spec.unit}".rstrip()) for name, text in texts.items()}
+    return replace(metric, **texts, unit=metric.unit.replace("mm", spec.unit or "1" * ("/" in metric.unit)))
+
+
+def left_out(metrics: Iterable[Metric], spec: DataSpec, words: Collection[str]) -> str:
+    """Say which metrics of a report the data can't have, and what they need.
+
+    Parameters
+    ----------
+    metrics : iterable of Metric
+        All metrics.
+    spec : DataSpec
+        What is measured.
+    words : collection of str
+        What was asked for: ``default``, ``all`` and families.
+
+    Returns
+    -------
+    str
+        One line; empty where nothing is left out.
+    """
+    groups: dict[str, list[str]] = {}
+    for metric in metrics:
+        shown = ("default" in words and metric.headline) or {"all", metric.family} & {*words}
+        for need in unmet(metric, spec)[:1] if shown else ():
+            groups.setdefault(need, []).append(metric.name)
+    parts = [f"{first_few(names, _SHOWN)}, which need {need}" for need, names in groups.items()]
+    return f"left out: {'; '.join(parts)}." if parts else ""
