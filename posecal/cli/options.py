@@ -49,7 +49,7 @@ class HypothesesOptions:
     axes: Annotated[str | None, reading("Layout of the hypotheses, such as MNKD or MN(DK).")] = None
     unit: Annotated[str | None, reading("mm, cm, m, or the mm in one unit (1/0.0036).")] = None
     joints: Annotated[str | None, reading("Names for joints without: h36m-17, h36m-16, ….", "--joint-names")] = None
-    root_joint: Annotated[str | None, reading("The joint to subtract: a name, an index, or none.")] = None
+    root_joint: Annotated[str | None, reading("The joint to subtract, LHip+RHip, RWrist,LWrist, or none.")] = None
 
     def given(self) -> dict[str, Any]:
         """Give those that were given; what they can't be is a wrong call."""

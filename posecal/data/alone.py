@@ -6,14 +6,15 @@ import numpy as np
 
 from posecal.data.declarations import Declarations, named_call, quantity_of, resolve
 from posecal.data.layout import HYPOTHESES, Layout
-from posecal.data.match import Names, empty_problem, joint_names, numbered, root_index
+from posecal.data.match import Names, empty_problem, joint_names, numbered
+from posecal.data.root import AnyRoot, choose_root
 from posecal.data.stored_poses import ArrayHypotheses, StoredPoses
 from posecal.errors import PosecalError, attempt, raise_all
 
 
 def resolve_hypotheses(
     poses: StoredPoses, declarations: Declarations | None = None
-) -> tuple[ArrayHypotheses, Names, int | None]:
+) -> tuple[ArrayHypotheses, Names, AnyRoot]:
     """Read hypotheses without a truth.
 
     Parameters
@@ -29,8 +30,8 @@ def resolve_hypotheses(
         Read some poses at a time.
     joints : tuple of str
         Their joints, numbered where they have no names.
-    root : int or None
-        The joint that positions are relative to.
+    root : int, Root or None
+        What positions are relative to.
 
     Raises
     ------
@@ -48,4 +49,4 @@ def resolve_hypotheses(
     joints = joint_names(poses, k, declared, problems) or numbered(k)
     raise_all(problems)
     hypotheses = ArrayHypotheses(poses.array, layout, np.arange(m), np.arange(k), factor, n)
-    return hypotheses, joints, root_index(declared.root_joint, joints, hypotheses.read(0, 1)[0])
+    return hypotheses, joints, choose_root(declared.root_joint, joints, hypotheses.read(0, 1)[0])[0]

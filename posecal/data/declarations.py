@@ -32,8 +32,7 @@ class Declarations:
     joints : str, sequence of str or None
         Names of joints that have none, or a joint set.
     root_joint : str, int or None
-        The joint to subtract: a name, an index, or ``none``. By default the hip, or the one unnamed joint whose
-        truth is 0 throughout.
+        What to subtract: a joint, a midpoint, one for each part, or ``none``; see :mod:`posecal.data.root`.
     missing : str
         ``error``, or ``skip`` to score the frames that both have.
     shared_joints : str

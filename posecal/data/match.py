@@ -13,15 +13,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.arrays import BoolArray, FloatArray, checked_mask, checked_number
+from posecal.data.arrays import BoolArray, checked_mask, checked_number
 from posecal.data.declarations import Declarations, choose_layouts, quantity_of
 from posecal.data.degenerate import column_problem
-from posecal.data.joint_names import distinguished, find_joint, match_joints, remarks_on_names, repeated_names
+from posecal.data.joint_names import distinguished, match_joints, remarks_on_names, repeated_names
 from posecal.data.layout import plausible_layouts
-from posecal.data.skeleton import ALL_NAMES, Skeleton
+from posecal.data.root import choose_root, origin, part_of_root, root_name
+from posecal.data.skeleton import ALL_NAMES
 from posecal.data.stored_poses import ArrayHypotheses, Labels, Rows, StoredPoses, in_millimetres
 from posecal.data.units import OTHERS
-from posecal.errors import PosecalError, PoseDataError, attempt, did_you_mean, first_few, option, raise_all
+from posecal.errors import PosecalError, PoseDataError, attempt, first_few, option, raise_all
 
 Names = tuple[str, ...]
 
@@ -102,28 +103,25 @@ class Matcher:
         declared_root = self.declared.root_joint
         if declared_root is None and unit != "mm":
             declared_root = "none"  # of positions alone is the root a joint's by itself
-        root = attempt(problems, root_index, declared_root, true_names, y)
+        chosen = attempt(problems, choose_root, declared_root, true_names, y)
         labels = {name: values[rows] for name, values in labels.items()}
         labels = self._merged(labels, {name: values[true_rows] for name, values in true_labels.items()}, true_rows)
         raise_all(problems)
-        if root is not None and root not in true_columns:
+        assert chosen is not None
+        (of_all, remark), root = chosen, part_of_root(chosen[0], true_columns.tolist())
+        if of_all is not None and root is None:
             with np.errstate(invalid="ignore"):  # joints that don't count may hold anything
-                y = y - y[:, root, None]
-            self.remarks.append(
-                f"{hypotheses.name} lacks the root {true_names[root]}; its positions are taken as relative to it."
-            )
-        if root is None and declared_root != "none":
-            root_joint = option("root_joint")
-            self.remarks.append(
-                f"no root joint is known, so positions are taken as they stand; {root_joint} names one."
-            )
+                y = y - origin(y, of_all)
+            lost = root_name(of_all, true_names)
+            remark = f"{hypotheses.name} lacks the root {lost}; its positions are taken as relative to it."
+        self.remarks += [remark] if remark else []
         occluded = _part(true_marks, true_rows, true_columns)
         return {
             "hypotheses": ArrayHypotheses(hypotheses.array, self.layouts[0], rows, columns, factor, n),
             "truth": np.ascontiguousarray(y[true_rows][:, true_columns]),
             "unit": unit,
             "joints": tuple(true_names[k] for k in true_columns),
-            "root": next((k for k, column in enumerate(true_columns) if column == root), None),
+            "root": root,
             "frame_id": true_rows.astype(str) if truth.frame_id is None else truth.frame_id[true_rows],
             "order": true_rows,
             "labels": labels,
@@ -322,28 +320,6 @@ def joint_names(
     if repeated := repeated_names(names):
         problems.append(f"{poses.name} names joints more than once: {first_few(repeated)}.")
     return names
-
-
-def root_index(declared: str | int | None, names: Names, truth: FloatArray) -> int | None:
-    """Give the joint to subtract: as declared, the hip, or the one unnamed joint whose truth is 0 throughout.
-
-    Raises
-    ------
-    PoseDataError
-        For a joint that is not there.
-    """
-    if declared is None:
-        hip = Skeleton(names).root
-        resting = np.flatnonzero(~truth.any(axis=(0, 2)))
-        return int(resting[0]) if hip is None and len(resting) == 1 and len(names) > 1 else hip
-    root = str(declared)
-    if root == "none":
-        return None
-    index = int(root) if root.isdecimal() else find_joint(root, names)
-    if index is None or not 0 <= index < len(names):
-        which = option("root_joint")
-        raise PoseDataError(f"{which}: {declared!r} is not among the joints. {did_you_mean(root, names)}")
-    return index
 
 
 def empty_problem(poses: StoredPoses) -> str:

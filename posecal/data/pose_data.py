@@ -17,6 +17,7 @@ from posecal.data.degenerate import truth_remarks
 from posecal.data.layout import HYPOTHESES
 from posecal.data.match import Matcher
 from posecal.data.read import read_poses
+from posecal.data.root import AnyRoot, root_joints
 from posecal.data.stored_poses import Hypotheses, Labels, Rows, StoredPoses
 from posecal.errors import PosecalError, PoseDataError, attempt, raise_all
 
@@ -40,8 +41,9 @@ class PoseData:
     joints : str or sequence of str, optional
         K names, or a joint set, where the data name none; skeleton and root follow from them.
     root_joint : str or int, optional
-        The joint to subtract from every pose: a name, an index, or ``none``. By default the hip, or the one unnamed
-        joint whose truth is 0 throughout.
+        What to subtract from every pose: a joint by name or index, a midpoint such as ``LHip+RHip``, one of these for
+        each part (``RWrist,LWrist``), or ``none``. By default the hip, the one joint whose truth is 0 throughout, the
+        root of the joint set, or the midpoint of the hips.
     labels : mapping, optional
         Labels of the truth's poses, such as ``sequence`` and ``action``: arrays (M,), or one value for all poses.
         They replace labels of a file.
@@ -77,8 +79,8 @@ class PoseData:
         ``mm``, ``deg``, ``px``, or empty.
     joints : tuple of str
         K names, as :mod:`posecal.data.skeleton` spells them; numbered where there are none.
-    root : int or None
-        The joint to subtract from every pose.
+    root : int, Root or None
+        The joint to subtract from every pose; see :mod:`posecal.data.root` for midpoints and parts.
     frame_id : array of str (M,)
         Name of each frame.
     order : array of int (M,)
@@ -127,7 +129,7 @@ class PoseData:
     truth: FloatArray
     unit: str
     joints: tuple[str, ...]
-    root: int | None
+    root: AnyRoot
     frame_id: npt.NDArray[np.str_]
     order: Rows
     labels: Labels
@@ -268,5 +270,5 @@ def match_poses(hypotheses: StoredPoses, truth: StoredPoses, declarations: Decla
     declared = declarations or Declarations()
     data = _with_attributes(PoseData, **Matcher(hypotheses, truth, declared).attributes())
     remarks = check_units(data, hypotheses.unit, truth.unit, declared)
-    remarks += truth_remarks(data.truth, data.where, data.joints, [] if data.root is None else [data.root], truth.name)
+    remarks += truth_remarks(data.truth, data.where, data.joints, root_joints(data.root), truth.name)
     return data.replace(remarks=(*data.remarks, *remarks))

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray, checked, checked_root, squared_norms, working_dtype
 from posecal.data.degenerate import LARGEST, is_outside
+from posecal.data.root import AnyRoot, Root, origin
 from posecal.engine.circular import unwrapped, wrapped
 from posecal.engine.coordinate_range import CoordinateRange, coordinate_range
 from posecal.engine.memory import reuse_freed_memory
@@ -45,8 +46,8 @@ class Block:
         True poses, mm.
     where : bool array (B, K), optional
         The joints that count; the others may hold anything, NaN included.
-    root : int, optional
-        The joint that is subtracted from every pose; None leaves positions as they are.
+    root : int or Root, optional
+        What is subtracted from every pose; None leaves positions as they are.
     previous : tuple of arrays (N, 1, K, D) and (1, K, D) and bool (1, K) or None, optional
         The pose before the first one and the joints of it that count, for velocities.
     follows : bool array (B,), optional
@@ -83,7 +84,7 @@ class Block:
         truth: FloatArray,
         where: BoolArray | None = None,
         *,
-        root: int | None = None,
+        root: AnyRoot = None,
         previous: tuple[FloatArray, FloatArray, BoolArray | None] | None = None,
         follows: BoolArray | None = None,
         scores: FloatArray | None = None,
@@ -264,23 +265,23 @@ def _where_finite(lay_out: Callable[[BoolArray], Block], where: BoolArray) -> Bl
     return lay_out(where & ~block.non_finite) if block.non_finite.any() else block
 
 
-def _offsets(hypotheses: FloatArray, truth: FloatArray, root: int | None) -> FloatArray:
+def _offsets(hypotheses: FloatArray, truth: FloatArray, root: AnyRoot) -> FloatArray:
     """Subtract the truth, (N, B, K, D) minus (B, K, D), root-relative where a root is given, as (B, K, D, N)."""
     dtype = working_dtype(hypotheses.dtype)
     offsets = np.empty((*truth.shape, len(hypotheses)), dtype=dtype)
     with np.errstate(invalid="ignore", over="ignore"):  # joints that don't count may hold anything
         # Subtract in the order of the input: hypotheses a power of two apart would push each other out of the cache.
         offsets[...] = np.subtract(hypotheses, truth.astype(dtype, copy=False), dtype=dtype).transpose(1, 2, 3, 0)
-        if root is not None and offsets[:, root].any():
-            offsets -= offsets[:, root, None].copy()
+        if root is not None and (isinstance(root, Root) or offsets[:, root].any()):
+            offsets -= origin(offsets, root, axis=1)
     return offsets
 
 
-def _relative(truth: FloatArray, root: int | None, dtype: np.dtype[np.floating]) -> FloatArray:
+def _relative(truth: FloatArray, root: AnyRoot, dtype: np.dtype[np.floating]) -> FloatArray:
     """Give true poses relative to the root, if there is one, in the precision of the offsets."""
     with np.errstate(invalid="ignore", over="ignore"):
         wide = truth.astype(working_dtype(truth.dtype), copy=False)
-        return (wide if root is None else wide - wide[:, root, None]).astype(dtype)
+        return (wide if root is None else wide - origin(wide, root)).astype(dtype)
 
 
 # --- blocks of arrays ---------------------------------------------------------------------------------------------
@@ -297,7 +298,7 @@ def iter_blocks(
     truth: FloatArray,
     where: BoolArray | None = None,
     *,
-    root: int | None = None,
+    root: AnyRoot = None,
     follows: BoolArray | None = None,
     sequence: npt.NDArray[np.intp] | None = None,
 ) -> Iterator[Callable[[], Block]]:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray
 from posecal.data.pose_data import PoseData
+from posecal.data.root import AnyRoot
 from posecal.data.units import PERIODS
 from posecal.engine.block import Block, block_length
 from posecal.engine.coordinate_range import CoordinateRange
@@ -58,7 +59,7 @@ class Chunk:
         self,
         start: int,
         stop: int,
-        root: int | None,
+        root: AnyRoot,
         limits: CoordinateRange | None = None,
         before: Chunk | None = None,
         period: float | None = None,

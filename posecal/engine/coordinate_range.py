@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import FloatArray
+from posecal.data.root import AnyRoot, origin
 
 Ints = npt.NDArray[np.intp]
 
@@ -39,7 +40,7 @@ def coordinate_range(
     truth: FloatArray,
     where: npt.NDArray[np.bool_] | None = None,
     *,
-    root: int | None = None,
+    root: AnyRoot = None,
     sequence: Ints | None = None,
 ) -> CoordinateRange:
     """Give the range of true poses.
@@ -50,8 +51,8 @@ def coordinate_range(
         True poses, mm.
     where : bool array (M, K), optional
         The joints that count.
-    root : int, optional
-        The joint that is subtracted from every pose.
+    root : int or Root, optional
+        What is subtracted from every pose.
     sequence : array of int (M,), optional
         The sequence of each pose, by any number; each pose is one by default.
 
@@ -61,7 +62,7 @@ def coordinate_range(
         Of the coordinates that count and are finite.
     """
     with np.errstate(invalid="ignore", over="ignore"):  # joints that don't count may hold anything
-        relative = truth if root is None else truth - truth[:, root, None]
+        relative = truth if root is None else truth - origin(truth, root)
     counted = np.isfinite(relative) if where is None else np.isfinite(relative) & where[..., None]
     least, largest = np.where(counted, relative, np.inf), np.where(counted, relative, -np.inf)
     names = np.arange(len(truth))

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from posecal.data.arrays import BoolArray, FloatArray
 from posecal.data.degenerate import LARGEST, is_outside, refuse_one_point
 from posecal.data.pose_data import PoseData
+from posecal.data.root import root_joints, root_name
 from posecal.engine.block import Block
 from posecal.engine.cells import SPREAD, label_name, spread_cuts, spread_labels
 from posecal.engine.chunks import map_blocks, read_chunks
@@ -142,14 +143,16 @@ def _with_counting_root(data: PoseData, *, is_masked: bool) -> PoseData:
     """Leave out poses whose root does not count: all their joints would be relative to a joint that is not known."""
     if data.root is None or (data.where is None and not is_masked):
         return data
-    lost: BoolArray = np.asarray(is_outside(data.truth[:, data.root]).any(axis=1))
+    joints = root_joints(data.root)
+    lost: BoolArray = np.asarray(is_outside(data.truth[:, joints]).any(axis=(1, 2)))
     if data.where is not None:
-        lost |= ~data.where[:, data.root] & data.where.any(axis=1)
+        lost |= ~data.where[:, joints].all(axis=1) & data.where.any(axis=1)
     if not lost.any():
         return data
     frames = first_few(data.frame_id[lost].tolist())
+    root = root_name(data.root, data.joints)
     remark = (
-        f"the root {data.joints[data.root]} does not count in {lost.sum():,} of {len(lost):,} frames (first: "
+        f"the root {root} does not count in {lost.sum():,} of {len(lost):,} frames (first: "
         f"{frames}): left out, since their positions are relative to it."
     )
     return data.select(~lost).replace(remarks=(*data.remarks, remark))
@@ -179,9 +182,9 @@ def refuse_non_finite(data: PoseData, name: str, bad: Indices) -> None:
         frames, (frame, joint) = len(np.unique(bad[:, 0])), bad[0]
         sources = data.hypotheses, *([] if data.reference is None else [data.reference.hypotheses])
         poses = [data.truth[frame], *(source.read(int(frame), int(frame) + 1)[:, 0] for source in sources)]
-        roots = [] if data.root is None else [np.isfinite(pose[..., data.root, :]).all() for pose in poses]
-        if data.root is not None and not all(roots):
-            joint = data.root  # which makes all others so
+        for root in root_joints(data.root):
+            if not all(np.isfinite(pose[..., root, :]).all() for pose in poses):
+                joint = root  # which makes all others so
         is_finite = all(np.isfinite(pose[..., joint, :]).all() for pose in poses)
         what = "coordinates beyond 10 km (1e7 mm)" if is_finite else "non-finite coordinates"
         raise PoseDataError(

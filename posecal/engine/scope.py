@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 
@@ -10,6 +11,7 @@ import numpy as np
 from posecal.data.arrays import BoolArray
 from posecal.data.joint_names import joint_keys
 from posecal.data.pose_data import PoseData
+from posecal.data.root import AnyRoot, Root, resting_joints
 from posecal.data.skeleton import JOINT_SETS
 from posecal.data.units import PERIODS
 from posecal.engine.protocol import Protocol, named_joints
@@ -26,8 +28,8 @@ class DataSpec:
         N.
     joints : tuple of str
         K names.
-    root : int or None
-        The joint that is subtracted from every pose.
+    root : int, Root or None
+        What is subtracted from every pose.
     labels : tuple of str
         Names of the labels that every pose has.
     fps : float or None
@@ -52,7 +54,7 @@ class DataSpec:
 
     n_hypotheses: int
     joints: tuple[str, ...]
-    root: int | None = None
+    root: AnyRoot = None
     labels: tuple[str, ...] = ()
     fps: float | None = None
     has_scores: bool = False
@@ -63,6 +65,11 @@ class DataSpec:
     n_reference: int = 0
     unit: str = "mm"
     n_coordinates: int = 3
+
+    def __post_init__(self) -> None:
+        root: object = self.root
+        if isinstance(root, Mapping):  # as JSON has it
+            object.__setattr__(self, "root", Root(**root))
 
     @classmethod
     def of(cls, data: PoseData, *, has_mask: bool = False, preranks: tuple[str, ...] = ()) -> DataSpec:
@@ -140,8 +147,7 @@ class Scope:
     def moving(self) -> BoolArray:
         """The joints of a pose without the root."""
         mask = self.fit.copy()
-        if self.spec.root is not None:
-            mask[self.spec.root] = False
+        mask[resting_joints(self.spec.root)] = False
         return mask
 
     @cached_property
@@ -168,7 +174,7 @@ class Scope:
     def size(self, mask: BoolArray) -> str:
         """Words for a mask of joints, scored or not: how many, and whether the root is one."""
         words = f"{mask.sum()} joint{'s' if mask.sum() > 1 else ''}"
-        root = self.spec.root
-        if root is None:
+        resting = resting_joints(self.spec.root)
+        if not resting:
             return words
-        return f"{words} (root counted)" if mask[root] else f"{words} (no root)"
+        return f"{words} (root counted)" if mask[resting].any() else f"{words} (no root)"

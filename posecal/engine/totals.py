@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from posecal.data.arrays import FloatArray
 from posecal.data.joint_names import canonical_names
+from posecal.data.root import root_name
 from posecal.engine.metric import Metric, ReadOff, Statistic
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec
@@ -316,7 +317,7 @@ class Totals:
             "N": str(s.n_hypotheses),
             "K": f"{len(s.joints)}({zlib.crc32(','.join(names).encode()):08x})",
             **({} if s.unit == "mm" else {"unit": s.unit or "none"}),
-            "origin": "as given" if s.root is None else names[s.root],
+            "origin": "as given" if s.root is None else root_name(s.root, names),
             **self.protocol.options,
         }
         parts.pop("metrics")

@@ -60,8 +60,9 @@ def evaluate(
     joints : sequence of str, optional
         K names, or a joint set, where the data name none; they give the skeleton, the root and the joint sets.
     root_joint : str or int, optional
-        The joint to subtract from every pose: a name, an index, or ``none``. By default the hip, or the one unnamed
-        joint whose truth is 0 throughout.
+        What to subtract from every pose: a joint by name or index, a midpoint such as ``LHip+RHip``, one of these for
+        each part (``RWrist,LWrist``), or ``none``. By default the hip, the one joint whose truth is 0 throughout, the
+        root of the joint set, or the midpoint of the hips.
     labels : mapping, optional
         Labels of the poses, such as ``sequence`` or ``action``: an array (M,), or one value for all poses.
     occluded : bool array (M, K), optional

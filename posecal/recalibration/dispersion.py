@@ -17,6 +17,7 @@ from posecal.calibration.curve import inside_table
 from posecal.calibration.ranks import LEVELS
 from posecal.data.arrays import BoolArray, FloatArray
 from posecal.data.pose_data import PoseData
+from posecal.data.root import AnyRoot, origin
 from posecal.data.stored_poses import Hypotheses, Rows
 from posecal.engine.block import Block, iter_blocks
 from posecal.engine.merge import merge_totals
@@ -43,15 +44,15 @@ class SpreadMap:
         s of each joint; above 1 widens.
     poses, sequences : int
         What it was fitted on.
-    root : int or None
-        The joint that positions were relative to.
+    root : int, Root or None
+        What positions were relative to.
     """
 
     joints: tuple[str, ...]
     factors: FloatArray
     poses: int
     sequences: int
-    root: int | None = None
+    root: AnyRoot = None
 
     @property
     def by_joint(self) -> dict[str, float]:
@@ -104,7 +105,7 @@ class RescaledHypotheses:
 
     hypotheses: Hypotheses
     factors: FloatArray
-    root: int | None
+    root: AnyRoot
 
     @property
     def n_hypotheses(self) -> int:
@@ -125,7 +126,7 @@ class RescaledHypotheses:
         return rescaled(self.hypotheses.read(start, stop), self.factors, self.root)
 
 
-def rescaled(hypotheses: FloatArray, factors: FloatArray, root: int | None = None) -> FloatArray:
+def rescaled(hypotheses: FloatArray, factors: FloatArray, root: AnyRoot = None) -> FloatArray:
     """Multiply the spread of hypotheses about their per-coordinate median.
 
     Parameters
@@ -134,18 +135,18 @@ def rescaled(hypotheses: FloatArray, factors: FloatArray, root: int | None = Non
         Hypotheses, mm.
     factors : array (K,)
         s of each joint.
-    root : int, optional
-        The joint that positions are relative to; it keeps its own spread.
+    root : int or Root, optional
+        What positions are relative to; it keeps its own spread.
 
     Returns
     -------
     array (N, M, K, D)
         c + s (x - c), in the precision of the hypotheses.
     """
-    origin = 0 if root is None else hypotheses[:, :, root, None]
+    start = 0 if root is None else origin(hypotheses, root)
     zeros = np.zeros(hypotheses.shape[1:], dtype=hypotheses.dtype)
     centre = np.concatenate([lay_out().median for lay_out in iter_blocks(hypotheses, zeros, root=root)])
-    moved: FloatArray = centre + factors.astype(centre.dtype)[:, None] * (hypotheses - origin - centre) + origin
+    moved: FloatArray = centre + factors.astype(centre.dtype)[:, None] * (hypotheses - start - centre) + start
     return moved
 
 

@@ -12,6 +12,7 @@ from posecal.data.arrays import BoolArray, FloatArray, real_array, working_dtype
 from posecal.data.joint_names import match_joints
 from posecal.data.layout import HYPOTHESES, Layout, MemoryArray
 from posecal.data.pose_data import PoseData
+from posecal.data.root import resting_joints
 from posecal.data.stored_poses import Rows
 from posecal.engine.block import Block
 from posecal.engine.chunks import map_blocks
@@ -55,7 +56,7 @@ def number_of_sequences(data: PoseData) -> int:
 def movable_joints(data: PoseData) -> BoolArray:
     """Give the joints that are recalibrated, (K,): all but the root."""
     mask = np.ones(len(data.joints), dtype=bool)
-    mask[[] if data.root is None else data.root] = False
+    mask[resting_joints(data.root)] = False
     return mask
 
 

@@ -16,6 +16,7 @@ from posecal.data.alone import resolve_hypotheses
 from posecal.data.arrays import FloatArray
 from posecal.data.declarations import Declarations
 from posecal.data.read import read_poses
+from posecal.data.root import parse_root, root_name
 from posecal.data.write import Archive, write_file
 from posecal.engine.chunks import WINDOW_BYTES
 from posecal.errors import PoseDataError, PoseFileError
@@ -53,7 +54,7 @@ def write_map(map_: Map, path: str | os.PathLike[str]) -> None:
         about |= {"kind": "spread", "factors": values}
     else:
         about |= {"kind": "radius", "alpha": map_.alpha, "unit": map_.unit, "radii": values}
-    about["root"] = None if map_.root is None else map_.joints[map_.root]
+    about["root"] = None if map_.root is None else root_name(map_.root, map_.joints)
     about["fitted_on"] = {"poses": map_.poses, "sequences": map_.sequences}
     text = json.dumps(about, indent=1, ensure_ascii=False) + "\n"
     write_file(path, lambda file: file.write(text.encode()))
@@ -90,7 +91,7 @@ def read_map(path: str | os.PathLike[str]) -> Map:
             raise PoseFileError(f"{name}: format {about['format']}; expected {FORMAT}. Fit it again.")
         numbers = about[{"spread": "factors", "radius": "radii"}[about["kind"]]]
         values = np.array([math.nan if value is None else float(value) for value in numbers.values()])
-        root = None if about["root"] is None else list(numbers).index(about["root"])
+        root = None if about["root"] is None else parse_root(about["root"], tuple(numbers))
         fitted = int(about["fitted_on"]["poses"]), int(about["fitted_on"]["sequences"]), root
         if about["kind"] == "spread":
             if not (np.isfinite(values) & (values > 0)).all():

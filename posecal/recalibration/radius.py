@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from posecal.data.arrays import FloatArray, checked_number
 from posecal.data.pose_data import PoseData
+from posecal.data.root import AnyRoot
 from posecal.engine.block import Block, iter_blocks
 from posecal.engine.sums import mean_of
 from posecal.errors import PoseDataError
@@ -34,8 +35,8 @@ class RadiusMap:
         Whether the radius goes with the predicted spread of each pose.
     poses, sequences : int
         What it was fitted on.
-    root : int or None
-        The joint that positions were relative to.
+    root : int, Root or None
+        What positions were relative to.
     """
 
     joints: tuple[str, ...]
@@ -44,7 +45,7 @@ class RadiusMap:
     scaled: bool
     poses: int
     sequences: int
-    root: int | None = None
+    root: AnyRoot = None
 
     @property
     def by_joint(self) -> dict[str, float]:
@@ -82,9 +83,7 @@ class RadiusMap:
         return balls(x, self.radii, self.root, scaled=self.scaled)
 
 
-def balls(
-    hypotheses: FloatArray, radii: FloatArray, root: int | None, *, scaled: bool
-) -> tuple[FloatArray, FloatArray]:
+def balls(hypotheses: FloatArray, radii: FloatArray, root: AnyRoot, *, scaled: bool) -> tuple[FloatArray, FloatArray]:
     """Centres (M, K, D) and radii (M, K) of some poses, mm, relative to the root."""
     blocks = (lay_out() for lay_out in iter_blocks(hypotheses, np.zeros(hypotheses.shape[1:]), root=root))
     centres_and_widths = [(b.median, joint_deviations(b) if scaled else np.ones(b.where.shape)) for b in blocks]

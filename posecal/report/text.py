@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import fields
 from typing import TYPE_CHECKING
 
+from posecal.data.root import root_name
 from posecal.engine.metric import Metric
 from posecal.engine.presets import PRESETS
 from posecal.engine.protocol import CHOICES, Protocol
@@ -75,7 +76,7 @@ def report_title(report: Report) -> str:
     totals = report.totals
     spec, poses = totals.spec, int(totals.poses.sum())
     of = f" in {totals.units()}" if totals.has_sequences else ""
-    origin = "as given" if spec.root is None else f"relative to {spec.joints[spec.root]}"
+    origin = "as given" if spec.root is None else f"relative to {root_name(spec.root, spec.joints)}"
     where = "" if totals.protocol.where == "all" else f", {totals.protocol.where} joints only"
     return (
         f"posecal {totals.version} · N = {counted(spec.n_hypotheses, 'hypothesis', 'hypotheses')} · "

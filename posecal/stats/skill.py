@@ -13,6 +13,7 @@ import numpy as np
 from posecal.data.arrays import FloatArray
 from posecal.data.joint_names import joint_keys
 from posecal.data.pose_data import PoseData
+from posecal.data.root import root_name
 from posecal.data.stored_poses import Rows
 from posecal.errors import PoseDataError, checked_integer, checked_type, option
 
@@ -127,7 +128,7 @@ def with_reference(pairs: PoseData, reference: PoseData) -> PoseData:
             f"{option('shared_joints', 'common')}, for both."
         )
     if pairs.root != reference.root:
-        roots = ["none" if p.root is None else p.joints[p.root] for p in (reference, pairs)]
+        roots = [root_name(p.root, p.joints) for p in (reference, pairs)]
         raise PoseDataError(
             f"{other} and {model} have other root joints: {' and '.join(roots)}; expected the same. Name it for both."
         )
