@@ -136,8 +136,8 @@ def known_metrics(
     PoseDataError
         For options that don't fit the spec.
     """
-    metrics = {metric.name: metric for metric in _all_metrics(protocol, spec, preranks, own)}
-    return {name: needs.in_unit(m, spec) for name, m in metrics.items() if not needs.unmet(m, spec)}
+    scope, metrics = Scope(protocol, spec), {m.name: m for m in _all_metrics(protocol, spec, preranks, own)}
+    return {name: needs.in_unit(m, spec) for name, m in metrics.items() if not needs.unmet(m, scope)}
 
 
 def _all_metrics(
@@ -159,7 +159,7 @@ def _all_metrics(
 
 def left_out(protocol: Protocol, spec: DataSpec) -> str:
     """Say which metrics of the report the data can't have, and what they need; nothing where there is none."""
-    return needs.left_out(_all_metrics(protocol, spec, None, ()), spec, protocol.wanted)
+    return needs.left_out(_all_metrics(protocol, spec, None, ()), Scope(protocol, spec), protocol.wanted)
 
 
 def _with_functions(metric: Metric) -> Metric:
@@ -286,7 +286,7 @@ def unmeasured(name: str, protocol: Protocol, spec: DataSpec) -> str:
 
 def _lacks(name: str, protocol: Protocol, spec: DataSpec, known: dict[str, Metric]) -> str:
     for metric in _all_metrics(protocol, spec, None, ()):
-        if metric.name == name and (lacking := needs.unmet(metric, spec)):
+        if metric.name == name and (lacking := needs.unmet(metric, Scope(protocol, spec))):
             return f"needs {' and '.join(lacking)}; the data are {spec.unit or 'no unit'}, D = {spec.n_coordinates}."
     if "mpjve" in name and "sequence" not in spec.labels:
         return "needs sequences. Store a label sequence in the truth's file."
@@ -319,7 +319,7 @@ def curves_of(protocol: Protocol, spec: DataSpec) -> dict[str, Curve]:
     return {
         curve.name: changed(curve, axes=(curve.axes[0].replace(" [mm]", unit), curve.axes[1].replace(" [mm]", unit)))
         for curve in curves
-        if not needs.unmet(curve, spec)
+        if not needs.unmet(curve, scope)
     }
 
 

@@ -21,6 +21,7 @@ from posecal.registry import (
     check_names,
     curves_of,
     known_metrics,
+    left_out,
     metrics_of,
     occlusion_metrics_of,
     reserved_names,
@@ -359,3 +360,17 @@ def test_only_metrics_with_a_number_per_joint_stand_in_the_table_of_joints(proto
     assert not [name for name, metric in known.items() if metric.in_joint_table and metric.by_joint is None]
     occlusion = occlusion_metrics_of(PROTOCOLS[protocol], EVERYTHING)["visible"]
     assert all(metric.in_group_table and not metric.in_joint_table for metric in occlusion.values())
+
+
+def test_metrics_without_joints_are_left_out_unless_they_are_asked_for() -> None:
+    spec, protocol = DataSpec(5, ("Hip", "RHip")), Protocol(joints="Hip")
+    assert "mpjpe" in metrics_of(protocol, spec)
+    assert not {"pck", "auc"} & metrics_of(protocol, spec).keys()
+    assert {*curves_of(protocol, spec)} == {"errors_by_n", "cps_curve"}
+    assert (
+        left_out(protocol, spec) == "left out: pck, auc, which need joints to score: none of pck_joints = h36m-14 is."
+    )
+    assert left_out(Protocol(joints="Hip", metrics="mpjpe"), spec) == left_out(Protocol(), spec) == ""
+    assert {*metrics_of(Protocol(joints="Hip", metrics="mpjpe"), spec)} == {"mpjpe"}
+    with pytest.raises(PoseDataError, match=r"^metrics: pck needs joints to score: none of pck_joints = h36m-14 is;"):
+        metrics_of(Protocol(joints="Hip", metrics="pck"), spec)

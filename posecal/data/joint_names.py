@@ -160,9 +160,11 @@ def repeated_names(names: Names) -> list[str]:
 
 
 def find_joint(name: str, names: Names) -> int | None:
-    """Find a joint by name: as the list spells it, or else by what the name means."""
+    """Find a joint by name, as the list spells it or else by what the name means, or by number."""
     if name in names:
         return names.index(name)
+    if name.isdecimal():
+        return int(name) if int(name) < len(names) else None
     for word, words in (
         (letters(name), [letters(other) for other in names]),
         (canonical_name(name), joint_keys(names)),

@@ -104,12 +104,12 @@ def part_of_root(root: AnyRoot, columns: Sequence[int]) -> AnyRoot:
     return Root(tuple(tuple(place[joint] for joint in part) for part in root.parts), members)
 
 
-def parse_root(text: str, names: Names, parents: Sequence[int] = ()) -> AnyRoot:
+def parse_root(declared: str | int, names: Names, parents: Sequence[int] = ()) -> AnyRoot:
     """Read a root as options write it.
 
     Parameters
     ----------
-    text : str
+    declared : str or int
         A joint by name or number, a midpoint (``LHip+RHip``), one of these for each part (``RWrist,LWrist``), or
         ``none``.
     names : tuple of str
@@ -128,12 +128,13 @@ def parse_root(text: str, names: Names, parents: Sequence[int] = ()) -> AnyRoot:
     PoseDataError
         For joints that are not there or repeat, and joints that belong to no part.
     """
+    text = str(declared)
     if text == "none":
         return None
     index = find_joint(text, names)
     if index is not None:
         return index
-    parts = tuple(tuple(_joint(word.strip(), text, names) for word in part.split("+")) for part in text.split(","))
+    parts = tuple(tuple(_joint(word.strip(), declared, names) for word in part.split("+")) for part in text.split(","))
     joints = [joint for part in parts for joint in part]
     if len(set(joints)) < len(joints):
         raise PoseDataError(f"{option('root_joint')}: {text!r} names a joint more than once; expected each once.")
@@ -142,10 +143,10 @@ def parse_root(text: str, names: Names, parents: Sequence[int] = ()) -> AnyRoot:
     return Root(parts, _members(parts, text, names, parents or Skeleton(names).parents))
 
 
-def _joint(word: str, text: str, names: Names) -> int:
-    index = int(word) if word.isdecimal() and int(word) < len(names) else find_joint(word, names)
+def _joint(word: str, declared: str | int, names: Names) -> int:
+    index = find_joint(word, names)
     if index is None:
-        shown = text if word == text else f"{text}: {word}"
+        shown = declared if word == str(declared) else f"{declared}: {word}"
         raise PoseDataError(f"{option('root_joint')}: {shown!r} is not among the joints. {did_you_mean(word, names)}")
     return index
 
@@ -208,7 +209,7 @@ def choose_root(
     """
     which = option("root_joint")
     if declared is not None:
-        return parse_root(str(declared), names, parents), ""
+        return parse_root(declared, names, parents), ""
     if own is not None:
         return parse_root(own, names, parents), ""
     keys = joint_keys(names)

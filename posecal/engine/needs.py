@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from posecal.data.units import PERIODS
 from posecal.engine.metric import Curve, Metric, Need
-from posecal.engine.scope import DataSpec
+from posecal.engine.scope import DataSpec, Scope
 from posecal.errors import first_few
 
 NEEDS: dict[Need, str] = {
@@ -21,10 +21,11 @@ _SHOWN = 5
 """How many metrics of one need a remark names."""
 
 
-def unmet(metric: Metric | Curve, spec: DataSpec) -> tuple[str, ...]:
+def unmet(metric: Metric | Curve, scope: Scope) -> tuple[str, ...]:
     """Say in words which needs of a metric the data don't meet."""
+    spec, lack = scope.spec, scope.lack(metric.name) if isinstance(metric, Curve) or metric.function is None else ""
     met = {"lengths": spec.unit == "mm", "three axes": spec.n_coordinates == 3, "positions": spec.unit not in PERIODS}
-    return tuple(NEEDS[need] for need in metric.needs if not met[need])
+    return (*(NEEDS[need] for need in metric.needs if not met[need]), *([lack] if lack else []))
 
 
 def in_unit(metric: Metric, spec: DataSpec) -> Metric:
@@ -36,15 +37,15 @@ def in_unit(metric: Metric, spec: DataSpec) -> Metric:
     return replace(metric, **texts, unit=metric.unit.replace("mm", spec.unit or "1" * ("/" in metric.unit)))
 
 
-def left_out(metrics: Iterable[Metric], spec: DataSpec, words: Collection[str]) -> str:
+def left_out(metrics: Iterable[Metric], scope: Scope, words: Collection[str]) -> str:
     """Say which metrics of a report the data can't have, and what they need.
 
     Parameters
     ----------
     metrics : iterable of Metric
         All metrics.
-    spec : DataSpec
-        What is measured.
+    scope : Scope
+        What is measured, and the options.
     words : collection of str
         What was asked for: ``default``, ``all`` and families.
 
@@ -56,7 +57,7 @@ def left_out(metrics: Iterable[Metric], spec: DataSpec, words: Collection[str]) 
     groups: dict[str, list[str]] = {}
     for metric in metrics:
         shown = ("default" in words and metric.headline) or {"all", metric.family} & {*words}
-        for need in unmet(metric, spec)[:1] if shown else ():
+        for need in unmet(metric, scope)[:1] if shown else ():
             groups.setdefault(need, []).append(metric.name)
     parts = [f"{first_few(names, _SHOWN)}, which need {need}" for need, names in groups.items()]
     return f"left out: {'; '.join(parts)}." if parts else ""

@@ -133,8 +133,6 @@ class Scope:
         for option, mask in (
             ("joints", self.body),
             ("joints without the root", self.moving),
-            ("pck_joints", self.pck),
-            ("cps_joints", self.cps),
         ):
             if not mask.any():
                 raise PoseDataError(f"{option}: none is left; the poses have {', '.join(self.spec.joints)}.")
@@ -162,6 +160,13 @@ class Scope:
     def cps(self) -> BoolArray:
         """The joints of CPS."""
         return self._mask("cps_joints", self.protocol.cps_joints) & self.body
+
+    def lack(self, name: str) -> str:
+        """Say that none of the joints of PCK and AUC (``pck``), or of CPS (``cps``), is scored; nothing for others."""
+        kind = "pck" if "pck" in name or "auc" in name else "cps" if "cps" in name else ""
+        if not kind or getattr(self, kind).any():
+            return ""
+        return f"joints to score: none of {kind}_joints = {getattr(self.protocol, f'{kind}_joints')} is"
 
     def counted(self, mask: BoolArray) -> str:
         """Words for the scored ones of a mask of joints, with an article."""

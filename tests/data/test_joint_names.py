@@ -104,6 +104,7 @@ def test_a_joint_is_found_as_it_is_spelt_before_what_it_means() -> None:
     assert find_joint("Neck/Nose", OWN_H36M) == 9
     assert find_joint("left foot", JOINT_SETS["smpl-24"]) == 10
     assert find_joint("antenna", OWN_H36M) is None
+    assert (find_joint("16", OWN_H36M), find_joint("17", OWN_H36M)) == (16, None)
 
 
 def test_repeated_ends_are_told_apart_by_the_joint_before_them() -> None:

@@ -75,14 +75,19 @@ def test_joints_of_pck_and_cps_are_among_those_that_are_scored() -> None:
     [
         ({"joints": "Hip"}, "joints without the root"),
         ({"joints": "Hip", "root": "drop"}, "joints"),
-        ({"joints": "Hip, Head", "pck_joints": "RWrist"}, "pck_joints"),
-        ({"joints": "Hip, Head", "pck_joints": "all", "cps_joints": "RWrist"}, "cps_joints"),
     ],
 )
 def test_of_no_joint_there_is_no_number(options: dict[str, str], what: str) -> None:
     words = rf"^{what}: none is left; the poses have Hip, RHip, Head, RWrist\.$"
     with pytest.raises(PoseDataError, match=words):
         Scope(Protocol().changed(options), SPEC)
+
+
+def test_what_no_joint_of_pck_or_cps_is_scored_for_is_said() -> None:
+    scope = Scope(Protocol(joints="Hip, Head", pck_joints="RWrist", cps_joints="RHip"), SPEC)
+    assert scope.lack("auc") == scope.lack("pck_curve") == "joints to score: none of pck_joints = RWrist is"
+    assert scope.lack("cps") == "joints to score: none of cps_joints = RHip is"
+    assert scope.lack("mpjpe") == Scope(Protocol(), SPEC).lack("pck") == ""
 
 
 def test_masks_of_joints_are_described_in_words() -> None:
