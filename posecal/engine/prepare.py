@@ -17,7 +17,7 @@ from posecal.engine.cells import SPREAD, label_name, spread_cuts, spread_labels
 from posecal.engine.chunks import map_blocks, read_chunks
 from posecal.engine.coordinate_range import CoordinateRange, coordinate_range
 from posecal.engine.protocol import Protocol
-from posecal.errors import PoseDataError, checked_type, first_few
+from posecal.errors import PoseDataError, checked_type, first_few, option
 
 Indices = npt.NDArray[np.intp]
 
@@ -122,6 +122,7 @@ def select_scored(data: PoseData, protocol: Protocol) -> PoseData:
                 f"frames: {name} has no label {protocol.frames!r}; expected a yes/no member (M,) of that name."
             )
         data = data.select(np.flatnonzero(np.isin(np.char.lower(values), ("yes", "1", "true"))))
+    data = _with_trials(data, protocol)
     data = _with_counting_root(data, is_masked=protocol.where != "all")
     where, usable = data.where, None
     if protocol.where != "all":
@@ -137,6 +138,26 @@ def select_scored(data: PoseData, protocol: Protocol) -> PoseData:
     refuse_non_finite(data, name, np.argwhere(bad if where is None else bad & where))
     refuse_one_point(data.truth, where, data.frame_id, name)
     return data.replace(where=where, usable=usable)
+
+
+def _with_trials(data: PoseData, protocol: Protocol) -> PoseData:
+    """Take labels of the average that differ after their first word as one, or remark on them."""
+    name = protocol.average
+    if name in {"poses", "sequence"} or name not in data.labels:
+        return data
+    values, inverse = np.unique(data.labels[name], return_inverse=True)
+    first = np.array([value.split()[0] if value.split() else value for value in values.tolist()])
+    if protocol.trials == "together":
+        return data.replace(labels={**data.labels, name: first[inverse]})
+    words, counts = np.unique(first, return_counts=True)
+    if (counts > 1).any():
+        shared = values[first == words[counts > 1][0]].tolist()
+        remark = (
+            f"average: {len(values)} values of {name}, of which some differ after their first word alone "
+            f"({first_few(shared)}). {option('trials', 'together')} takes those as one."
+        )
+        data = data.replace(remarks=(*data.remarks, remark))
+    return data
 
 
 def _with_counting_root(data: PoseData, *, is_masked: bool) -> PoseData:

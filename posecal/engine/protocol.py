@@ -92,6 +92,9 @@ class Protocol:
     average: str = _option(
         "poses", "what the final mean is over", "poses, or a label: the mean of its groups' numbers, or curves"
     )
+    trials: Literal["apart", "together"] = _option(
+        "apart", "whether labels of average that differ after their first word, such as Walking 1, are one group"
+    )
     metrics: str | Sequence[str] = _option(
         "default",
         "the numbers that are reported",

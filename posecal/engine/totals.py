@@ -10,7 +10,7 @@ import re
 import zlib
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -262,13 +262,16 @@ class Totals:
             return float(np.asarray(metric.finish(self.per_pose[metric.statistic.name][poses])))
         if not metric.sequences_per_batch:
             return float(np.asarray(metric.finish(self.mean(metric.statistic, cells))))
-        _, sums, counts = self.sequences_in_order(metric.statistic, cells)
+        _, sums, counts = self.sequences_in_order(metric, cells)
         first = np.arange(0, len(sums), metric.sequences_per_batch)
         values, number = batch_sums(metric, np.add.reduceat(sums, first), np.add.reduceat(counts, first))
         return float(values.sum() / number.sum()) if number.any() else float("nan")
 
-    def sequences_in_order(self, statistic: Statistic, cells: Cells) -> tuple[Indices, FloatArray, Counts]:
-        """Sum a statistic over each sequence among some cells, in the order of their first cells.
+    def sequences_in_order(self, metric: Metric, cells: Cells) -> tuple[Indices, FloatArray, Counts]:
+        """Sum a metric's statistic over each sequence among some cells, in the order of their first cells.
+
+        Where one hypothesis is chosen for each sequence, it is chosen over all cells of the sequence, also where a
+        group holds some of its poses only, and the sums are of that hypothesis alone.
 
         Returns
         -------
@@ -281,8 +284,18 @@ class Totals:
         first = np.full(n, len(codes))
         np.minimum.at(first, codes, np.arange(len(codes)))
         order = np.argsort(first)
-        sums, counts = self.of_cells(statistic, cells)
+        sums, counts = self.of_cells(metric.statistic, cells)
+        if cells is not None and _chooses_for_each_sequence(metric):
+            sums = np.take_along_axis(sums, self._chosen(metric.statistic)[self.sequence_of[cells], None], axis=-1)
         return order, sum_by(codes, n, sums)[order], sum_by(codes, n, counts)[order]
+
+    def _chosen(self, statistic: Statistic) -> Indices:
+        """Choose for each sequence, over all its cells, the hypothesis of the smallest sum of a statistic (..., N)."""
+        chosen, _ = self._shared.get(("chosen", statistic.name), (None, None))
+        if chosen is None:
+            chosen = np.asarray(sum_by(*compact(self.sequence_of, None), self.sums[statistic.name]).argmin(axis=-1))
+            self._shared["chosen", statistic.name] = chosen, np.zeros(0)
+        return chosen
 
     def known_poses(self, statistic: Statistic, cells: Cells = None) -> Indices:
         """Give the indices of the poses of some cells whose values per pose hold no NaN."""
@@ -329,6 +342,11 @@ class Totals:
         if s.reference:
             shown["reference"] = f"{s.reference},N={s.n_reference}"
         return " ".join(f"{key}={value.replace(' ', '_')}" for key, value in shown.items())
+
+
+def _chooses_for_each_sequence(metric: Metric) -> bool:
+    """Whether a metric is the smallest of the hypotheses' means over each sequence."""
+    return metric.sequences_per_batch == 1 and isinstance(metric.finish, partial) and metric.finish.func is np.min
 
 
 def _natural(text: str) -> list[tuple[int, str]]:

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from posecal.calibration.rank_tests import PreRank
 from posecal.data.arrays import as_labels
 from posecal.data.declarations import Declarations
+from posecal.data.frames import frame_remark
 from posecal.data.layout import HYPOTHESES
 from posecal.data.pose_data import PoseData
 from posecal.engine.accumulate import Accumulator, Pending
@@ -240,6 +241,8 @@ class Evaluation:
         if not complete:  # all poses are checked as they are measured
             refuse_non_finite_hypotheses(data)
         if len(data.truth):
+            if self._accumulator is None and (remark := frame_remark(data)):
+                data = data.replace(remarks=(*data.remarks, remark))
             spec = DataSpec.of(data, has_mask=has_mask, preranks=tuple(self._preranks))
             self._count(data, spec, progress, "all" if hold_back else "none" if complete else "rest", n_given)
         elif self._accumulator is not None:

@@ -6,7 +6,8 @@ import math
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
-from posecal.errors import for_python
+from posecal.data.frames import DIFFERENT_FRAMES
+from posecal.errors import first_few, for_python
 from posecal.registry import left_out
 from posecal.report.format import p_value
 from posecal.stats.resampling import LEVEL, MIN_SEQUENCES
@@ -48,6 +49,9 @@ def _of_statistics(report: Report) -> Iterator[str]:
             f"{units} allow{'s' * (sequences == 1)} no test: even if all err alike, chance would do that in "
             f"{2 / 2**sequences:.0%} of cases. At least {MIN_SEQUENCES} are needed for a p-value."
         )
+    if (average := totals.protocol.average) != "poses":
+        groups = [value for value, _ in totals.groups(average)]
+        yield f"numbers are means over {len(groups):,} values of {average} ({first_few(groups, 5)})."
     if line := left_out(totals.protocol, totals.spec):
         yield line
     n = totals.spec.n_hypotheses
@@ -79,6 +83,8 @@ def summarize(report: Report) -> list[str]:
     """
     if not {"ece", "signed_area"} <= report.metrics.keys() or math.isnan(report["ece"]):
         return []
+    if any(remark.startswith(DIFFERENT_FRAMES) for remark in report.totals.remarks):
+        return []  # what a curve says then is about axes, not about the model
     return [_of_curve(report), *_of_joints(report), *_of_rank_tests(report)]
 
 

@@ -105,7 +105,7 @@ def _pooled_without(totals: Totals, metric: Metric, cells: Cells) -> FloatArray:
     if metric.statistic.per_pose:
         return _orders_without(totals, metric, cells)
     if metric.sequences_per_batch:
-        return _batches_without(metric, *totals.sequences_in_order(metric.statistic, cells))
+        return _batches_without(metric, *totals.sequences_in_order(metric, cells))
     return _finish_each(totals, metric, cells)
 
 

@@ -127,7 +127,7 @@ class Known:
         self.p = {"ece": p}
         self.joints = joints
         self.ranks: dict[str, float] = {}
-        self.totals = SimpleNamespace(units=lambda number: f"{number} sequences")
+        self.totals = SimpleNamespace(units=lambda number: f"{number} sequences", remarks=())
 
     def __getitem__(self, name: str) -> float:
         return self.numbers[name]

@@ -1,0 +1,1 @@
+"""Situations from public threads, each with its right values: data, the call, and what posecal must say."""

@@ -1,0 +1,349 @@
+"""The situations: a public thread, data of the same kind, the call, the right values and the words to say."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tests.situations.people import HIPS, JOINTS, about, aligned_errors, best_and_mean, errors, people, relative
+
+Values = dict[str, float]
+
+
+@dataclass(frozen=True)
+class Situation:
+    """A situation from a public thread.
+
+    Attributes
+    ----------
+    name : str
+        What it is called in the table.
+    source : str
+        The threads.
+    before : str
+        What posecal 0.1.0 said.
+    write : callable
+        Writes ``hyps.npz`` and ``gt.npz`` into a folder, and gives the right values by metric.
+    options : dict
+        Parameters of :func:`posecal.evaluate`; on the command line they are flags.
+    says : tuple of str
+        What a remark or the refusal must hold.
+    is_refused : bool
+        Whether the right answer is a refusal.
+    """
+
+    name: str
+    source: str
+    before: str
+    write: Callable[[Path], Values]
+    options: dict[str, Any] = field(default_factory=dict)
+    says: tuple[str, ...] = ()
+    is_refused: bool = False
+
+
+def _save(folder: Path, hypotheses: Any, truth: Any, both: dict[str, Any] | None = None, **of_truth: Any) -> None:
+    """Write both files; members of the truth's alone by name, those of the hypotheses' alone as ``hyps_name``."""
+    alone = {name.removeprefix("hyps_"): of_truth.pop(name) for name in [*of_truth] if name.startswith("hyps_")}
+    np.savez(folder / "hyps.npz", hypotheses=np.asarray(hypotheses, dtype=np.float32), **(both or {}), **alone)
+    np.savez(folder / "gt.npz", truth=truth, **(both or {}), **of_truth)
+
+
+NAMED = {"unit": "mm", "joints": np.array(JOINTS)}
+
+
+def trials(folder: Path) -> Values:
+    """Actions whose labels name trials and chunks."""
+    random = np.random.default_rng(1)
+    labels = np.repeat(["Walking", "Walking 1", "Jog 1 chunk0", "Jog 1 chunk1", "Box"], [40, 16, 20, 8, 30])
+    truth = people(random, len(labels))
+    spread = np.repeat([30.0, 60, 40, 90, 50], [40, 16, 20, 8, 30])[:, None, None]
+    hypotheses = truth + spread * random.standard_normal((6, *truth.shape))
+    _save(folder, hypotheses, truth, NAMED, action=labels)
+    first = np.array([label.split()[0] for label in labels])
+    of_poses = errors(hypotheses, truth).mean(axis=-1)
+    groups = [of_poses[:, first == action] for action in np.unique(first)]
+    return {
+        "min_mpjpe": float(np.mean([group.min(axis=0).mean() for group in groups])),
+        "mpjpe": float(np.mean([group.mean() for group in groups])),
+    }
+
+
+def negated_axes(folder: Path) -> Values:
+    """Hypotheses of a camera whose y and z point the other way."""
+    random = np.random.default_rng(2)
+    truth = people(random, 40)
+    hypotheses = about(random, truth, 10)
+    _save(folder, hypotheses * [1, -1, -1], truth, NAMED)
+    return {"pa_min_mpjpe": float(aligned_errors(hypotheses, truth).mean(axis=-1).min(axis=0).mean())}
+
+
+def exchanged_sides(folder: Path) -> Values:
+    """Hypotheses whose left and right joints are exchanged."""
+    random = np.random.default_rng(3)
+    truth = people(random, 40)
+    other = [
+        JOINTS.index({"L": "R", "R": "L"}[name[0]] + name[1:]) if name[0] in "LR" else k
+        for k, name in enumerate(JOINTS)
+    ]
+    hypotheses = about(random, truth, 10)[:, :, other]
+    _save(folder, hypotheses, truth, NAMED)
+    return best_and_mean(errors(hypotheses, truth))
+
+
+def confidence_column(folder: Path) -> Values:
+    """Coordinates with a confidence as the fourth column."""
+    random = np.random.default_rng(4)
+    truth = people(random, 40)
+    hypotheses = about(random, truth, 10)
+    with_confidence = [
+        np.concatenate([poses / 1000, random.uniform(0.2, 1, (*poses.shape[:-1], 1))], axis=-1)
+        for poses in (hypotheses, truth)
+    ]
+    _save(folder, *with_confidence, {**NAMED, "unit": "m"})
+    return {}
+
+
+def padded_hypotheses(folder: Path) -> Values:
+    """Between 1 and 10 hypotheses a frame, padded with zeros of weight 0."""
+    return _different_n(folder, 0.0)
+
+
+def padded_with_nan(folder: Path) -> Values:
+    """Between 1 and 10 hypotheses a frame, padded with NaN."""
+    return _different_n(folder, np.nan)
+
+
+def _different_n(folder: Path, fill: float) -> Values:
+    random = np.random.default_rng(5)
+    truth = people(random, 40)
+    hypotheses = about(random, truth, 10)
+    number = random.integers(1, 11, 40)
+    live = np.arange(10)[:, None] < number
+    weights = {"hyps_scores": np.where(live, 1 / number, 0.0)} if fill == 0 else {}
+    _save(folder, np.where(live[..., None, None], hypotheses, fill), truth, NAMED, **weights)
+    of_poses = np.where(live, errors(hypotheses, truth).mean(axis=-1), np.nan)
+    return {
+        "min_mpjpe": float(np.nanmin(of_poses, axis=0).mean()),
+        "mpjpe": float(np.nanmean(of_poses, axis=0).mean()),
+    }
+
+
+def empty_predictions(folder: Path) -> Values:
+    """People whom the detector missed, predicted as zeros."""
+    random = np.random.default_rng(6)
+    truth = people(random, 100)
+    hypotheses = about(random, truth, 10)
+    hypotheses[:, 3::9] = 0
+    _save(folder, hypotheses, truth, NAMED)
+    return best_and_mean(errors(hypotheses, truth))
+
+
+def repeated_joints(folder: Path) -> Values:
+    """A skeleton in which some joints repeat others."""
+    random = np.random.default_rng(7)
+    truth = people(random, 40)
+    hypotheses = about(random, truth, 10)
+    columns = [*range(17), 0, 13, 8]
+    hypotheses, truth = relative(hypotheses)[:, :, columns], relative(truth)[:, columns]
+    _save(folder, hypotheses, truth, unit="mm", hyps_unit="mm")
+    return best_and_mean(errors(hypotheses, truth, None))
+
+
+def hand(folder: Path) -> Values:
+    """Hands of 21 joints in metres, and the AUC of PCK from 0 to 50 mm."""
+    random = np.random.default_rng(8)
+    fingers = [
+        [20.0 * f - 40 + 2 * step * (f - 2), 30 + 50 * (f > 0) + 28 * step, 0] for f in range(5) for step in range(4)
+    ]
+    truth = people(random, 60, np.array([[0.0, 0, 0], *fingers]), jitter=8) + np.array([0, 0, 600])
+    hypotheses = about(random, truth, 20, spread=9, bias=6)
+    _save(folder, hypotheses / 1000, truth / 1000)
+    distances = errors(hypotheses, truth)
+    at = np.linspace(0, 50, 100)
+    curve = np.array([(distances < t).mean(axis=-1).max(axis=0).mean() for t in at])
+    return {**best_and_mean(distances), "auc": float(np.trapezoid(curve, at) / 50)}
+
+
+def midpoint_root(folder: Path) -> Values:
+    """14 joints without a pelvis, in the camera's frame, relative to the midpoint of the hips."""
+    random = np.random.default_rng(9)
+    kept = [k for k, name in enumerate(JOINTS) if name not in {"Hip", "Spine", "Neck/Nose"}]
+    truth = people(random, 40)[:, kept] + random.normal(0, 800, (40, 1, 3)) + [0, 0, 4000]
+    hypotheses = about(random, truth, 10) + random.normal(0, 120, (10, 40, 1, 3))
+    names = [JOINTS[k] for k in kept]
+    _save(folder, hypotheses / 1000, truth / 1000, {"unit": "m", "joints": np.array(names)})
+    return best_and_mean(errors(hypotheses, truth, [names.index(JOINTS[k]) for k in HIPS]))
+
+
+def lost_markers(folder: Path) -> Values:
+    """NaN where a marker was lost, the root's in 8 frames."""
+    random = np.random.default_rng(10)
+    truth = people(random, 80)
+    hypotheses = about(random, truth, 12)
+    lost = np.zeros((80, 17), dtype=bool)
+    lost[20:34, 3] = lost[50:62, 12] = lost[66:74, 0] = True
+    truth_lost = np.where(lost[..., None], np.nan, truth)
+    _save(folder, hypotheses, truth_lost, NAMED, valid=~lost)
+    distances = np.where(lost, np.nan, errors(hypotheses, truth))[:, ~lost[:, 0]]
+    of_poses = np.nanmean(distances, axis=-1)
+    return {"min_mpjpe": float(of_poses.min(axis=0).mean()), "mpjpe": float(of_poses.mean())}
+
+
+def one_prediction(folder: Path) -> Values:
+    """One prediction of each frame, (M, K, 3)."""
+    random = np.random.default_rng(11)
+    truth = people(random, 40)
+    hypotheses = about(random, truth, 1)
+    _save(folder, hypotheses[0], truth, NAMED)
+    return {"mpjpe": float(errors(hypotheses, truth).mean())}
+
+
+def root_alone(folder: Path) -> Values:
+    """The error of the root's own position in the camera's frame."""
+    random = np.random.default_rng(12)
+    truth = people(random, 40) + np.array([0, 0, 4000])
+    hypotheses = about(random, truth, 5) + random.normal(0, 80, (5, 40, 1, 3))
+    _save(folder, hypotheses, truth, NAMED)
+    return best_and_mean(errors(hypotheses, truth, None)[..., :1])
+
+
+SMPL = [
+    *("pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle"),
+    *("spine3", "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder"),
+    *("right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist", "left_hand", "right_hand"),
+]
+
+
+def smpl_names(folder: Path) -> Values:
+    """SMPL's 24 names, which hold an ankle and a foot."""
+    random = np.random.default_rng(13)
+    truth = people(random, 40, np.array([[0.0, 0, 0], *random.normal(0, 300, (23, 3))]))
+    hypotheses = about(random, truth, 10)
+    _save(folder, hypotheses, truth, {"unit": "mm", "joints": np.array(SMPL)})
+    return best_and_mean(errors(hypotheses, truth))
+
+
+def pixels(folder: Path) -> Values:
+    """Keypoints in pixels."""
+    random = np.random.default_rng(14)
+    truth = people(random, 40)[..., [0, 2]] * 0.3 + [320, 240]
+    hypotheses = about(random, truth, 8, spread=8, bias=4)
+    _save(folder, hypotheses, truth, {"joints": np.array(JOINTS), "unit": "px"})
+    return best_and_mean(errors(hypotheses, truth, None))
+
+
+def horizons(folder: Path) -> Values:
+    """Clips of motion, of which the best hypothesis is chosen over the clip and read at a horizon."""
+    random = np.random.default_rng(15)
+    C, T, N = 12, 10, 6
+    truth = people(random, C * T, jitter=20).reshape(C, T, 17, 3)
+    hypotheses = truth + 60 * random.standard_normal((N, C, T, 17, 3)) * random.uniform(0.3, 1.7, (N, C, T, 1, 1))
+    step = np.where(np.arange(T) == T - 1, "last", "earlier")
+    _save(folder, hypotheses, truth, {**NAMED}, hyps_axes="NMTKD", axes="MTKD", step=np.tile(step, C))
+    of_frames = errors(hypotheses.astype(np.float32), truth).mean(axis=-1)
+    best = of_frames.mean(axis=2).argmin(axis=0)
+    return {
+        "min_mpjpe": float(of_frames.mean(axis=2).min(axis=0).mean()),
+        "step=last min_mpjpe": float(of_frames[best, np.arange(C), -1].mean()),
+    }
+
+
+SITUATIONS = (
+    Situation(
+        "Action labels with trials",
+        "facebookresearch/VideoPose3D 98, 216",
+        "trials counted as actions: 104.2 for 90.2 mm",
+        trials,
+        {"protocol": "prohpe"},
+    ),
+    Situation(
+        "Axes of another camera",
+        "SeanChenxy/HandMesh 86",
+        '"Overconfident, beyond chance"',
+        negated_axes,
+        says=("coordinate frames differ: negating y and z in hyps.npz",),
+    ),
+    Situation(
+        "Left and right exchanged",
+        "una-dinosauria/human-motion-prediction 46",
+        '"Overconfident, beyond chance"',
+        exchanged_sides,
+        says=("coordinate frames differ: exchanging left and right joints in hyps.npz",),
+    ),
+    Situation(
+        "A confidence as fourth column",
+        "SangHunHan92/2K2K 34, CMU-Perceptual-Computing-Lab/panoptic-toolbox 34",
+        "the confidence counted as a coordinate: 420.9 for 101.4 mm",
+        confidence_column,
+        says=("confidence",),
+        is_refused=True,
+    ),
+    Situation(
+        "People without a prediction, as zeros",
+        "naver/multi-hmr 9, 52",
+        "no remark: 117.2 for 73.7 mm",
+        empty_predictions,
+        says=("one point", "11 of 100"),
+    ),
+    Situation(
+        "Joints that repeat others",
+        "jutanke/mocap 8, 705062791/PGBIG 6",
+        "no remark: 89.3 for 98.6 mm",
+        repeated_joints,
+        {"root_joint": 0},
+        says=("joint 17", "joint 18", "joint 19"),
+    ),
+    Situation(
+        "Lost markers, the root among them",
+        "perfanalytics/pose2sim 95, 143; DeepLabCut/DeepLabCut 1650",
+        "refused for the root, under another joint's name",
+        lost_markers,
+        says=("Hip", "8 "),
+    ),
+    Situation(
+        "One prediction of each frame",
+        "freemocap/freemocap 286, Walter0807/MotionBERT 59",
+        "refused, and no flag led out",
+        one_prediction,
+        {"axes": "MKD"},
+    ),
+    Situation(
+        "SMPL's names",
+        "yohanshin/WHAM 67, shubham-goel/4D-Humans 64",
+        '"names joints more than once"',
+        smpl_names,
+    ),
+    Situation(
+        "Keypoints in pixels",
+        "calvinyeungck/AthletePose3D 3",
+        "the default report refused; pixels printed as mm",
+        pixels,
+        {"root_joint": "none"},
+        says=("left out",),
+    ),
+    Situation(
+        "Best of a clip, read at a horizon",
+        "waymo-research/waymo-open-dataset 559, huang-xx/STGAT 3",
+        "chosen anew in each group, under a caption that says per sequence: 40.5 for 80.5 mm",
+        horizons,
+        {"by": "step", "metrics": "min_mpjpe", "protocol": {"best": "sequence"}},
+    ),
+    Situation(
+        "No pelvis among 14 joints",
+        "eth-ait/emdb 3, facebookresearch/sam-3d-body 111",
+        "positions as given: 108.5 for 67.3 mm",
+        midpoint_root,
+        says=("midpoint",),
+    ),
+    Situation(
+        "The root's own error",
+        "mks0601/3DMPPE_POSENET_RELEASE 10",
+        '"pck_joints: none is left", though no PCK was asked for',
+        root_alone,
+        {"root_joint": "none", "metrics": "mpjpe, min_mpjpe", "protocol": {"joints": "Hip"}},
+    ),
+)
