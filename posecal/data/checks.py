@@ -133,7 +133,7 @@ def _sample(poses: FloatArray) -> FloatArray:
 
 
 def _check_bones(data: PoseData) -> list[str]:
-    bones = Skeleton(data.joints).bones
+    bones = Skeleton(data.joints, data.parents).bones
     if not bones:
         return []
     parents, children = np.array(bones).T

@@ -10,6 +10,7 @@ from typing import Any, Literal, TypeVar
 
 from posecal.data.arrays import checked_choice
 from posecal.data.layout import HYPOTHESES, TRUTH, Layout, plausible_layouts
+from posecal.data.own_skeleton import OwnSkeleton, as_skeleton, checked_parents
 from posecal.data.skeleton import joint_set
 from posecal.data.stored_poses import StoredPoses
 from posecal.data.units import quantity
@@ -39,6 +40,8 @@ class Declarations:
         ``same``, or ``common`` to score the joints that both have.
     n_hypotheses : int or None
         How many hypotheses are read, the first ones; all by default.
+    skeleton : path, str, mapping or None
+        Names, parents and root of the joints; see :func:`posecal.data.own_skeleton.as_skeleton`.
 
     Raises
     ------
@@ -55,6 +58,7 @@ class Declarations:
     missing: Literal["error", "skip"] = "error"
     shared_joints: Literal["same", "common"] = "same"
     n_hypotheses: int | None = None
+    skeleton: Any = None
 
     def __post_init__(self) -> None:
         checks: tuple[tuple[object, Callable[[Any], object]], ...] = (
@@ -64,6 +68,7 @@ class Declarations:
             (self.truth_unit, quantity),
             (self.joints, _joint_names),
             (self.root_joint, _root_joint),
+            (self.skeleton, as_skeleton),
             (self.missing, lambda text: checked_choice(text, "missing", ("error", "skip"))),
             (self.shared_joints, lambda text: checked_choice(text, option("shared_joints"), ("same", "common"))),
         )
@@ -75,8 +80,17 @@ class Declarations:
 
     @property
     def joint_names(self) -> tuple[str, ...] | None:
-        """The names in ``joints``."""
-        return None if self.joints is None else _joint_names(self.joints)
+        """The names in ``joints``, or else of the skeleton."""
+        if self.joints is None:
+            return None if self.skeleton is None else as_skeleton(self.skeleton).names
+        return _joint_names(self.joints)
+
+    def skeleton_of(self, names: tuple[str, ...], *stored: tuple[str, Sequence[int] | None]) -> OwnSkeleton | None:
+        """Give the user's own skeleton of some joints: as declared, or the first that is stored with a file's name."""
+        if self.skeleton is not None:
+            return as_skeleton(self.skeleton).of(names)
+        name, parents = next((pair for pair in stored if pair[1] is not None), ("", None))
+        return None if parents is None else OwnSkeleton(names, checked_parents(parents, name, names))
 
 
 def _joint_names(joints: object) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ from posecal.data.declarations import Declarations, choose_layouts, quantity_of
 from posecal.data.degenerate import column_problem
 from posecal.data.joint_names import distinguished, match_joints, remarks_on_names, repeated_names
 from posecal.data.layout import plausible_layouts
+from posecal.data.own_skeleton import parents_among
 from posecal.data.root import choose_root, origin, part_of_root, root_name
 from posecal.data.skeleton import ALL_NAMES
 from posecal.data.stored_poses import ArrayHypotheses, Labels, Rows, StoredPoses, in_millimetres
@@ -103,7 +104,11 @@ class Matcher:
         declared_root = self.declared.root_joint
         if declared_root is None and unit != "mm":
             declared_root = "none"  # of positions alone is the root a joint's by itself
-        chosen = attempt(problems, choose_root, declared_root, true_names, y)
+        in_order = len(true_names) == k and np.array_equal(columns, np.arange(k))
+        stored_parents = (truth.name, truth.parents), (hypotheses.name, hypotheses.parents if in_order else None)
+        own = attempt(problems, self.declared.skeleton_of, true_names, *stored_parents)
+        parents, own_root = ((), None) if own is None else (own.parents, own.root)
+        chosen = attempt(problems, choose_root, declared_root, true_names, y, parents, own_root)
         labels = {name: values[rows] for name, values in labels.items()}
         labels = self._merged(labels, {name: values[true_rows] for name, values in true_labels.items()}, true_rows)
         raise_all(problems)
@@ -121,6 +126,7 @@ class Matcher:
             "truth": np.ascontiguousarray(y[true_rows][:, true_columns]),
             "unit": unit,
             "joints": tuple(true_names[k] for k in true_columns),
+            "parents": parents_among(parents, true_columns.tolist()) if parents else (),
             "root": root,
             "frame_id": true_rows.astype(str) if truth.frame_id is None else truth.frame_id[true_rows],
             "order": true_rows,

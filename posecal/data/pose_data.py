@@ -68,6 +68,9 @@ class PoseData:
         ``same``, or ``common`` to keep the joints that both have.
     n_hypotheses : int, optional
         How many hypotheses are read, the first ones; all by default.
+    skeleton : path, mapping or str, optional
+        Names, parents and root of the joints: a ``.json`` or ``.toml`` file, or a mapping with ``names``, ``parents``
+        and perhaps ``root``; or a joint set. By default they follow from the names, or from a member ``parents``.
 
     Attributes
     ----------
@@ -79,6 +82,8 @@ class PoseData:
         ``mm``, ``deg``, ``px``, or empty.
     joints : tuple of str
         K names, as :mod:`posecal.data.skeleton` spells them; numbered where there are none.
+    parents : tuple of int
+        The user's own skeleton: the number of each joint's parent, -1 for a root; empty where it follows from names.
     root : int, Root or None
         The joint to subtract from every pose; see :mod:`posecal.data.root` for midpoints and parts.
     frame_id : array of str (M,)
@@ -129,6 +134,7 @@ class PoseData:
     truth: FloatArray
     unit: str
     joints: tuple[str, ...]
+    parents: tuple[int, ...]
     root: AnyRoot
     frame_id: npt.NDArray[np.str_]
     order: Rows
@@ -164,9 +170,21 @@ class PoseData:
         missing: Literal["error", "skip"] = "error",
         shared_joints: Literal["same", "common"] = "same",
         n_hypotheses: int | None = None,
+        skeleton: object = None,
     ) -> None:
         problems: list[str | PosecalError] = []
-        declared = axes, truth_axes, unit, truth_unit, joints, root_joint, missing, shared_joints, n_hypotheses
+        declared = (
+            axes,
+            truth_axes,
+            unit,
+            truth_unit,
+            joints,
+            root_joint,
+            missing,
+            shared_joints,
+            n_hypotheses,
+            skeleton,
+        )
         declarations = attempt(problems, Declarations, *declared)
         predicted = attempt(problems, read_poses, hypotheses, "hypotheses")
         true = attempt(problems, read_poses, truth, "truth")

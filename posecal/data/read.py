@@ -23,7 +23,7 @@ Role = Literal["hypotheses", "truth"]
 
 _NAMES: dict[Role, tuple[str, ...]] = {"hypotheses": ("hypotheses", "hyps"), "truth": ("truth", "gt")}
 _MARKS = ("occluded", "visible")
-_RESERVED = (*_MARKS, "axes", "unit", "joints", "frame_id", "scores", "fps", "valid")
+_RESERVED = (*_MARKS, "axes", "unit", "joints", "frame_id", "scores", "fps", "valid", "parents")
 
 
 def read_poses(source: npt.ArrayLike | str | os.PathLike[str], role: Role) -> StoredPoses:
@@ -93,6 +93,7 @@ def _read_archive(file: FileIO, path: Path, role: Role) -> StoredPoses:
         "axes": read(_word, "axes"),
         "unit": read(_word, "unit"),
         "joints": read(lambda array, name: tuple(as_text(array.ravel(), name).tolist()), "joints"),
+        "parents": read(_whole_numbers, "parents"),
         "frame_id": read(lambda array, name: as_labels(array.ravel(), name), "frame_id"),
         "labels": {key: values for key, values in labels.items() if values is not None},
         "marks": {key: mask for key, mask in marks.items() if mask is not None},
@@ -145,6 +146,12 @@ def _word(array: npt.NDArray[Any], name: str) -> str:
     if array.size != 1:
         raise PoseDataError(f"{name}: {array.size} values; expected one word.")
     return str(as_text(array.ravel(), name)[0])
+
+
+def _whole_numbers(array: npt.NDArray[Any], name: str) -> tuple[int, ...]:
+    if array.dtype.kind not in "iu":
+        raise PoseDataError(f"{name}: {array.dtype} {array.shape}; expected int (K,), -1 for a root.")
+    return tuple(array.ravel().tolist())
 
 
 def _number(array: npt.NDArray[Any], name: str) -> float:

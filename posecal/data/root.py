@@ -218,9 +218,11 @@ def choose_root(
     resting = np.flatnonzero(~truth.any(axis=(0, 2)))
     if len(resting) == 1 and len(names) > 1:
         return int(resting[0]), ""
-    if parents:
-        roots = [k for k, parent in enumerate(parents) if parent < 0]
+    roots = [k for k, parent in enumerate(parents) if parent < 0]
+    if parents and {*roots} <= {*parents}:  # each has joints below it
         return parse_root(",".join(map(str, roots)), names, parents), ""
+    if "Hip" in keys:
+        return keys.index("Hip"), ""
     found = known_set(names)
     text = found.root if found is not None and len(found.names) == len(names) else "LHip+RHip"
     if "+" in text:

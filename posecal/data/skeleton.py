@@ -141,6 +141,8 @@ class Skeleton:
     ----------
     joints : tuple of str
         K names, in the order of the poses' joint axis. Names that posecal does not know have no bones.
+    own_parents : tuple of int
+        The number of each joint's parent, where the user gives them.
 
     Examples
     --------
@@ -152,6 +154,7 @@ class Skeleton:
     """
 
     joints: tuple[str, ...]
+    own_parents: tuple[int, ...] = ()
 
     @cached_property
     def _tree(self) -> Mapping[str, str | None]:
@@ -165,6 +168,8 @@ class Skeleton:
     @cached_property
     def parents(self) -> tuple[int, ...]:
         """The index of each joint's nearest ancestor that is present, -1 where none is."""
+        if self.own_parents:
+            return self.own_parents
         keys, tree = joint_keys(self.joints), self._tree
         index = {key: k for k, key in enumerate(keys)}
 

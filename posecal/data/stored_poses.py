@@ -33,6 +33,8 @@ class StoredPoses:
         What is declared.
     joints : tuple of str or None
         Names of the joints.
+    parents : tuple of int or None
+        The number of each joint's parent, -1 for a root.
     frame_id : array of str (M,) or None
         Name of each frame.
     labels : mapping of arrays of str, (M,) or () for all
@@ -56,6 +58,7 @@ class StoredPoses:
     axes: str | None = None
     unit: str | None = None
     joints: tuple[str, ...] | None = None
+    parents: tuple[int, ...] | None = None
     frame_id: npt.NDArray[np.str_] | None = None
     labels: Labels = field(default_factory=dict)
     required_labels: frozenset[str] = COMMON_LABELS

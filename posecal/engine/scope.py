@@ -30,6 +30,8 @@ class DataSpec:
         K names.
     root : int, Root or None
         What is subtracted from every pose.
+    parents : tuple of int
+        The user's own skeleton; empty where it follows from the names.
     labels : tuple of str
         Names of the labels that every pose has.
     fps : float or None
@@ -65,6 +67,7 @@ class DataSpec:
     n_reference: int = 0
     unit: str = "mm"
     n_coordinates: int = 3
+    parents: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         root: object = self.root
@@ -78,6 +81,7 @@ class DataSpec:
             n_hypotheses=data.shape[0],
             joints=data.joints,
             root=data.root,
+            parents=data.parents,
             unit=data.unit,
             n_coordinates=data.shape[3],
             labels=tuple(data.labels),

@@ -49,7 +49,7 @@ class Evaluation:
 
     Parameters
     ----------
-    joints, root_joint, unit, truth_unit, axes, truth_axes, fps, shared_joints, n_hypotheses
+    joints, root_joint, unit, truth_unit, axes, truth_axes, fps, shared_joints, n_hypotheses, skeleton
         Of all batches; as for :func:`evaluate`.
     by, metrics, preranks, protocol, threads
         As for :func:`evaluate`.
@@ -87,6 +87,7 @@ class Evaluation:
         fps: float | None = None,
         shared_joints: Literal["same", "common"] = "same",
         n_hypotheses: int | None = None,
+        skeleton: object = None,
         by: Sequence[str] | str = (),
         metrics: str | Sequence[str] | None = None,
         preranks: Mapping[str, PreRank] | None = None,
@@ -104,6 +105,7 @@ class Evaluation:
             "fps": fps,
             "shared_joints": shared_joints,
             "n_hypotheses": n_hypotheses,
+            "skeleton": skeleton,
         }
         Declarations(**{k: v for k, v in self._options.items() if k != "fps"})  # refuses values that no data could have
         preranks = {} if preranks is None else preranks

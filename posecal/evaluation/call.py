@@ -38,6 +38,7 @@ def evaluate(
     missing: Literal["error", "skip"] = "error",
     shared_joints: Literal["same", "common"] = "same",
     n_hypotheses: int | None = None,
+    skeleton: object = None,
     by: Sequence[str] | str = (),
     metrics: str | Sequence[str] | None = None,
     reference: Literal["climatology"] | Source | PoseData | None = None,
@@ -85,6 +86,8 @@ def evaluate(
         ``same``, or ``common`` to evaluate the joints that both have.
     n_hypotheses : int, optional
         Take only the first so many hypotheses.
+    skeleton : path, mapping or str, optional
+        Names, parents and root of the joints; see :class:`posecal.PoseData`.
     by : sequence of str
         Labels to group by; one alone may be given as it is. ``occlusion`` separates occluded from visible joints,
         ``predicted_spread`` cuts terciles of the predicted spread.
@@ -145,6 +148,7 @@ def evaluate(
         "missing": missing,
         "shared_joints": shared_joints,
         "n_hypotheses": n_hypotheses,
+        "skeleton": skeleton,
     }
     evaluation = Evaluation(by=by, metrics=metrics, preranks=preranks, protocol=protocol, threads=threads)
     data = as_pose_data(hypotheses, truth, described)
