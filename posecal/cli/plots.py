@@ -44,13 +44,18 @@ def poses(
     output: opt.Output,
     *,
     frames: Annotated[str | None, opt.option("Frame ids or numbers, with commas.", show_default="5 of them")] = None,
-    joint: Annotated[str, opt.option("The joint whose hypotheses are shown as points.")] = "RWrist",
+    joint: Annotated[
+        str | None,
+        opt.option("The joint whose hypotheses are points.", show_default="RWrist, if there is one"),
+    ] = None,
     most: Annotated[int, opt.option("How many hypotheses to draw.", min=1)] = 50,
     data: opt.DataOptions,
 ) -> None:
-    """Skeletons in 3D: hypotheses grey, truth blue, one joint's hypotheses pink."""
+    """Skeletons in 2D or 3D: hypotheses grey, truth blue, one joint's hypotheses pink."""
     check_outputs(hypotheses, truth, plot=output)
+    from posecal.data.joint_names import find_joint
     from posecal.plot import draw_poses, frames_of, save
 
     matched = data.read(hypotheses, truth)
-    save(draw_poses(matched, frames_of(matched, frames), cloud=joint, most=most), output)
+    cloud = "RWrist" if joint is None and find_joint("RWrist", matched.joints) is not None else joint
+    save(draw_poses(matched, frames_of(matched, frames), cloud=cloud, most=most), output)

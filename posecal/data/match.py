@@ -101,13 +101,13 @@ class Matcher:
             self._remark_invalid(known, counts)
             rows, true_rows, known = rows[counts], true_rows[counts], known[counts]
         y = in_millimetres(stored, true_factor)
-        declared_root = self.declared.root_joint
-        if declared_root is None and unit != "mm":
-            declared_root = "none"  # of positions alone is the root a joint's by itself
         in_order = len(true_names) == k and np.array_equal(columns, np.arange(k))
         stored_parents = (truth.name, truth.parents), (hypotheses.name, hypotheses.parents if in_order else None)
         own = attempt(problems, self.declared.skeleton_of, true_names, *stored_parents)
         parents, own_root = ((), None) if own is None else (own.parents, own.root)
+        declared_root = self.declared.root_joint
+        if declared_root is None and own_root is None and unit != "mm":
+            declared_root = "none"  # of positions alone is the root a joint's by itself
         chosen = attempt(problems, choose_root, declared_root, true_names, y, parents, own_root)
         labels = {name: values[rows] for name, values in labels.items()}
         labels = self._merged(labels, {name: values[true_rows] for name, values in true_labels.items()}, true_rows)

@@ -9,10 +9,10 @@ from functools import cached_property
 import numpy as np
 
 from posecal.data.arrays import BoolArray
-from posecal.data.joint_names import joint_keys
+from posecal.data.joint_names import MOST_NAMED, joint_keys
 from posecal.data.pose_data import PoseData
 from posecal.data.root import AnyRoot, Root, resting_joints
-from posecal.data.skeleton import JOINT_SETS
+from posecal.data.skeleton import JOINT_SETS, known_set
 from posecal.data.units import PERIODS
 from posecal.engine.protocol import Protocol, named_joints
 from posecal.errors import PoseDataError
@@ -155,8 +155,9 @@ class Scope:
     @cached_property
     def pck(self) -> BoolArray:
         """The joints of PCK and AUC."""
-        text = self.protocol.pck_joints
-        if text == Protocol().pck_joints and not {*JOINT_SETS[text]} & {*joint_keys(self.spec.joints)}:
+        text, found = self.protocol.pck_joints, known_set(self.spec.joints)
+        is_person = {*JOINT_SETS["h36m-14"]} & {*joint_keys(self.spec.joints)} and not (found and found.rest)
+        if text == Protocol().pck_joints and not is_person:
             text = "all"  # joints that are not a person's, or have no names
         return self._mask("pck_joints", text) & self.body
 
@@ -175,6 +176,14 @@ class Scope:
     def counted(self, mask: BoolArray) -> str:
         """Words for the scored ones of a mask of joints, with an article."""
         return f"the {self.number(mask)}"
+
+    def named(self, mask: BoolArray) -> str:
+        """Words for the scored ones of a mask of joints, with their names where those are not Human3.6M's."""
+        joints = self.spec.joints
+        if len(joints) > MOST_NAMED or {*joint_keys(joints)} <= {*JOINT_SETS["h36m-17"]} or mask.all():
+            return self.counted(mask)
+        names = [name for name, chosen in zip(joints, mask, strict=True) if chosen]
+        return f"{self.counted(mask)}, {', '.join(names)},"
 
     def number(self, mask: BoolArray) -> str:
         """Words for the scored ones of a mask of joints: of which, how many, and whether the root is one."""

@@ -148,7 +148,7 @@ def _needs(scope: Scope) -> tuple[Need, ...]:
 
 def cps_metrics(scope: Scope) -> Iterator[Metric]:
     """CPS."""
-    p, joints, share = scope.protocol, scope.counted(scope.cps), scope.protocol.cps_unit == "share"
+    p, joints, share = scope.protocol, scope.named(scope.cps), scope.protocol.cps_unit == "share"
     yield Metric(
         name="cps",
         label="CPS",
@@ -176,7 +176,7 @@ def cps_curve(scope: Scope) -> Curve:
         name="cps_curve",
         at=THRESHOLDS,
         axes=("threshold τ [mm]", "share of correct poses"),
-        definition=f"share of poses with each of {scope.counted(scope.cps)} within τ"
+        definition=f"share of poses with each of {scope.named(scope.cps)} within τ"
         f"{aligned_words(scope, p.cps_align, scope.cps)}, {SELECTED[p.cps_best]} at each τ",
         statistic=_statistic(scope, "cps_curve", lambda errors: correct_share(errors[..., None], THRESHOLDS)),
         needs=_needs(scope),

@@ -316,7 +316,7 @@ _SHARE = partial(
 
 def pck_metrics(scope: Scope) -> Iterator[Metric]:
     """PCK and AUC."""
-    p, joints, select = scope.protocol, scope.counted(scope.pck), scope.protocol.pck_best
+    p, joints, select = scope.protocol, scope.named(scope.pck), scope.protocol.pck_best
     strict, exact, threshold = p.pck_rule == "<", p.auc == "integral", f"{p.pck_threshold:g} mm"
     right = partial(correct_joints, threshold=p.pck_threshold, select=select, strict=strict)
     yield _SHARE(
@@ -356,7 +356,7 @@ def pck_curve(scope: Scope) -> Curve:
         name="pck_curve",
         at=THRESHOLDS,
         axes=("threshold τ [mm]", "share of correct joints (PCK)"),
-        definition=f"mean over poses of the share of {scope.counted(scope.pck)} with ‖x − y‖ {p.pck_rule} τ, "
+        definition=f"mean over poses of the share of {scope.named(scope.pck)} with ‖x − y‖ {p.pck_rule} τ, "
         f"{SELECTED[p.pck_best]} at each τ",
         statistic=Statistic(
             "pck_curve",

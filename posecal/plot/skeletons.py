@@ -1,16 +1,17 @@
-"""Pictures of skeletons: signed areas of the joints, and poses with their hypotheses in 3D."""
+"""Pictures of skeletons: signed areas of the joints, and poses with their hypotheses."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from posecal.data.arrays import FloatArray
 from posecal.data.joint_names import find_joint, joint_keys
 from posecal.data.skeleton import Skeleton
-from posecal.errors import PoseDataError, did_you_mean, first_few, option
+from posecal.errors import PoseDataError, did_you_mean, first_few
+from posecal.plot.layout import free_sides, joint_places
 from posecal.plot.style import FAINT, INK, OVER, STYLE, UNDER, given
 
 if TYPE_CHECKING:
@@ -22,8 +23,12 @@ if TYPE_CHECKING:
     from posecal.report.report import Report
 
 
+FEW = 17
+"""Of more joints the numbers are written smaller."""
+
+
 def signed_areas(report: Report, *, ax: Axes | None = None) -> Axes:
-    """Draw the signed area of every joint on a standing skeleton.
+    """Draw the signed area of every joint on the skeleton.
 
     Parameters
     ----------
@@ -35,42 +40,45 @@ def signed_areas(report: Report, *, ax: Axes | None = None) -> Axes:
     Returns
     -------
     matplotlib Axes
-        The axes: a disc per joint, its area growing with the size of the signed area, in the colour of its side.
+        The axes: a disc per joint, its area growing with the size of the signed area, in the colour of its side; with
+        names where the joints are not those of a person.
 
     Raises
     ------
     PoseDataError
-        Where the report has no signed areas, or its joints are not those of a person.
+        Where the report has no signed areas.
     """
     ax = given(ax)
     report.value("signed_area")  # refuses a report without
     joints = report.totals.spec.joints
-    skeleton = Skeleton(joints)
-    at = skeleton.rest_pose[:, [0, 2]] * [2.0, 1.0]  # from the front, and broad, so that no numbers overlap
+    skeleton = Skeleton(joints, report.totals.spec.parents)
+    at, is_person = joint_places(skeleton)
+    size, sides = 7 if is_person and len(joints) <= FEW else 5, np.where(at[:, 0] < 0, -1, 1)
+    if not is_person:
+        sides = free_sides(at)
     for parent, child in skeleton.bones:
         ax.plot(*at[[parent, child]].T, color=FAINT, lw=3, solid_capstyle="round", zorder=1)
-    for joint, (x, y) in zip(joints, at, strict=True):
+    for joint, (x, y), side in zip(joints, at, sides, strict=True):
         value = report.value("signed_area", joint=joint)
         if np.isnan(value):
             ax.scatter(x, y, s=14, color="white", edgecolor=INK, lw=0.8, zorder=3)
             continue
         area = 20 + 1800 * abs(value)
         ax.scatter(x, y, s=area, color=OVER if value < 0 else UNDER, edgecolor="white", lw=0.8, zorder=2, gid=joint)
-        side = -1 if x < 0 else 1
         ax.annotate(
-            with_sign(value, 3),
+            with_sign(value, 3) if is_person else f"{joint}\n{with_sign(value, 3)}",
             (x, y),
-            xytext=(side * (3 + np.sqrt(area / np.pi)), 5 if x == 0 else 0),  # off the shoulder bone
+            xytext=(side * (3 + np.sqrt(area / np.pi)), 5 if x == 0 and is_person else 0),  # off the shoulder bone
             textcoords="offset points",
             ha="left" if side > 0 else "right",
             va="center",
-            fontsize=7,
+            fontsize=size,
             zorder=4,
         )
     ax.set_aspect("equal")
-    ax.margins(0.2, 0.05)
+    ax.margins(0.2, 0.05 if is_person else 0.15)
     ax.axis("off")
-    for side_name, across in (("right side", 0.08), ("left side", 0.92)):
+    for side_name, across in (("right side", 0.08), ("left side", 0.92)) if is_person else ():
         ax.text(across, 0.98, side_name, transform=ax.transAxes, ha="center", fontsize=7.5, color="#666666")
     for word, colour in (("overconfident", OVER), ("underconfident", UNDER)):
         ax.scatter([], [], s=60, color=colour, edgecolor="white", lw=0.8, label=word)
@@ -90,44 +98,47 @@ def poses(
     *,
     cloud: str | None = None,
     most: int = 50,
-    ax: Axes3D | None = None,
-) -> Axes3D:
-    """Draw one pose in three dimensions: its hypotheses, the truth, and the cloud of one joint.
+    ax: Any = None,
+    parents: Sequence[int] = (),
+) -> Any:
+    """Draw one pose in two or three dimensions: its hypotheses, the truth, and the cloud of one joint.
 
     Parameters
     ----------
-    hypotheses : array (N, K, 3)
-        Hypotheses, mm; thin and grey.
-    truth : array (K, 3)
-        The true pose, mm; blue.
+    hypotheses : array (N, K, D)
+        Hypotheses; thin and grey.
+    truth : array (K, D)
+        The true pose; blue.
     joints : sequence of str
-        K names; the bones follow from them.
+        K names; the bones follow from them. Joints without bones are points.
     cloud : str, optional
         The joint whose hypotheses are shown as pink points.
     most : int
         How many hypotheses are drawn, evenly chosen.
-    ax : matplotlib Axes3D, optional
-        Where to draw; new axes by default.
+    ax : matplotlib Axes or Axes3D, optional
+        Where to draw, as D has it; new axes by default.
+    parents : sequence of int, optional
+        The number of each joint's parent, -1 for a root, instead of the bones that follow from the names.
 
     Returns
     -------
-    matplotlib Axes3D
-        The axes, with the person upright: up is where the head is.
+    matplotlib Axes or Axes3D
+        The axes, with a person upright: up is where the head is.
 
     Raises
     ------
     PoseDataError
-        Where no bones are known between the joints, or no coordinate is finite.
+        For one coordinate, a joint that is not there, or where no coordinate is finite.
     """
+    from matplotlib.collections import LineCollection
     from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
-    skeleton = Skeleton(tuple(joints))
+    d = truth.shape[-1]
+    if d not in (2, 3):
+        raise PoseDataError(f"truth: D = {d}; expected 2 or 3 coordinates to draw.")
+    skeleton = Skeleton(tuple(joints), tuple(parents))
     bones = list(skeleton.bones)
-    if not bones:
-        raise PoseDataError(
-            f"joints: no bones between {first_few(joints)}; expected names such as RKnee, RFoot. Name them with "
-            f"{option('joints')}."
-        )
+    alone = [k for k in range(len(joints)) if not any(k in bone for bone in bones)]
     at = None if cloud is None else find_joint(cloud, tuple(joints))
     if cloud is not None and at is None:
         raise PoseDataError(f"joint: {cloud!r} is not among the joints. {did_you_mean(cloud, joints)}")
@@ -139,18 +150,29 @@ def poses(
     if ax is None:
         from matplotlib import pyplot as plt
 
-        ax = plt.figure().add_subplot(projection="3d")
-    ax.computed_zorder = False
-    grey = Line3DCollection(shown[:, bones].reshape(-1, 2, 3), colors="#8C8C8C", lw=0.4, alpha=0.35, zorder=1)
-    grey.set_gid("hypotheses")
-    ax.add_collection3d(grey)
+        ax = plt.figure().add_subplot(projection="3d" if d == 3 else None)
+    depth: dict[str, Any] = {"depthshade": False} if d == 3 else {}
+    if bones:
+        lines: Any = Line3DCollection if d == 3 else LineCollection
+        grey = lines(shown[:, bones].reshape(-1, 2, d), colors="#8C8C8C", lw=0.4, alpha=0.35, zorder=1)
+        grey.set_gid("hypotheses")
+        (ax.add_collection3d if d == 3 else ax.add_collection)(grey)
+    if alone:
+        points = shown[:, alone].reshape(-1, d)
+        ax.scatter(*points.T, s=2, color="#8C8C8C", alpha=0.35, lw=0, zorder=1, gid="hypotheses of points", **depth)
+        ax.scatter(*true[alone].T, s=9, color=UNDER, lw=0, zorder=4, gid="truth of points", **depth)
     if at is not None:
-        cloud, points = joints[at], shown[:, at]
-        ax.scatter(*points.T, s=4, color=OVER, alpha=0.8, lw=0, zorder=3, depthshade=False, gid=f"cloud {cloud}")
+        points = shown[:, at]
+        ax.scatter(*points.T, s=4, color=OVER, alpha=0.8, lw=0, zorder=3, gid=f"cloud {joints[at]}", **depth)
     for bone in bones:
         ends = " ".join(joints[end] for end in bone)
         ax.plot(*true[list(bone)].T, color=UNDER, lw=1.8, solid_capstyle="round", zorder=4, gid=f"truth {ends}")
-    _frame(ax, np.concatenate([true[None], shown]))
+    if d == 3:
+        _frame(ax, np.concatenate([true[None], shown]))
+    else:
+        ax.set_aspect("equal")
+        ax.margins(0.08)
+        ax.set_axis_off()
     return ax
 
 
@@ -167,16 +189,26 @@ def _frame(ax: Axes3D, points: FloatArray) -> None:
 
 
 def _upright(truth: FloatArray, skeleton: Skeleton) -> FloatArray:
-    """A rotation of the axes, (3, 3), that puts the axis from the feet to the head upwards."""
-    known = np.asarray(np.isfinite(truth).all(axis=1))
+    """A rotation of the axes, (D, D), that puts the axis from the feet to the head upwards.
+
+    Of what has neither, the axis from the root (the first joint without a parent) to the middle of the others; of two
+    coordinates the second, which only is turned over.
+    """
+    known, d = np.asarray(np.isfinite(truth).all(axis=1)), truth.shape[1]
     at = {key: k for k, key in enumerate(joint_keys(skeleton.joints)) if known[k]}
     top = next((at[name] for name in ("Head", "Neck/Nose", "Thorax") if name in at), None)
     low = [at[name] for name in ("LFoot", "RFoot", "LKnee", "RKnee", "Hip") if name in at][:2]
-    if top is None or not low:
-        return np.eye(3)
-    upwards = truth[top] - truth[low].mean(axis=0)
-    axis = int(np.abs(upwards).argmax())
+    roots = [k for k, parent in enumerate(skeleton.parents) if parent < 0 and known[k]]
+    if top is not None and low:
+        upwards = truth[top] - truth[low].mean(axis=0)
+    elif top is None and len(roots) == 1 and skeleton.bones:
+        upwards = truth[known].mean(axis=0) - truth[roots[0]]
+    else:
+        return np.diag([1.0, -1.0]) if d == 2 else np.eye(d)  # as in images, where the second axis points down
+    axis = 1 if d == 2 else int(np.abs(upwards).argmax())
     sign = float(np.sign(upwards[axis])) or 1.0
+    if d == 2:
+        return np.diag([1.0, sign])
     turn = np.zeros((3, 3))
     first, second = ((axis + 1) % 3, (axis + 2) % 3)
     turn[first, 0], turn[second, 1], turn[axis, 2] = 1.0, sign, sign
@@ -236,6 +268,7 @@ def draw_poses(
 
     at = None if cloud is None else find_joint(cloud, data.joints)
     cloud = cloud if at is None else data.joints[at]
+    projection = "3d" if data.shape[3] == 3 else None
     across = min(columns, len(frames))
     down = -(-len(frames) // across)
     wide, tall, side, below = 1.7, 2.25, 2.2, 0.25  # of a picture, of its square axes and of the words, inches
@@ -246,10 +279,10 @@ def draw_poses(
             row, column = divmod(number, across)
             left, bottom = wide * (column + 0.5) - side / 2, height - tall * (row + 1)
             corner = (left / width, bottom / height, side / width, side / height)
-            ax = cast("Axes3D", figure.add_axes(corner, projection="3d"))
+            ax = figure.add_axes(corner, projection=projection)
             ax.patch.set_visible(False)
             hypotheses, truth = data.hypotheses.read(frame, frame + 1)[:, 0], data.truth[frame]
-            poses(hypotheses, truth, data.joints, cloud=cloud, most=most, ax=ax)
+            poses(hypotheses, truth, data.joints, cloud=cloud, most=most, ax=ax, parents=data.parents)
             figure.text(
                 wide * (column + 0.5) / width,
                 (bottom + tall - 0.03) / height,

@@ -13,9 +13,11 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 import posecal
 from posecal.data.pose_data import PoseData
+from posecal.data.skeleton import JOINT_SETS, Skeleton
 from posecal.demo import sample
 from posecal.errors import PoseDataError
 from posecal.plot import draw_poses, frames_of, poses, signed_areas
+from posecal.plot.layout import free_sides, joint_places
 from posecal.plot.style import OVER, UNDER
 from tests.helpers.reports import report_of, unlabelled, world
 
@@ -89,9 +91,40 @@ def test_the_person_stands_with_the_head_up_and_faces_the_reader(ax: Axes) -> No
     assert sides["right side"] < sides["left side"]
 
 
-def test_joints_without_a_place_on_a_person_are_refused(ax: Axes) -> None:
-    with pytest.raises(PoseDataError, match=r"joint"):
-        signed_areas(unlabelled(), ax=ax)
+def test_joints_without_a_place_on_a_person_are_points_with_their_names(ax: Axes) -> None:
+    report = unlabelled()
+    signed_areas(report, ax=ax)
+    texts = [text.get_text().split("\n")[0] for text in ax.texts]
+    assert texts == [name for name in report.totals.spec.joints if not np.isnan(report.value("ece", joint=name))]
+    assert not any("side" in text for text in texts)
+
+
+@pytest.mark.parametrize("name", JOINT_SETS)
+def test_every_joint_set_has_a_picture_with_each_joint_at_a_place_of_its_own(name: str) -> None:
+    places, is_person = joint_places(Skeleton(JOINT_SETS[name]))
+    assert len(np.unique(places.round(3), axis=0)) == len(places)
+    assert np.isfinite(places).all()
+    assert is_person == (name not in ("mano-21", "ap-10k"))
+
+
+def test_a_tree_stands_with_its_root_on_top_and_children_below() -> None:
+    places, is_person = joint_places(Skeleton(("a", "b", "c", "d"), (-1, 0, 0, 1)))
+    assert not is_person
+    assert places[:, 1].tolist() == [800, 0, 0, -800]
+    assert places[0, 0] == 0
+    assert places[1, 0] == places[3, 0] == -places[2, 0] == -800
+
+
+def test_joints_between_others_stand_between_them() -> None:
+    places, _ = joint_places(Skeleton(JOINT_SETS["smpl-24"]))
+    at = dict(zip(JOINT_SETS["smpl-24"], places[:, 1], strict=True))
+    assert at["pelvis"] < at["spine1"] < at["spine2"] < at["spine3"] < at["neck"] < at["head"]
+    assert at["left_foot"] < at["left_ankle"] < at["left_knee"]
+
+
+def test_numbers_stand_on_the_side_that_is_free() -> None:
+    places = np.array([[0.0, 0], [10, 1], [30, 100], [-20, 100]])
+    assert free_sides(places).tolist() == [-1, 1, 1, -1]
 
 
 def test_without_signed_areas_there_is_no_picture_of_them(ax: Axes) -> None:
@@ -183,7 +216,6 @@ def test_a_joint_that_is_not_finite_is_left_out(space: Axes3D) -> None:
     ("joints", "cloud", "truth", "words"),
     [
         (JOINTS, "RWrst", 0.0, r"^joint: 'RWrst' is not among the joints\. Did you mean RWrist\?$"),
-        ([f"j{n}" for n in range(17)], None, 0.0, r"^joints: no bones between j0, j1, j2 and 14 more; expected names"),
         (JOINTS, None, np.nan, r"^pose: no joint with finite coordinates; expected some to draw\.$"),
     ],
 )
@@ -191,6 +223,29 @@ def test_what_can_not_be_drawn_is_said(joints: list[str], cloud: str, truth: flo
     here = world()
     with pytest.raises(PoseDataError, match=words):
         poses(sample(here, 2)[:, 0], here.truth[0] + truth, joints, cloud=cloud, ax=space)
+
+
+def test_joints_without_bones_are_points(space: Axes3D) -> None:
+    here = world()
+    poses(sample(here, 2)[:, 0], here.truth[0], [f"j{n}" for n in range(17)], ax=space)
+    (truth,) = [found for found in space.collections if found.get_gid() == "truth of points"]
+    assert len(truth._offsets3d[0]) == 17
+    assert not space.lines
+
+
+def test_poses_of_two_coordinates_are_drawn_flat_and_upright(ax: Axes) -> None:
+    truth = np.array([[5.0, 90], [5, 50], [5, 10]])  # pixels: the second axis points down
+    poses(truth + np.ones((3, 3, 2)), truth, ["Hip", "Thorax", "Head"], ax=ax)
+    ends = {line.get_gid(): line.get_ydata().tolist() for line in ax.lines}
+    assert ends == {"truth Hip Thorax": [-90.0, -50.0], "truth Thorax Head": [-50.0, -10.0]}
+    with pytest.raises(PoseDataError, match=r"^truth: D = 1; expected 2 or 3 coordinates to draw\.$"):
+        poses(truth[None, :, :1], truth[:, :1], ["Hip", "Thorax", "Head"], ax=ax)
+
+
+def test_a_skeleton_of_ones_own_is_drawn(ax: Axes) -> None:
+    truth = np.array([[5.0, 90], [5, 50], [5, 10]])
+    poses(truth[None], truth, ["a", "b", "c"], parents=(-1, 0, 1), ax=ax)
+    assert [line.get_gid() for line in ax.lines] == ["truth a b", "truth b c"]
 
 
 # --- figures of poses -----------------------------------------------------------------------------------------
