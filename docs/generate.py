@@ -1,4 +1,4 @@
-"""Write the tables of docs/metrics.md anew, from the metrics themselves: ``python docs/generate.py``."""
+"""Write the tables of the pages anew, from the metrics and joint sets themselves: ``python docs/generate.py``."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from dataclasses import fields
 from pathlib import Path
 from typing import cast
 
+from posecal.data.skeleton import JOINT_SET_TABLE, Skeleton
 from posecal.engine.metric import Family
 from posecal.engine.protocol import CHOICES, Protocol
 from posecal.report.explain import metrics_table
 
-PAGE = Path(__file__).with_name("metrics.md")
+PAGES = tuple(Path(__file__).with_name(f"{name}.md") for name in ("metrics", "joints"))
 
 
 def table(*rows: Iterable[str]) -> str:
@@ -40,15 +41,32 @@ def options(_: str) -> str:
     return table(("option", "default", "values", "what it sets"), *rows)
 
 
+def joint_sets(_: str) -> str:
+    """Write the table of all joint sets."""
+    rows = (
+        (
+            f"`{name}`",
+            f"`{entry.root}`",
+            ", ".join(
+                joint if parent < 0 else f"{joint}\N{NO-BREAK SPACE}({parent})"
+                for joint, parent in zip(entry.names, Skeleton(entry.names).parents, strict=True)
+            ),
+            entry.source,
+        )
+        for name, entry in JOINT_SET_TABLE.items()
+    )
+    return table(("set", "root", "joints in order, with the number of their parent", "source"), *rows)
+
+
 def _values(option: str, form: str) -> str:
     return ", ".join(f"`{choice}`" for choice in CHOICES[option]) if option in CHOICES else form
 
 
 def generated(text: str) -> str:
-    """Replace what stands between the markers ``<!-- metrics: family -->`` or ``<!-- options: all -->`` and the end."""
-    tables = {"metrics": lambda family: metrics(cast(Family, family)), "options": options}
+    """Replace what stands between markers such as ``<!-- metrics: family -->`` and ``<!-- end -->``."""
+    tables = {"metrics": lambda family: metrics(cast(Family, family)), "options": options, "joint_sets": joint_sets}
     return re.sub(
-        r"(<!-- (metrics|options): (\w+) -->\n).*?(<!-- end -->)",
+        r"(<!-- (metrics|options|joint_sets): (\w+) -->\n).*?(<!-- end -->)",
         lambda marked: f"{marked[1]}\n{tables[marked[2]](marked[3])}\n\n{marked[4]}",
         text,
         flags=re.DOTALL,
@@ -56,4 +74,5 @@ def generated(text: str) -> str:
 
 
 if __name__ == "__main__":
-    PAGE.write_text(generated(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    for page in PAGES:
+        page.write_text(generated(page.read_text(encoding="utf-8")), encoding="utf-8")

@@ -100,13 +100,9 @@ class Evaluation:
             "root_joint": root_joint,
             "unit": unit,
             "truth_unit": truth_unit,
-            "axes": axes,
-            "truth_axes": truth_axes,
-            "fps": fps,
-            "shared_joints": shared_joints,
-            "n_hypotheses": n_hypotheses,
-            "skeleton": skeleton,
         }
+        self._options |= {"axes": axes, "truth_axes": truth_axes, "fps": fps, "shared_joints": shared_joints}
+        self._options |= {"truth_unit": truth_unit, "n_hypotheses": n_hypotheses, "skeleton": skeleton}
         Declarations(**{k: v for k, v in self._options.items() if k != "fps"})  # refuses values that no data could have
         preranks = {} if preranks is None else preranks
         check_callables("preranks", preranks)

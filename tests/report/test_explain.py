@@ -196,6 +196,14 @@ def test_a_table_says_which_options_change_a_metric(name: str, options: str) -> 
     assert row[-1] == options
 
 
+def test_the_table_of_joint_sets_is_that_of_the_package() -> None:
+    page = Path(__file__).parents[2] / "docs" / "joints.md"
+    text, generated = page.read_text(encoding="utf-8"), run_path(str(page.with_name("generate.py")))["generated"]
+    assert text == generated(text), "run python docs/generate.py"
+    assert text.count("\n| `") == len(JOINT_SETS) + 5  # with the table of roots
+    assert "RHip\N{NO-BREAK SPACE}(0)" in text
+
+
 def test_the_tables_of_the_documentation_are_those_of_the_metrics() -> None:
     page = Path(__file__).parents[2] / "docs" / "metrics.md"
     text, generated = page.read_text(encoding="utf-8"), run_path(str(page.with_name("generate.py")))["generated"]
