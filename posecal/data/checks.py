@@ -8,7 +8,7 @@ import numpy as np
 
 from posecal.data.arrays import FloatArray
 from posecal.data.degenerate import distinct_hypotheses
-from posecal.data.skeleton import Skeleton
+from posecal.data.skeleton import Skeleton, known_set
 from posecal.errors import PoseDataError, option
 
 if TYPE_CHECKING:
@@ -133,7 +133,10 @@ def _sample(poses: FloatArray) -> FloatArray:
 
 
 def _check_bones(data: PoseData) -> list[str]:
-    bones = Skeleton(data.joints, data.parents).bones
+    found = known_set(data.joints)
+    if data.parents or (found is not None and found.rest):  # no person's
+        return []
+    bones = Skeleton(data.joints).bones
     if not bones:
         return []
     parents, children = np.array(bones).T

@@ -241,7 +241,7 @@ def choose_root(
 
 def _is_about(truth: FloatArray, root: int | Root) -> bool:
     """Whether true poses lie about a midpoint already, as poses relative to a pelvis that is not among the joints."""
-    if not isinstance(root, Root):
+    if not isinstance(root, Root) or len(root.parts) > 1:
         return False
     with np.errstate(invalid="ignore", over="ignore"):  # joints that don't count may hold anything
         some = truth[:: max(1, len(truth) // 500)].astype(np.float64)

@@ -9,6 +9,7 @@ import numpy as np
 
 from posecal.data.arrays import FloatArray
 from posecal.data.joint_names import find_joint, joint_keys
+from posecal.data.root import origin
 from posecal.data.skeleton import Skeleton
 from posecal.errors import PoseDataError, did_you_mean, first_few
 from posecal.plot.layout import free_sides, joint_places
@@ -282,6 +283,8 @@ def draw_poses(
             ax = figure.add_axes(corner, projection=projection)
             ax.patch.set_visible(False)
             hypotheses, truth = data.hypotheses.read(frame, frame + 1)[:, 0], data.truth[frame]
+            if data.root is not None:  # as they are evaluated
+                hypotheses, truth = hypotheses - origin(hypotheses, data.root), truth - origin(truth, data.root)
             poses(hypotheses, truth, data.joints, cloud=cloud, most=most, ax=ax, parents=data.parents)
             figure.text(
                 wide * (column + 0.5) / width,

@@ -16,7 +16,7 @@ from posecal.data.alone import resolve_hypotheses
 from posecal.data.arrays import FloatArray
 from posecal.data.declarations import Declarations
 from posecal.data.read import read_poses
-from posecal.data.root import parse_root, root_name
+from posecal.data.root import Root, parse_root, root_name
 from posecal.data.write import Archive, write_file
 from posecal.engine.chunks import WINDOW_BYTES
 from posecal.errors import PoseDataError, PoseFileError
@@ -152,6 +152,8 @@ def apply_map(
         Where a file can't be read or written.
     """
     values = np.array([*_checked(map_).by_joint.values()])
+    if root_joint is None and isinstance(map_.root, Root):  # which one pose can't show
+        root_joint = root_name(map_.root, map_.joints)
     declared = Declarations(axes=axes, unit=unit, joints=joints, root_joint=root_joint)
     poses = read_poses(hypotheses, "hypotheses")
     source, names, root = resolve_hypotheses(poses, declared)

@@ -1,5 +1,6 @@
 """What ``posecal evaluate`` answers: the report's own numbers, whatever form the files and the flags have."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -139,3 +140,21 @@ def test_a_saved_result_in_the_place_of_poses_is_refused_with_what_takes_it() ->
     assert "is a saved result and holds no poses. posecal report shows it" in refused(
         "evaluate", "result.npz", "gt.npz"
     )
+
+
+def test_midpoints_and_skeletons_are_named_by_flags() -> None:
+    with np.load("gt.npz") as file:
+        names = file["joints"].tolist()
+    text = json.dumps({"names": names, "parents": [-1, *[0] * (len(names) - 1)]})
+    Path("star.json").write_text(text)
+    assert f"relative to {names[0]}" in done("evaluate", "hyps.npz", "gt.npz", "--skeleton=star.json")
+    of_hips = "--root-joint=LHip+right_hip"
+    report = posecal.evaluate("hyps.npz", "gt.npz", root_joint="LHip+RHip", skeleton="star.json")
+    assert done("evaluate", "hyps.npz", "gt.npz", of_hips, "--skeleton=star.json", "--format=json") == (
+        report.render("json") + "\n"
+    )
+    Path("star.json").write_text(text.replace("[-1, 0", "[-1, 99"))
+    assert "star.json: parent 99 of " in refused("evaluate", "hyps.npz", "gt.npz", "--skeleton=star.json")
+    assert "none.json: no such file" in refused("evaluate", "hyps.npz", "gt.npz", "--skeleton=none.json")
+    done("plot", "poses", "hyps.npz", "gt.npz", "--root-joint=none", "-o", "poses.svg")
+    assert Path("poses.svg").stat().st_size > 0

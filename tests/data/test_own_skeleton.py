@@ -144,3 +144,13 @@ def test_pck_follows_the_joint_set_and_names_its_joints() -> None:
     for name, number in (("ap-10k", 17), ("mano-21", 21)):
         animal = posecal.evaluate(*arrays(number), unit="mm", axes="NMKD", joints=name, metrics="pck")
         assert f"the {number} joints (root counted)" in animal.definition("pck")
+
+
+def test_bones_of_what_is_no_person_may_be_short() -> None:
+    x, y = arrays(21)
+    for options in ({"joints": "mano-21"}, {"skeleton": "h36m-17", "joints": None}):
+        k = 21 if options["joints"] else 17
+        data = posecal.PoseData(x[:, :, :k] / 15, y[:, :k] / 15, unit="mm", axes="NMKD", **options)  # type: ignore[arg-type]
+        assert not any("bone" in remark for remark in data.remarks)
+    data = posecal.PoseData(x[:, :, :17] / 15, y[:, :17] / 15, unit="mm", axes="NMKD", joints="h36m-17")
+    assert any("the median bone of truth is" in remark for remark in data.remarks)

@@ -65,6 +65,18 @@ def test_each_part_has_a_root_of_its_own() -> None:
     assert np.isnan([report.value("ece", joint=joint) for joint in ("r_wrist", "LWrist")]).all()
 
 
+def test_two_hands_have_a_root_each_by_themselves() -> None:
+    x, y = arrays(42)
+    report = posecal.evaluate(x, y, axes="NMKD", unit="mm", joints="interhand-42")
+    hands = [
+        np.concatenate([about(poses[..., :21, :], [20]), about(poses[..., 21:, :], [20])], axis=-2) for poses in (x, y)
+    ]
+    assert report["mpjpe"] == pytest.approx(mpjpe(*hands))
+    assert "relative to right_wrist,left_wrist" in str(report)
+    y -= np.concatenate([y[:, [20]].repeat(21, axis=1), y[:, [41]].repeat(21, axis=1)], axis=1)
+    assert posecal.PoseData(x, y, axes="NMKD", unit="mm", joints="interhand-42").root == report.totals.spec.root
+
+
 def test_parts_follow_parents_before_sides() -> None:
     root = parse_root("a,b", ("a", "b", "left c", "d"), (-1, -1, 1, 2))
     assert root == Root(((0,), (1,)), (0, 1, 1, 1))
@@ -89,6 +101,7 @@ def test_roots_that_can_not_be_are_refused(text: str, words: str) -> None:
     ("name", "root"),
     [
         *[("mano-21", "wrist"), ("ap-10k", "Root of tail"), ("smpl-24", "pelvis"), ("panoptic-19", "BodyCenter")],
+        ("interhand-42", "right_wrist,left_wrist"),
         *[("coco-17", "left_hip+right_hip"), ("3dhp-17", "pelvis"), ("h36m-32", "Hips"), ("mpii-16", "Hip")],
     ],
 )
