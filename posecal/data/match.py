@@ -114,15 +114,20 @@ class Matcher:
         raise_all(problems)
         assert chosen is not None
         (of_all, remark), root = chosen, part_of_root(chosen[0], true_columns.tolist())
+        predicted = ArrayHypotheses(hypotheses.array, self.layouts[0], rows, columns, factor, n)
+        lost = root_name(of_all, true_names)
+        if of_all is not None and root is None and declared_root is None:  # they may have another root
+            some = predicted.read(0, 64)[:8].reshape(-1, *predicted.read(0, 1).shape[2:])
+            root, remark = choose_root(None, tuple(true_names[column] for column in true_columns), some)
+            remark = f"{hypotheses.name} lacks the root {lost}; {remark}"
         if of_all is not None and root is None:
             with np.errstate(invalid="ignore"):  # joints that don't count may hold anything
                 y = y - origin(y, of_all)
-            lost = root_name(of_all, true_names)
             remark = f"{hypotheses.name} lacks the root {lost}; its positions are taken as relative to it."
         self.remarks += [remark] if remark else []
         occluded = _part(true_marks, true_rows, true_columns)
         return {
-            "hypotheses": ArrayHypotheses(hypotheses.array, self.layouts[0], rows, columns, factor, n),
+            "hypotheses": predicted,
             "truth": np.ascontiguousarray(y[true_rows][:, true_columns]),
             "unit": unit,
             "joints": tuple(true_names[k] for k in true_columns),

@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 FEW = 17
 """Of more joints the numbers are written smaller."""
 
+MOST_NAMES = 30
+"""More joints are not named."""
+
 
 def signed_areas(report: Report, *, ax: Axes | None = None) -> Axes:
     """Draw the signed area of every joint on the skeleton.
@@ -42,7 +45,7 @@ def signed_areas(report: Report, *, ax: Axes | None = None) -> Axes:
     -------
     matplotlib Axes
         The axes: a disc per joint, its area growing with the size of the signed area, in the colour of its side; with
-        names where the joints are not those of a person.
+        names where up to 30 joints are not those of a person.
 
     Raises
     ------
@@ -54,6 +57,7 @@ def signed_areas(report: Report, *, ax: Axes | None = None) -> Axes:
     joints = report.totals.spec.joints
     skeleton = Skeleton(joints, report.totals.spec.parents)
     at, is_person = joint_places(skeleton)
+    is_named = not is_person and len(joints) <= MOST_NAMES
     size, sides = 7 if is_person and len(joints) <= FEW else 5, np.where(at[:, 0] < 0, -1, 1)
     if not is_person:
         sides = free_sides(at)
@@ -67,7 +71,7 @@ def signed_areas(report: Report, *, ax: Axes | None = None) -> Axes:
         area = 20 + 1800 * abs(value)
         ax.scatter(x, y, s=area, color=OVER if value < 0 else UNDER, edgecolor="white", lw=0.8, zorder=2, gid=joint)
         ax.annotate(
-            with_sign(value, 3) if is_person else f"{joint}\n{with_sign(value, 3)}",
+            f"{joint}\n{with_sign(value, 3)}" if is_named else with_sign(value, 3),
             (x, y),
             xytext=(side * (3 + np.sqrt(area / np.pi)), 5 if x == 0 and is_person else 0),  # off the shoulder bone
             textcoords="offset points",

@@ -163,3 +163,18 @@ def test_poses_of_which_a_hip_does_not_count_are_left_out() -> None:
     kept = np.arange(9) != 4
     assert report["mpjpe"] == pytest.approx(mpjpe(about(x[:, kept], [2, 3]), about(y[kept], [2, 3])))
     assert any("the root LHip+RHip does not count in 1 of 9 frames (first: 4)" in remark for remark in report.remarks)
+
+
+def test_hypotheses_without_the_pelvis_that_lie_elsewhere_are_about_the_hips(tmp_path: Path) -> None:
+    x, y = arrays(4)
+    names = ("Hip", "LHip", "RHip", "Head")
+    np.savez(tmp_path / "y.npz", truth=y, unit="mm", joints=names)
+    np.savez(tmp_path / "x.npz", hypotheses=x[:, :, 1:], unit="mm", joints=names[1:])
+    data = posecal.PoseData(tmp_path / "x.npz", tmp_path / "y.npz", shared_joints="common")
+    assert data.root == Root(((0, 1),))
+    assert any("lacks the root Hip; no pelvis is named, so poses are relative to" in text for text in data.remarks)
+    np.savez(tmp_path / "x.npz", hypotheses=about(x[:, :, 1:], [0, 1]) + 9, unit="mm", joints=names[1:])
+    data = posecal.PoseData(tmp_path / "x.npz", tmp_path / "y.npz", shared_joints="common")
+    assert data.root is None
+    np.testing.assert_allclose(data.truth, about(y, [0])[:, 1:])
+    assert any("its positions are taken as relative to it" in text for text in data.remarks)
