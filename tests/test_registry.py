@@ -363,14 +363,15 @@ def test_only_metrics_with_a_number_per_joint_stand_in_the_table_of_joints(proto
 
 
 def test_metrics_without_joints_are_left_out_unless_they_are_asked_for() -> None:
-    spec, protocol = DataSpec(5, ("Hip", "RHip")), Protocol(joints="Hip")
+    spec, protocol = DataSpec(5, ("Hip", "RHip")), Protocol(joints="Hip", cps_align="none", align="rigid")
     assert "mpjpe" in metrics_of(protocol, spec)
     assert not {"pck", "auc"} & metrics_of(protocol, spec).keys()
     assert {*curves_of(protocol, spec)} == {"errors_by_n", "cps_curve"}
-    assert (
-        left_out(protocol, spec) == "left out: pck, auc, which need joints to score: none of pck_joints = h36m-14 is."
+    assert left_out(protocol, spec) == (
+        "left out: pa_min_mpjpe, which need at least 2 joints to align; pck, auc, which need joints to score: "
+        "none of pck_joints = h36m-14 is."
     )
-    assert left_out(Protocol(joints="Hip", metrics="mpjpe"), spec) == left_out(Protocol(), spec) == ""
+    assert left_out(Protocol(joints="Hip", metrics="mpjpe"), spec) == left_out(Protocol(), PERSON) == ""
     assert {*metrics_of(Protocol(joints="Hip", metrics="mpjpe"), spec)} == {"mpjpe"}
     with pytest.raises(PoseDataError, match=r"^metrics: pck needs joints to score: none of pck_joints = h36m-14 is;"):
         metrics_of(Protocol(joints="Hip", metrics="pck"), spec)

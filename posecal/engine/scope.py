@@ -167,7 +167,12 @@ class Scope:
         return self._mask("cps_joints", self.protocol.cps_joints) & self.body
 
     def lack(self, name: str) -> str:
-        """Say that none of the joints of PCK and AUC (``pck``), or of CPS (``cps``), is scored; nothing for others."""
+        """Say which joints a metric lacks: those of PCK and AUC, of CPS, or of an alignment; nothing for others."""
+        p = self.protocol
+        align = p.align if name.startswith("pa_") else p.cps_align if "cps" in name else "none"
+        least = {"none": 1, "rigid": 2}.get(align, 3)  # of fewer all alignments are perfect
+        if self.fit.sum() < least:
+            return f"at least {least} joints to align"
         kind = "pck" if "pck" in name or "auc" in name else "cps" if "cps" in name else ""
         if not kind or getattr(self, kind).any():
             return ""

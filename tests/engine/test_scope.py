@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -84,10 +84,20 @@ def test_of_no_joint_there_is_no_number(options: dict[str, str], what: str) -> N
 
 
 def test_what_no_joint_of_pck_or_cps_is_scored_for_is_said() -> None:
-    scope = Scope(Protocol(joints="Hip, Head", pck_joints="RWrist", cps_joints="RHip"), SPEC)
+    scope = Scope(Protocol(joints="Hip, Head", pck_joints="RWrist", cps_joints="RHip", cps_align="none"), SPEC)
     assert scope.lack("auc") == scope.lack("pck_curve") == "joints to score: none of pck_joints = RWrist is"
     assert scope.lack("cps") == "joints to score: none of cps_joints = RHip is"
     assert scope.lack("mpjpe") == Scope(Protocol(), SPEC).lack("pck") == ""
+
+
+@pytest.mark.parametrize(("joints", "align", "least"), [("Hip, Head", "similarity", 3), ("Head", "rigid", 2)])
+def test_of_so_few_joints_that_all_alignments_are_perfect_there_is_no_aligned_number(
+    joints: str, align: Literal["similarity", "rigid"], least: int
+) -> None:
+    scope = Scope(Protocol(joints=joints, align=align), SPEC)
+    assert scope.lack("pa_min_mpjpe") == f"at least {least} joints to align"
+    assert scope.lack("cps") == "at least 3 joints to align"
+    assert scope.lack("mpjpe") == Scope(Protocol(joints="Hip, RHip, Head"), SPEC).lack("pa_mpjpe") == ""
 
 
 def test_masks_of_joints_are_described_in_words() -> None:
