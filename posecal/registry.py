@@ -17,10 +17,12 @@ from posecal.errors import PoseDataError, did_you_mean, option, raise_all
 from posecal.metrics.best_of import ROUND_SIZES, subset_curve, subset_metrics
 from posecal.metrics.brier import brier_metrics
 from posecal.metrics.cps import cps_curve, cps_metrics
+from posecal.metrics.limbs import limb_metrics
 from posecal.metrics.mpjpe import mpjpe_metrics
 from posecal.metrics.occlusion import OCCLUSION, occlusion_metrics
 from posecal.metrics.pck import pck_curve, pck_metrics
 from posecal.metrics.proper import score_metrics
+from posecal.metrics.root_position import root_metrics
 from posecal.metrics.sharpness import sharpness_metrics
 from posecal.metrics.skill import skill_metrics
 from posecal.metrics.uncertainty import uncertainty_metrics
@@ -146,7 +148,7 @@ def _all_metrics(
     """Every metric, also those whose needs the data don't meet, in mm."""
     scope = Scope(protocol, spec)
     found = [*mpjpe_metrics(scope), *subset_metrics(scope), *pck_metrics(scope), *cps_metrics(scope)]
-    found += velocity_metrics(scope)
+    found += [*velocity_metrics(scope), *limb_metrics(scope), *root_metrics(scope)]
     if spec.n_hypotheses > 1:
         found += [*calibration_metrics(scope), *rank_test_metrics(scope, preranks)]
         found += [*score_metrics(scope), *brier_metrics(scope), *skill_metrics(scope)]
@@ -268,6 +270,7 @@ def _known_anywhere() -> frozenset[str]:
     spec = DataSpec(
         n_hypotheses=ROUND_SIZES[-1],
         joints=JOINT_SETS["h36m-17"],
+        root=0,
         labels=("sequence",),
         has_scores=True,
         reference="another",

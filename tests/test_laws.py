@@ -113,7 +113,7 @@ UNBOUND: dict[str, dict[tuple[str, str], str]] = {
         **{("n_*", p): ORIGIN for p in ("default", "occluded", "linked", "batch", "joint")},
         ("tarp_box", "*"): DRAWN,
     },
-    "scale": {**{(name, "*"): THRESHOLD for name in ("pck", "auc", "cps", "brier*")}, ("tarp_box", "*"): DRAWN},
+    "scale": {**{(name, "*"): THRESHOLD for name in ("*pck", "*auc", "cps", "brier*")}, ("tarp_box", "*"): DRAWN},
     "twice": {
         **{(name, "*"): MORE for name in PER_NUMBER},
         ("diversity", "[!s]*"): MORE,

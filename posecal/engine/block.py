@@ -65,8 +65,7 @@ class Block:
     sequence : array of int (B,), optional
         The sequence of each pose; each pose is one by default.
     period : float, optional
-        After how much coordinates repeat, such as 360 for degrees. Hypotheses are then unwrapped about their circular
-        mean, which is at most half a period from the truth, and distances from the truth are the shorter way round.
+        After how much coordinates repeat, such as 360 for degrees: hypotheses are unwrapped about their circular mean.
 
     Attributes
     ----------
@@ -76,6 +75,8 @@ class Block:
         True poses, mm, relative to the root; 0 for joints that don't count.
     where : bool array (B, K)
         The joints that count.
+    stored, root
+        What came, and what is subtracted from it.
     """
 
     def __init__(
@@ -98,15 +99,15 @@ class Block:
         reuse_freed_memory()
         self.occluded = np.zeros(truth.shape[:2], dtype=bool) if occluded is None else occluded
         self.where = np.ones(truth.shape[:2], dtype=bool) if where is None else where
-        self.offsets = _offsets(hypotheses, truth, root)
+        self.offsets, self._period = _offsets(hypotheses, truth, root), period
         if period is not None:
             self.offsets = unwrapped(self.offsets, period)
-        self._period = period
         self.truth = _relative(truth, root, self.offsets.dtype)
         if not self.where.all():
             self.offsets[~self.where] = 0
             self.truth = np.where(self.where[..., None], self.truth, 0)
-        self._root, self._previous, self._follows, self._scores = root, previous, follows, scores
+        self.stored, self.root = (hypotheses, truth), root
+        self._previous, self._follows, self._scores = previous, follows, scores
         self._limits, self._sequence = limits, sequence
         self._shared: dict[Hashable, Any] = {}
         self._make_fit_block: Callable[[], Block] | None = None
@@ -254,7 +255,7 @@ class Block:
         before = np.zeros_like(self.offsets)
         before[1:] = self.offsets[:-1]
         if self._previous is not None:
-            before[:1] = _offsets(*self._previous[:2], self._root)
+            before[:1] = _offsets(*self._previous[:2], self.root)
         steps = self.from_truth(self.offsets - before)
         return np.where((self.where & self.where_before)[..., None, None], steps, 0)
 

@@ -19,6 +19,14 @@ def _option(default: object, about: str, form: str = "", valid: Callable[[Any], 
     return field(default=default, metadata={"about": about, "form": form, "valid": valid})
 
 
+def _is_range(text: str) -> bool:
+    try:
+        first, last, number = text.split(":")
+        return 0 <= float(first) < float(last) < float("inf") and int(number) > 1
+    except ValueError:
+        return False
+
+
 def _is_best(text: str) -> bool:
     kind, _, number = text.partition(":")
     return text in {"frame", "sequence", "joint"} or (kind == "batch" and number.isdecimal() and int(number) > 0)
@@ -81,7 +89,17 @@ class Protocol:
     )
     pck_rule: Literal["<", "<="] = _option("<", "whether a joint at the threshold is right")
     pck_best: Literal["own", "linked", "mean"] = _option("own", "the hypothesis that PCK and AUC take")
-    auc: Literal["thresholds", "integral"] = _option("thresholds", "AUC over 31 thresholds or as an exact integral")
+    pck_relative: str = _option(
+        "none",
+        "the length that the thresholds of PCK and AUC are shares of",
+        "none, torso, head, or two joints as LShoulder - RHip",
+    )
+    auc: Literal["thresholds", "integral", "trapezoid"] = _option(
+        "thresholds", "AUC as the mean over thresholds, as an exact integral, or by the trapezoid rule"
+    )
+    auc_range: str = _option(
+        "0:150:31", "the thresholds of AUC, mm", "first:last:number, such as 0:50:100", lambda text: _is_range(text)
+    )
     cps_joints: str = _option("all but Spine", "the joints of CPS", "as for joints, or all but NAME")
     cps_align: Literal["similarity", "none"] = _option("similarity", "how poses are aligned for CPS")
     cps_best: Literal["own", "linked", "mean"] = _option("own", "the hypothesis that CPS takes")
@@ -113,6 +131,11 @@ class Protocol:
                 problems.append(f"{option.name}: {value!r} is not known. {did_you_mean(str(value), choices)}")
             elif not choices and not (right and option.metadata["valid"](value)):
                 problems.append(f"{option.name}: {value!r}; expected {option.metadata['form']}.")
+        if self.pck_relative != "none" and self.pck_threshold == Protocol.pck_threshold:
+            problems.append(
+                f"pck_threshold: {self.pck_threshold:g} with pck_relative: {self.pck_relative!r}; expected a share of "
+                "it, such as 0.5."
+            )
         if self.best != "frame" and self.align_best == "linked":
             problems.append(f"align_best: 'linked' with best: {self.best!r}; expected best: 'frame'.")
         raise_all(problems)

@@ -18,8 +18,9 @@ from posecal.engine.metric import Curve, Metric, Need, Statistic
 from posecal.engine.scope import Scope
 from posecal.geometry.procrustes import ALIGNMENTS, Alignment
 from posecal.metrics.mpjpe import aligned_words
-from posecal.metrics.pck import SELECTED, SELECTIONS, THRESHOLDS, Score, Selection, correct_share
+from posecal.metrics.pck import SELECTED, THRESHOLDS, correct_share
 from posecal.metrics.position import joint_errors, linked
+from posecal.metrics.selection import SELECTIONS, Score, Selection
 
 CPS_MOST = 300.0
 """CPS's largest threshold, mm."""

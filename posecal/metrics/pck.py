@@ -2,36 +2,33 @@
 
 With N hypotheses, one of them is taken per pose: the best for this very number and threshold (``own``), the one that
 minMPJPE chose (``linked``), or the mean over all (``mean``).
-
-The best hypothesis at every threshold comes from one sort: the number of joints that the best hypothesis gets right at
-τ is the number of i with min_n e_(i),n < τ, where e_(i),n is the i-th smallest joint error of hypothesis n. So PCK and
-AUC are closed forms of K numbers per pose, and no loop over thresholds is needed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from functools import cache, partial
-from typing import Literal, get_args
+from functools import partial
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray, checked_choice, checked_number
 from posecal.engine.block import Block, per_pose
-from posecal.engine.metric import Curve, Metric, Statistic, entry
+from posecal.engine.metric import Curve, Metric, Need, Statistic, entry
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import Scope
-from posecal.geometry.procrustes import Alignment
-from posecal.metrics.position import joint_errors, linked
+from posecal.errors import PoseDataError
+from posecal.metrics.mpjpe import aligned_words
+from posecal.metrics.position import linked
+from posecal.metrics.selection import SELECTIONS, Selection, joint_score
+from posecal.metrics.thresholds import is_range, range_of, reference_length
 
-Selection = Literal["own", "linked", "mean"]
-SELECTIONS: tuple[Selection, ...] = get_args(Selection)
+Area = Literal["thresholds", "integral", "trapezoid"]
+AREAS: tuple[Area, ...] = get_args(Area)
 
-Score = Callable[[FloatArray], FloatArray]
-
-AUC_STEP, AUC_THRESHOLDS = 5.0, 31
-"""AUC's thresholds: 0, 5, … 150 mm."""
+AUC_RANGE = 0.0, 150.0, 31
+"""First and last threshold of AUC, mm, and how many there are: 0, 5, … 150."""
 
 
 def correct_share(errors: FloatArray, threshold: float | FloatArray, *, strict: bool = True) -> FloatArray:
@@ -47,10 +44,14 @@ def correct_joints(
     body: BoolArray | None = None,
     *,
     strict: bool = True,
+    length: Callable[[Block], FloatArray] | None = None,
 ) -> FloatArray:
     """PCK of each pose at one threshold, (B,); as :func:`joint_score` of :func:`correct_share`, without its sort."""
     weights = block.weights(joints)
-    right = block.errors < threshold if strict else block.errors <= threshold
+    if length is not None:
+        weights = weights * np.isfinite(length(block))[:, None]
+    limit = threshold if length is None else threshold * np.nan_to_num(length(block))[:, None, None]
+    right = block.errors < limit if strict else block.errors <= limit
     shares = (weights[:, None] @ right)[:, 0]
     if select == "linked":
         share = linked(block, shares, body)
@@ -59,107 +60,41 @@ def correct_joints(
     return np.where(weights.any(axis=1), share, np.nan)
 
 
-def auc_share(errors: FloatArray, *, exact: bool = False, strict: bool = True) -> FloatArray:
-    """Mean of :func:`correct_share` over the thresholds 0, 5, … 150 mm, or its exact integral over 0 … 150 mm."""
-    last = AUC_STEP * (AUC_THRESHOLDS - 1)
-    if exact:
-        return np.asarray(1 - np.minimum(errors, last) / last)
-    steps = np.minimum(errors, last + AUC_STEP) / AUC_STEP
-    above = AUC_THRESHOLDS - 1 - np.floor(steps) if strict else AUC_THRESHOLDS - np.ceil(steps)
-    return np.asarray(np.maximum(above, 0) / AUC_THRESHOLDS)
-
-
-def joint_score(
-    block: Block,
-    score: Score,
-    select: Selection = "own",
-    align: Alignment = "none",
-    joints: BoolArray | None = None,
-    body: BoolArray | None = None,
-    fit: BoolArray | None = None,
+def auc_share(
+    errors: FloatArray,
+    thresholds: tuple[float, float, int] = AUC_RANGE,
+    area: Area = "thresholds",
+    *,
+    strict: bool = True,
 ) -> FloatArray:
-    """Mean over a pose's joints of a score of their errors, of the hypothesis that ``select`` takes.
+    """Mean of :func:`correct_share` over thresholds, or its integral from the first to the last over their distance.
 
     Parameters
     ----------
-    block : Block
-        B poses.
-    score : callable
-        From errors in mm to numbers that fall with the error, elementwise; 0 at infinity.
-    select : str
-        One of :data:`SELECTIONS`; ``own`` takes the best hypothesis at each threshold that the score sums over.
-    align : str
-        See :mod:`posecal.geometry.procrustes`.
-    joints : bool array (K,), optional
-        The joints that are scored.
-    body : bool array (K,), optional
-        The joints that minMPJPE is of, by which ``linked`` chooses.
-    fit : bool array (K,), optional
-        The joints to which the alignment is fitted, of those that are usable; those of ``body`` by default.
+    errors : array
+        Errors, mm.
+    thresholds : tuple of float, float and int
+        The first, the last, and how many there are, evenly spaced.
+    area : str
+        The mean over ``thresholds``, the exact ``integral``, or the ``trapezoid`` rule over the thresholds.
+    strict : bool
+        Whether an error at a threshold is wrong.
 
     Returns
     -------
-    array (B, ...)
-        Scores, with the trailing axes that the score adds; NaN for poses without a joint that counts.
+    array
+        Shares, 0 to 1, of the shape of the errors.
     """
-    weights = block.weights(joints).astype(np.float64)
-    fit = body if fit is None else fit
-    scores: FloatArray
-    if select == "own":
-        scores = score(_best_ordered(block, align, joints, fit)).sum(axis=1)
-        number = np.maximum(np.count_nonzero(weights, axis=1), 1)
-        scores /= number.reshape(-1, *[1] * (scores.ndim - 1))
-    elif select == "linked":
-        errors = linked(block, joint_errors(block, align, None, fit), body)
-        scores = np.einsum("bk,bk...->b...", weights, score(errors))
-    else:
-        each = score(joint_errors(block, align, None, fit))
-        scores = np.einsum("bk,bkn...->b...", weights, each) / block.n_hypotheses
-    scores[~weights.any(axis=1)] = np.nan
-    return scores
-
-
-def least_of_each_rank(errors: FloatArray) -> FloatArray:
-    """Sort (K, B, N) errors over the K joints, in place, and give the smallest of the N hypotheses, (K, B).
-
-    Few joints are sorted by a network of comparisons, each of two rows of memory.
-    """
-    if len(errors) > 40:
-        return np.asarray(np.sort(errors, axis=0).min(axis=-1))
-    rows, smaller = list(errors), np.empty_like(errors[0])
-    for i, j in _comparisons(len(rows)):
-        np.minimum(rows[i], rows[j], out=smaller)
-        np.maximum(rows[i], rows[j], out=rows[j])
-        rows[i], smaller = smaller, rows[i]
-    return np.stack([row.min(axis=-1) for row in rows])
-
-
-@cache
-def _comparisons(n: int) -> list[tuple[int, int]]:
-    """Pairs of positions that Batcher's odd-even merge sort puts in order, one after another."""
-    return [
-        (i + j, i + j + step)
-        for size in (1 << level for level in range((n - 1).bit_length()))
-        for step in (size >> level for level in range(size.bit_length()))
-        for j in range(step % size, n - step, 2 * step)
-        for i in range(min(step, n - j - step))
-        if (i + j) // (2 * size) == (i + j + step) // (2 * size)
-    ]
-
-
-def _best_ordered(block: Block, align: Alignment, joints: BoolArray | None, fit: BoolArray | None) -> FloatArray:
-    """Smallest, over the hypotheses, of the i-th smallest joint error, (B, K); infinite for joints left out."""
-
-    def compute() -> FloatArray:
-        rows, counted = joint_errors(block, align, None, fit).swapaxes(0, 1), block.weights(joints).T > 0
-        chosen = np.ones(len(rows), dtype=bool) if joints is None else joints
-        rows, counted = rows[chosen], counted[chosen]
-        if not counted.all():
-            rows[~counted] = np.inf
-        return least_of_each_rank(rows).T
-
-    masks = (None if mask is None else mask.tobytes() for mask in (joints, fit))
-    return block.share(("best_ordered", align, *masks), compute)
+    first, last, number = thresholds
+    if area == "integral":
+        return np.asarray(1 - (np.clip(errors, first, last) - first) / (last - first))
+    step = (last - first) / (number - 1)
+    steps = (np.clip(errors, first - step, last + step) - first) / step
+    above = number - 1 - np.floor(steps) if strict else number - np.ceil(steps)
+    above = np.clip(above, 0, number)
+    if area == "thresholds":
+        return np.asarray(above / number)
+    return np.asarray((above - 0.5 * (above > 0) - 0.5 * (above == number)) / (number - 1))
 
 
 def pck(
@@ -237,25 +172,29 @@ def auc(
     truth: npt.ArrayLike,
     /,
     *,
-    exact: bool = False,
+    thresholds: tuple[float, float, int] = AUC_RANGE,
+    area: Area = "thresholds",
     select: Selection = "own",
     strict: bool = True,
     where: npt.ArrayLike | None = None,
     root: int | None = None,
 ) -> FloatArray:
-    """Mean of PCK over the thresholds 0, 5, … 150 mm of each pose: AUC.
+    """Mean of PCK over thresholds, 0, 5, … 150 mm by default, of each pose: AUC.
 
     Parameters
     ----------
     hypotheses, truth, select, strict, where, root
         As for :func:`pck`; ``own`` takes the best hypothesis at each threshold.
-    exact : bool
-        Take the integral over 0 … 150 mm instead of the 31 thresholds.
+    thresholds : tuple of float, float and int
+        The first and the last threshold, mm, and how many there are: hands take (0, 50, 100).
+    area : str
+        The mean over the ``thresholds``, or the integral between the first and the last over their distance: exactly
+        (``integral``) or by the ``trapezoid`` rule over the thresholds.
 
     Returns
     -------
     array (M,)
-        Areas; higher is better. At most 30/31 with strict thresholds (none is below 0 mm), else 1.
+        Areas; higher is better. At most 30/31 with the default thresholds (none is below 0 mm), else 1.
 
     Raises
     ------
@@ -272,7 +211,8 @@ def auc(
 
     References
     ----------
-    Mehta et al., arXiv:1611.09813.
+    Mehta et al., arXiv:1611.09813; Zimmermann et al., arXiv:1909.04349 (FreiHAND: 100 thresholds from 0 to 50 mm,
+    trapezoid).
 
     Examples
     --------
@@ -285,9 +225,12 @@ def auc(
     array([45.])
     """
     checked_choice(select, "select", SELECTIONS)
+    checked_choice(area, "area", AREAS)
+    if not is_range(thresholds):
+        raise PoseDataError(f"thresholds: {thresholds!r}; expected the first, a larger last, and how many, at least 2.")
 
     def score(errors: FloatArray) -> FloatArray:
-        return auc_share(errors, exact=exact, strict=strict)
+        return auc_share(errors, thresholds, area, strict=strict)
 
     return per_pose(lambda b: joint_score(b, score, select), hypotheses, truth, where, root=root)
 
@@ -303,46 +246,66 @@ SELECTED: dict[Selection, str] = {
     "mean": "mean over hypotheses",
 }
 
+_PA: tuple[Need, ...] = ("positions", "three axes")
+
 _SHARE = partial(
-    Metric,
-    unit="",
-    direction="higher",
-    family="accuracy",
-    finish=entry(),
-    headline=True,
-    source="Mehta et al., arXiv:1611.09813",
+    Metric, unit="", direction="higher", family="accuracy", finish=entry(), source="Mehta et al., arXiv:1611.09813"
 )
 
 
 def pck_metrics(scope: Scope) -> Iterator[Metric]:
-    """PCK and AUC."""
+    """PCK and AUC, as they stand and aligned (``pa_``)."""
     p, joints, select = scope.protocol, scope.named(scope.pck), scope.protocol.pck_best
-    strict, exact, threshold = p.pck_rule == "<", p.auc == "integral", f"{p.pck_threshold:g} mm"
-    right = partial(correct_joints, threshold=p.pck_threshold, select=select, strict=strict)
-    yield _SHARE(
-        name="pck",
-        label=f"PCK {threshold}",
-        brief=f"{scope.number(scope.pck)} {p.pck_rule} {threshold}, {SELECTED[select]}",
-        definition=f"mean over poses of the share of {joints} with ‖x − y‖ {p.pck_rule} {threshold}, "
-        f"{SELECTED[select]}",
-        statistic=Statistic("pck", partial(right, joints=scope.pck, body=scope.body)),
-        in_group_table=True,
-        needs=("lengths",) if p.pck_threshold == Protocol().pck_threshold else (),
-        range="0 to 1",
-        reading="The share of joints that are right to the threshold, of the best hypothesis at that: it rises with N.",
-    )
-    grid = "its integral over 0 … 150 mm" if exact else "the thresholds 0, 5, … 150 mm"
-    area = partial(joint_score, score=partial(auc_share, exact=exact, strict=strict), select=select)
-    yield _SHARE(
-        name="auc",
-        label="AUC of PCK",
-        brief=f"mean of PCK over {grid}",
-        definition=f"mean over {grid} of PCK ({p.pck_rule}) over {joints}, {SELECTED[select]} at each threshold",
-        statistic=Statistic("auc", partial(area, joints=scope.pck, body=scope.body)),
-        needs=("lengths",),
-        range="0 to 30/31 with strict thresholds (none is below 0 mm), else 1",
-        reading="PCK without the choice of one threshold.",
-    )
+    strict, thresholds = p.pck_rule == "<", range_of(p.auc_range)
+    of, length = reference_length(p.pck_relative, scope.spec.joints)
+    own_unit = length is not None, p.pck_threshold != Protocol().pck_threshold, p.auc_range != Protocol().auc_range
+    unit = of if length is not None else "mm"
+    threshold = f"{p.pck_threshold:g} {unit}"
+    common: dict[str, Any] = {"select": select, "joints": scope.pck, "body": scope.body, "length": length}
+    aligned: dict[str, Any] = {**common, "align": p.align, "fit": scope.fit}
+    right = partial(correct_joints, threshold=p.pck_threshold, strict=strict, **common)
+    is_right = partial(correct_share, threshold=p.pck_threshold, strict=strict)
+    share = partial(auc_share, thresholds=thresholds, area=p.auc, strict=strict)
+    first, last, number = thresholds
+    grid = f"{number} thresholds from {first:g} to {last:g} {unit}"
+    if p.auc_range == Protocol().auc_range and length is None:
+        grid = "the thresholds 0, 5, … 150 mm"
+    if p.auc == "integral":
+        grid = f"its integral over {first:g} … {last:g} {unit}"
+    elif p.auc == "trapezoid":
+        grid += " by the trapezoid rule"
+    in_lengths: tuple[Need, ...] = ("lengths",)
+    for prefix, at, over, more in (
+        ("", right, partial(joint_score, score=share, **common), ()),
+        ("pa_", partial(joint_score, score=is_right, **aligned), partial(joint_score, score=share, **aligned), _PA),
+    ):
+        label, after = ("PA-", aligned_words(scope, p.align, scope.pck)) if prefix else ("", "")
+        brief = ", aligned" if prefix else ""
+        yield _SHARE(
+            name=f"{prefix}pck",
+            label=f"{label}PCK {threshold}",
+            brief=f"{scope.number(scope.pck)} {p.pck_rule} {threshold}, {SELECTED[select]}{brief}",
+            definition=f"mean over poses of the share of {joints} with ‖x − y‖ {p.pck_rule} {threshold}{after}, "
+            f"{SELECTED[select]}",
+            statistic=Statistic(f"{prefix}pck", at),
+            headline=not prefix,
+            in_group_table=not prefix,
+            needs=more if any(own_unit[:2]) else (*in_lengths, *more),
+            range="0 to 1",
+            reading="The share of joints that are right to the threshold, of the best hypothesis at it: rises with N.",
+        )
+        yield _SHARE(
+            name=f"{prefix}auc",
+            label=f"AUC of {label}PCK",
+            brief=f"mean of PCK over {grid}{brief}",
+            definition=f"mean over {grid} of PCK ({p.pck_rule}) over {joints}{after}, {SELECTED[select]} at each "
+            "threshold",
+            statistic=Statistic(f"{prefix}auc", over),
+            headline=not prefix,
+            needs=more if own_unit[0] or own_unit[2] else (*in_lengths, *more),
+            range="0 to 30/31 with strict thresholds (none is below 0 mm), else 1",
+            reading="PCK without the choice of one threshold.",
+        )
 
 
 def pck_curve(scope: Scope) -> Curve:

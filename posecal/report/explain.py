@@ -37,6 +37,7 @@ _TRIED = {name: choices for name, choices in CHOICES.items() if name not in {"ro
     "mode": ("0",),
     "pck_threshold": ("100",),
     "pck_joints": ("all",),
+    "auc_range": ("0:50:100",),
     "cps_joints": ("all",),
 }
 """Values of the options that change single metrics; the others change nearly all."""

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.skeleton import JOINT_SETS
+from posecal.data.skeleton import JOINT_SETS, Skeleton
 from posecal.engine.protocol import Protocol
 from tests.helpers import oracles, score_oracles
 from tests.helpers.random_worlds import JOINTS, World
@@ -154,9 +154,36 @@ class Twin:
             self.over_poses("auc", oracles.auc_integral(d, self.pck_joints, p.pck_best, self.links))
         else:
             self.over_poses("auc", oracles.auc(d, self.pck_joints, p.pck_best, self.links, strict=strict))
+        moved = oracles.joint_errors(oracles.aligned(self.x, self.y, self.fitted, p.align), self.y)
+        how = (self.pck_joints, p.pck_threshold, p.pck_best, self.links)
+        self.over_poses("pa_pck", oracles.pck(moved, *how, strict=strict))
+        if p.auc == "integral":
+            self.over_poses("pa_auc", oracles.auc_integral(moved, self.pck_joints, p.pck_best, self.links))
+        else:
+            self.over_poses("pa_auc", oracles.auc(moved, self.pck_joints, p.pck_best, self.links, strict=strict))
+        self.define_limbs_and_root()
         d = oracles.joint_errors(oracles.aligned(self.x, self.y, self.fitted, p.cps_align), self.y)
         area = oracles.cps(d, self.cps_joints, p.cps_best, self.links)
         self.over_poses("cps", area, 1 / 300 if p.cps_unit == "share" else 1.0)
+
+    def define_limbs_and_root(self) -> None:
+        body = self.joints(self.protocol.joints)
+        bones = [(p, c) for p, c in Skeleton(self.world.joints).bones if body[p] and body[c]]
+        errors, spreads = np.full((2, len(self.y)), np.nan)
+        for m, y in enumerate(self.y):
+            known = [(p, c) for p, c in bones if self.counted[m, p] and self.counted[m, c]]
+            if known:
+                lengths = np.array([[np.linalg.norm(x[c] - x[p]) for x in self.x[:, m]] for p, c in known])
+                true = np.array([np.linalg.norm(y[c] - y[p]) for p, c in known])
+                errors[m], spreads[m] = np.abs(lengths - true[:, None]).mean(), lengths.std(axis=1).mean()
+        if bones:
+            self.over_poses("limb_length_error", errors)
+            self.over_poses("limb_length_deviation", spreads)
+        if (root := self.world.root) is not None:
+            distances = np.linalg.norm(self.world.x[:, :, root] - self.world.y[:, root], axis=-1)
+            distances[:, ~self.counted.any(axis=1)] = np.nan
+            self.over_poses("min_root_error", distances.min(axis=0))
+            self.over_poses("root_error", distances.mean(axis=0))
 
     def define_calibration(self) -> None:
         over = self.protocol.ece_over

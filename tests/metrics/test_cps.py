@@ -14,7 +14,7 @@ from posecal.engine.scope import DataSpec, Scope
 from posecal.geometry.procrustes import Alignment
 from posecal.metrics import cps
 from posecal.metrics.cps import cps_area, cps_metrics
-from posecal.metrics.pck import SELECTIONS, Selection
+from posecal.metrics.selection import SELECTIONS, Selection
 from tests.helpers import oracles
 from tests.helpers.random_worlds import Mask, mostly, skewed
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 import pytest
@@ -15,16 +15,8 @@ from posecal.engine.scope import DataSpec, Scope
 from posecal.errors import PoseDataError
 from posecal.metrics import auc, cps, pck
 from posecal.metrics.cps import cps_area, cps_curve, pose_score
-from posecal.metrics.pck import (
-    SELECTIONS,
-    Selection,
-    auc_share,
-    correct_joints,
-    correct_share,
-    joint_score,
-    least_of_each_rank,
-    pck_curve,
-)
+from posecal.metrics.pck import Area, auc_share, correct_joints, correct_share, pck_curve
+from posecal.metrics.selection import SELECTIONS, Selection, joint_score, least_of_each_rank
 from tests.helpers import oracles
 from tests.helpers.random_worlds import Array, Mask, mostly, skewed
 
@@ -75,13 +67,13 @@ def test_auc_is_right_at_its_thresholds_and_next_to_them(dtype: str) -> None:
 
 @given(st.floats(0, 400, allow_subnormal=False))
 def test_exact_auc_is_the_area_left_of_150_mm(error: float) -> None:
-    np.testing.assert_allclose(auc_share(np.array(error), exact=True), max(0, 150 - error) / 150)
+    np.testing.assert_allclose(auc_share(np.array(error), area="integral"), max(0, 150 - error) / 150)
 
 
 def test_scores_are_nothing_at_infinity() -> None:
-    for exact in (False, True):
+    for area in get_args(Area):
         for strict in (False, True):
-            assert auc_share(np.array(np.inf), exact=exact, strict=strict) == 0
+            assert auc_share(np.array(np.inf), area=area, strict=strict) == 0
     assert cps_area(np.array(np.inf)) == 0
     assert correct_share(np.array(np.inf), 150.0, strict=False) == 0
 
@@ -90,7 +82,7 @@ def test_the_largest_auc_is_30_of_31_thresholds() -> None:
     y = np.zeros((1, 2, 3))
     assert auc(y[None], y) == pytest.approx(30 / 31)
     assert auc(y[None], y, strict=False) == 1
-    assert auc(y[None], y, exact=True) == 1
+    assert auc(y[None], y, area="integral") == 1
 
 
 # --- of poses --------------------------------------------------------------------------------------------------------
@@ -121,7 +113,7 @@ def test_exact_auc_is_the_area_under_the_staircase(select: Selection, where: Mas
     x, y = skewed(3, N, M, K)
     link = oracles.links(oracles.pose_errors(x, y, where))
     expected = oracles.auc_integral(oracles.joint_errors(x, y), where, select, link)
-    np.testing.assert_allclose(auc(x, y, exact=True, select=select, where=where), expected)
+    np.testing.assert_allclose(auc(x, y, area="integral", select=select, where=where), expected)
 
 
 def test_a_root_is_subtracted_and_counts(arrays: tuple[Array, Array]) -> None:

@@ -51,6 +51,8 @@ WRONG = {
     "fps": (*NO_NUMBER[1:], 0, -25.0, float("inf")),
     "sizes": (None, "a", 3, [1.5], [0], [N + 1], [[1]], [True], [1, [2]]),
     "sequence": ("abc", 3, ["a"], [["a"] * M], ["a", ["b", "c"], "d", "e", "f"]),
+    "area": ("mean", 3, None),
+    "thresholds": (150, (0, 150), (50, 0, 10), (0, 50, 1), (0, 50, 2.5), "0:50:10"),
     "where": ("yes", 3, np.full((M, K), 2), np.ones((M, K + 1), bool), [[True], [True, False]]),
     "root": ("Hip", 1.5, True, K, -K - 1, [0], np.zeros(2), 1j),
 }
@@ -99,7 +101,7 @@ def test_a_wrong_index_of_the_mode_is_refused(mode: object) -> None:
 
 def test_every_option_of_every_function_is_tried() -> None:
     options = {option for name in OF_ARRAYS for option in inspect.signature(FUNCTIONS[name]).parameters}
-    assert options - set(WRONG) == {"hypotheses", "truth", "mode", "population", "exact", "strict"}
+    assert options - set(WRONG) == {"hypotheses", "truth", "mode", "population", "strict"}
 
 
 @pytest.mark.parametrize("wrong", sorted(set(NO_ARRAYS) - {"nothing"}))

@@ -137,6 +137,7 @@ def test_a_number_that_an_option_changes_has_another_definition(protocol: str) -
     some = subject_of("defaults")
     usual, changed = known_metrics(Protocol(), some.spec), known_metrics(PROTOCOLS[protocol], some.spec)
     before, after = measured("defaults")[0], some.values(PROTOCOLS[protocol])
+    before = {name: value for name, value in before.items() if name in after}  # a hand has no limbs of a person
     other = [name for name in before if not math.isclose(before[name], after[name], rel_tol=1e-9)]
     assert not [name for name in other if usual[name].definition == changed[name].definition]
 

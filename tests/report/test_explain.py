@@ -185,7 +185,7 @@ def test_a_row_of_a_table_is_of_metrics_that_differ_in_a_prefix_or_a_number() ->
     ("name", "options"),
     [
         ("min_mpjpe", "`align`, `align_best`, `scale`, `best`"),
-        ("pck", "`pck_rule`, `pck_best`, `pck_threshold`, `pck_joints`"),
+        ("pck", "`align`, `pck_rule`, `pck_best`, `pck_threshold`, `pck_joints`"),
         ("mpjve", "`velocity`"),
         ("diversity", "`deviation`"),
         ("tarp", ""),
