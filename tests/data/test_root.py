@@ -178,3 +178,26 @@ def test_hypotheses_without_the_pelvis_that_lie_elsewhere_are_about_the_hips(tmp
     assert data.root is None
     np.testing.assert_allclose(data.truth, about(y, [0])[:, 1:])
     assert any("its positions are taken as relative to it" in text for text in data.remarks)
+
+
+@pytest.mark.parametrize(("away", "is_taken"), [(0.2, False), (0.4, True)])
+def test_poses_whose_hips_lie_nearer_than_a_part_of_their_size_are_about_them(away: float, *, is_taken: bool) -> None:
+    _, y = arrays(14)
+    y = about(y, [2, 3])
+    y += np.array([0, away * np.median(np.linalg.norm(y, axis=-1)), 0])
+    assert (choose_root(None, LSP, y)[0] is not None) == is_taken
+
+
+def test_parts_are_numbered_as_they_are_named() -> None:
+    assert parse_root("b,a", ("a", "b", "c"), (-1, -1, 0)) == Root(((1,), (0,)), (1, 0, 1))
+
+
+def test_a_part_of_a_joint_set_has_not_its_root() -> None:
+    assert choose_root(None, ("index1", "wrist", "pinky3"), arrays(3)[1])[0] is None
+
+
+def test_pixels_have_the_root_that_a_skeleton_names_and_no_other() -> None:
+    x, y = (poses[..., :2] for poses in arrays(3))
+    skeleton = {"names": ["a", "b", "c"], "parents": [-1, 0, 1]}
+    assert posecal.PoseData(x, y, unit="px", axes="NMKD", skeleton=skeleton).root is None
+    assert posecal.PoseData(x, y, unit="px", axes="NMKD", skeleton={**skeleton, "root": "b"}).root == 1

@@ -115,6 +115,11 @@ def test_a_tree_stands_with_its_root_on_top_and_children_below() -> None:
     assert places[1, 0] == places[3, 0] == -places[2, 0] == -800
 
 
+def test_few_joints_of_a_person_make_no_person() -> None:
+    assert not joint_places(Skeleton(("Hip", "a", "b", "c"), (-1, 0, 1, 1)))[1]
+    assert joint_places(Skeleton(("Hip", "LHip", "a", "b"), (-1, 0, 1, 1)))[1]
+
+
 def test_joints_between_others_stand_between_them() -> None:
     places, _ = joint_places(Skeleton(JOINT_SETS["smpl-24"]))
     at = dict(zip(JOINT_SETS["smpl-24"], places[:, 1], strict=True))
