@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from posecal import calibration, metrics, plot, recalibration
     from posecal.calibration import CalibrationCurve, calibration_curve, ece, perfect_sampler
+    from posecal.conversion import convert
     from posecal.data.pose_data import PoseData
     from posecal.data.skeleton import JOINT_SETS, Skeleton
     from posecal.engine.merge import merge_totals
@@ -42,6 +43,7 @@ __version__ = "0.1.0"
 
 _MODULES = {
     "posecal.calibration": ("CalibrationCurve", "calibration_curve", "ece", "perfect_sampler"),
+    "posecal.conversion": ("convert",),
     "posecal.data.pose_data": ("PoseData",),
     "posecal.data.skeleton": ("JOINT_SETS", "Skeleton"),
     "posecal.engine.merge": ("merge_totals",),
@@ -83,6 +85,7 @@ __all__ = [
     "calibration_curve",
     "climatology",
     "compare",
+    "convert",
     "cross_fitted",
     "ece",
     "evaluate",

@@ -18,7 +18,7 @@ from tests.test_structure import PRIVATE_WORDS
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = (
-    *("start", "file-format", "joints", "calibration", "how-sure", "metrics", "report", "recalibrate"),
+    *("start", "file-format", "convert", "joints", "calibration", "how-sure", "metrics", "report", "recalibrate"),
     *("training-loop", "own-metric", "models"),
 )
 

@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from posecal.cli import compare, evaluate, plots, recalibrate
+from posecal.cli import compare, convert, evaluate, plots, recalibrate
 from posecal.cli.running import command, exit_codes, wrong_call
 
 app = typer.Typer(
@@ -53,6 +53,7 @@ command(app)(evaluate.report)
 command(app)(compare.compare)
 app.add_typer(recalibrate.app, name="recalibrate")
 app.add_typer(plots.app, name="plot")
+command(app)(convert.convert)
 command(app)(evaluate.merge)
 command(app)(evaluate.presets)
 command(app)(evaluate.demo)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from io import FileIO
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -15,6 +15,7 @@ import numpy.typing as npt
 from posecal.data.arrays import LABEL_KINDS, as_labels, as_marks, as_scores, as_text, checked_choice, real_array
 from posecal.data.file_array import Header, Source, open_array, open_member, opened, read_header
 from posecal.data.layout import MemoryArray
+from posecal.data.lazy import LIBRARIES, DatasetArray, is_dataset, open_datasets, split_address
 from posecal.data.stored_poses import COMMON_LABELS, StoredPoses
 from posecal.errors import PosecalError, PoseDataError, PoseFileError, attempt, raise_all
 
@@ -53,9 +54,13 @@ def read_poses(source: npt.ArrayLike | str | os.PathLike[str], role: Role) -> St
     Differs from the published code: none.
     """
     checked_choice(role, "role", _NAMES)
+    if is_dataset(source):
+        return StoredPoses(role, DatasetArray(source))
     if not isinstance(source, (str, os.PathLike)):
         return StoredPoses(role, MemoryArray(real_array(source, role)))
-    path = Path(source)
+    path, dataset = split_address(os.fspath(source))
+    if path.suffix.lower() in LIBRARIES and path.exists():
+        return _read_datasets(path, dataset, role)
     with opened(path) as file:
         start = file.read(6)
         if not start:
@@ -63,24 +68,71 @@ def read_poses(source: npt.ArrayLike | str | os.PathLike[str], role: Role) -> St
         if start == b"\x93NUMPY":
             return StoredPoses(path.name, open_array(file, 0, path.name, Source.of(path, file)))
         if not start.startswith(b"PK"):
-            what = "looks like a pickle" if start.startswith(b"\x80") else "is neither an .npz nor an .npy file"
-            raise PoseFileError(f"{path.name} {what}; expected numpy.savez or numpy.save. posecal never unpickles.")
+            is_pickle = start.startswith(b"\x80")
+            raise PoseFileError(_foreign(path, "looks like a pickle" if is_pickle else _kind_of(path, start)))
         return _read_archive(file, path, role)
+
+
+_OTHER_KINDS = {b"\x89HDF": "is an HDF5 file", b"MATLAB": "is a MATLAB file", b"{": "is JSON", b"[": "is JSON"}
+_OTHER_ENDINGS = {".csv": "is a table of text", ".trc": "is a table of text", ".c3d": "is a C3D file"}
+
+
+def _kind_of(path: Path, start: bytes) -> str:
+    """Say what another file is, by its first bytes or its ending."""
+    known = next((words for magic, words in _OTHER_KINDS.items() if start.startswith(magic)), "")
+    return known or _OTHER_ENDINGS.get(path.suffix.lower(), "is neither an .npz nor an .npy file")
+
+
+def _foreign(path: Path, what: str) -> str:
+    """Write the message about the file of another tool."""
+    return (
+        f"{path.name} {what}; expected numpy.savez or numpy.save. posecal never unpickles. posecal convert makes one "
+        "of CSV, TRC, C3D, JSON, .mat, HDF5, .pt and .pkl."
+    )
 
 
 def _read_archive(file: FileIO, path: Path, role: Role) -> StoredPoses:
     """Read the members of an ``.npz`` file, but for the coordinates, and close it unless those lie in it."""
     archive, name = zipfile.ZipFile(file), path.name
     infos = {info.filename.removesuffix(".npy"): info for info in archive.infolist() if info.filename.endswith(".npy")}
+    if not infos and any(member.endswith("data.pkl") for member in archive.namelist()):
+        raise PoseFileError(_foreign(path, "is a file of PyTorch"))
     headers = {key: _member_header(archive, info, f"{name}: {key}") for key, info in infos.items()}
     chosen = _choose(headers, name, role)
+    members = _declared(headers, chosen, name, lambda key: _load(archive, infos[key], f"{name}: {key}"))
+    array = open_member(archive, file, infos[chosen], f"{name}: {chosen}", path)
+    if array.file is not file:
+        file.close()
+    return StoredPoses(name, array, **members)
+
+
+def _read_datasets(path: Path, dataset: str, role: Role) -> StoredPoses:
+    """Read what stands beside the coordinates of an HDF5 file or a zarr group; those are read where they lie."""
+    coordinates, others = open_datasets(path, dataset, _NAMES[role])
+    wanted = {key: value for key, value in others.items() if key in _RESERVED or key in COMMON_LABELS}
+    arrays = {key: _loaded(value) for key, value in wanted.items()}
+    headers: dict[str, Header] = {key: (array.shape, False, array.dtype) for key, array in arrays.items()}
+    members = _declared(headers, "", path.name, arrays.__getitem__)
+    return StoredPoses(path.name, DatasetArray(coordinates), **members)
+
+
+def _loaded(value: Any) -> npt.NDArray[Any]:
+    """Read a dataset or an attribute; byte strings, as HDF5 has them, become text."""
+    array = np.asarray(value[()] if hasattr(value, "chunks") else value)
+    if array.dtype.kind != "O":
+        return array
+    texts = [entry.decode("utf-8", "replace") if isinstance(entry, bytes) else str(entry) for entry in array.ravel()]
+    return np.array(texts).reshape(array.shape)
+
+
+def _declared(
+    headers: Mapping[str, Header], chosen: str, name: str, load: Callable[[str], npt.NDArray[Any]]
+) -> dict[str, Any]:
+    """Read what is declared beside the coordinates, all that is wrong with it at once."""
     problems: list[str | PosecalError] = []
 
     def read(convert: Callable[[npt.NDArray[Any], str], T], key: str) -> T | None:
-        def load() -> T:
-            return convert(_load(archive, infos[key], f"{name}: {key}"), f"{name}: {key}")
-
-        return attempt(problems, load) if key in infos else None
+        return attempt(problems, lambda: convert(load(key), f"{name}: {key}")) if key in headers else None
 
     labels = {
         key: read(as_labels, key)
@@ -102,10 +154,7 @@ def _read_archive(file: FileIO, path: Path, role: Role) -> StoredPoses:
         "fps": read(_number, "fps"),
     }
     raise_all(problems)
-    array = open_member(archive, file, infos[chosen], f"{name}: {chosen}", path)
-    if array.file is not file:
-        file.close()
-    return StoredPoses(name, array, **members)
+    return members
 
 
 def _member_header(archive: zipfile.ZipFile, info: zipfile.ZipInfo, name: str) -> Header:

@@ -1,0 +1,213 @@
+"""Files that hold several arrays: ``.npz`` and ``.npy``, ``.mat``, HDF5, ``.pt`` and ``.pkl``; and C3D."""
+
+from __future__ import annotations
+
+import io
+import pickle
+import pickletools
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from posecal.conversion.tables import of_multiindex
+from posecal.conversion.tracks import Tracks
+from posecal.errors import PoseDataError, PoseFileError, first_few
+
+_EXTRAS = {"h5py": "convert", "pymatreader": "convert", "tables": "convert", "ezc3d": "c3d", "torch": "models"}
+_LIKELY = (
+    "hypotheses",
+    "hyps",
+    "truth",
+    "gt",
+    "poses",
+    "joints3d",
+    "joints_3d",
+    "keypoints",
+    "keypoints_3d",
+    "S",
+    "part",
+)
+
+
+def library(name: str) -> Any:
+    """Import a library of an extra.
+
+    Raises
+    ------
+    PoseDataError
+        Where it is not installed, with how to install it.
+    """
+    try:
+        return import_module(name)
+    except ImportError:
+        raise PoseDataError(f"{name}: not installed. pip install 'posecal[{_EXTRAS[name]}]' brings it.") from None
+
+
+def chosen_array(arrays: Mapping[str, Any], dataset: str | None, name: str) -> np.ndarray[Any, Any]:
+    """Choose the coordinates among arrays by name.
+
+    Raises
+    ------
+    PoseDataError
+        Where no name, or more than one, may be meant.
+    """
+    known = {key: np.asarray(value) for key, value in arrays.items() if _is_numeric(value)}
+    shown = ", ".join(f"{key} {value.shape}" for key, value in known.items()) or "no arrays of numbers"
+    if dataset is not None:
+        if dataset not in known:
+            raise PoseDataError(f"{name}: no dataset {dataset!r}; it holds {shown}.")
+        return known[dataset]
+    likely = [key for key in _LIKELY if key in known]
+    large = likely[:1] or [key for key, value in known.items() if value.ndim >= 2]
+    if len(large) != 1:
+        raise PoseDataError(f"{name}: holds {shown}; expected one array of coordinates. Name it with --dataset.")
+    return known[large[0]]
+
+
+def _is_numeric(value: Any) -> bool:
+    try:
+        return np.asarray(value).dtype.kind in "fiu" and np.ndim(value) > 0
+    except ValueError:
+        return False
+
+
+def read_numpy(path: Path, dataset: str | None) -> Tracks:
+    """Read an ``.npz`` or ``.npy`` file without pickles, such as mmpose's: S, with a confidence as fourth column."""
+    try:
+        loaded = np.load(path, allow_pickle=False)
+        arrays = {"array": loaded} if isinstance(loaded, np.ndarray) else {key: loaded[key] for key in loaded.files}
+    except (ValueError, OSError, EOFError, KeyError) as error:
+        raise PoseDataError(f"{path.name}: can't be read ({error}); pickled members are never loaded.") from None
+    poses = chosen_array(arrays, dataset, path.name)
+    tracks = Tracks(poses.astype(np.float64))
+    if poses.ndim == 3 and poses.shape[2] == 4:
+        tracks = Tracks(tracks.poses[..., :3], confidence=tracks.poses[..., 3])
+        tracks.assumed.append("the fourth column is a confidence")
+    names = arrays.get("imgname")
+    if names is not None and len(names) == len(poses):
+        tracks.frame_id = [str(value) for value in names]
+    return tracks
+
+
+def read_mat(path: Path, dataset: str | None) -> Tracks:
+    """Read a MATLAB file of version 7 or 7.3."""
+    try:
+        return Tracks(chosen_array(_flat(library("pymatreader").read_mat(path)), dataset, path.name).astype(np.float64))
+    except (ValueError, OSError, TypeError, KeyError, NotImplementedError) as error:
+        if isinstance(error, PoseDataError):
+            raise
+        raise PoseDataError(f"{path.name}: is no .mat file that can be read ({error}).") from None
+
+
+def _flat(document: Mapping[str, Any], before: str = "") -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in document.items():
+        found |= _flat(value, f"{before}{key}/") if isinstance(value, Mapping) else {f"{before}{key}": value}
+    return found
+
+
+def read_hdf5(path: Path, dataset: str | None) -> Tracks:
+    """Read HDF5: a dataset, or the table that DeepLabCut and Anipose write through pandas."""
+    h5py = library("h5py")
+    arrays: dict[str, Any] = {}
+
+    def keep(key: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset):
+            arrays[key] = item[()]
+
+    try:
+        with h5py.File(path) as file:
+            is_table = any("block0_values" in group for group in file.values() if isinstance(group, h5py.Group))
+            if not is_table:
+                file.visititems(keep)
+    except OSError as error:
+        raise PoseFileError(f"{path.name}: is no HDF5 file ({error}).") from None
+    if is_table:
+        import pandas as pd
+
+        library("tables")
+        return of_multiindex(pd.read_hdf(path), path.name)
+    return Tracks(chosen_array(arrays, dataset, path.name).astype(np.float64))
+
+
+def read_torch(path: Path, dataset: str | None) -> Tracks:
+    """Read tensors that PyTorch saved; nothing else in the file is loaded (``weights_only``)."""
+    torch = library("torch")
+    try:
+        loaded = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # noqa: BLE001  PyTorch raises of every kind
+        raise PoseDataError(
+            f"{path.name}: holds more than tensors, or is cut off ({str(error).splitlines()[0]})."
+        ) from None
+    return Tracks(chosen_array(_tensors(loaded), dataset, path.name).astype(np.float64))
+
+
+def read_pickle(path: Path, dataset: str | None) -> Tracks:
+    """Read a pickle of NumPy arrays in lists, tuples and dictionaries; one that asks for anything else is refused."""
+    data = path.read_bytes()
+    try:
+        for _ in pickletools.genops(data):  # refuses claims of more bytes than there are, before they are made room for
+            pass
+        loaded = _Restricted(io.BytesIO(data)).load()
+    except PoseDataError as error:
+        raise PoseDataError(f"{path.name}: {error.message}") from None
+    except Exception as error:  # noqa: BLE001  a pickle can raise anything
+        raise PoseDataError(f"{path.name}: is no pickle of arrays ({type(error).__name__}: {error}).") from None
+    return Tracks(chosen_array(_tensors(loaded), dataset, path.name).astype(np.float64))
+
+
+def _tensors(loaded: Any) -> dict[str, Any]:
+    arrays = loaded if isinstance(loaded, Mapping) else {"array": loaded}
+    return {str(key): value.numpy(force=True) if hasattr(value, "numpy") else value for key, value in arrays.items()}
+
+
+class _Restricted(pickle.Unpickler):
+    """An unpickler that makes NumPy arrays and nothing else."""
+
+    _ALLOWED = frozenset(
+        (module, name)
+        for core in ("numpy.core", "numpy._core")
+        for module, name in (
+            (f"{core}.multiarray", "_reconstruct"),
+            (f"{core}.multiarray", "scalar"),
+            (f"{core}.numeric", "_frombuffer"),
+        )
+    ) | {("numpy", "ndarray"), ("numpy", "dtype"), ("_codecs", "encode"), ("collections", "OrderedDict")}
+
+    def find_class(self, module: str, name: str) -> Any:
+        """Give one of the few classes that arrays need."""
+        if (module, name) not in self._ALLOWED:
+            raise PoseDataError(f"pickle: asks for {module}.{name}; expected NumPy arrays alone. It was not loaded.")
+        return super().find_class(module, name)
+
+
+def read_c3d(path: Path, _dataset: str | None) -> Tracks:
+    """Read the markers of a C3D file."""
+    ezc3d = library("ezc3d")
+    try:
+        content = ezc3d.c3d(str(path))
+    except Exception as error:  # noqa: BLE001  the library raises of every kind
+        raise PoseDataError(f"{path.name}: is no .c3d file that can be read ({error}).") from None
+    point = content["parameters"]["POINT"]
+    points = content["data"]["points"][:3].transpose(2, 1, 0)
+    if not points.size:
+        raise PoseDataError(f"{path.name}: holds no markers; expected some.")
+    joints = [str(label) for label in point["LABELS"]["value"]][: points.shape[1]]
+    return Tracks(points, joints, first_few(point["UNITS"]["value"], 1), float(point["RATE"]["value"][0]))
+
+
+CONTAINERS: dict[str, Callable[[Path, str | None], Tracks]] = {
+    ".npz": read_numpy,
+    ".npy": read_numpy,
+    ".mat": read_mat,
+    ".h5": read_hdf5,
+    ".hdf5": read_hdf5,
+    ".pt": read_torch,
+    ".pth": read_torch,
+    ".pkl": read_pickle,
+    ".pickle": read_pickle,
+    ".c3d": read_c3d,
+}

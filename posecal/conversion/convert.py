@@ -1,0 +1,221 @@
+"""Conversion: read files, put them together, and write the file that posecal reads."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from posecal.conversion.containers import CONTAINERS
+from posecal.conversion.documents import read_json
+from posecal.conversion.tables import read_csv, read_trc
+from posecal.conversion.tracks import Tracks
+from posecal.data.arrays import FloatArray
+from posecal.data.layout import Layout, MemoryArray
+from posecal.data.units import quantity
+from posecal.data.write import write_file, write_members
+from posecal.errors import PoseDataError, PoseFileError, attempt, did_you_mean, first_few, option, raise_all
+
+TEXTS: dict[str, Callable[[Path, str], Tracks]] = {
+    ".csv": read_csv,
+    ".tsv": read_csv,
+    ".trc": read_trc,
+    ".json": read_json,
+}
+
+FORMATS: dict[str, str] = {
+    "wide": "CSV, a row per frame, columns Hip_x, Hip_y, Hip_z, …",
+    "long": "CSV, a row per frame and joint, columns frame, joint, x, y, z and perhaps hypothesis, sequence",
+    "deeplabcut": "DeepLabCut: .csv or .h5 with the rows scorer, bodyparts, coords",
+    "anipose": "Anipose: .csv with Hip_x, Hip_y, Hip_z, Hip_error, Hip_score, …",
+    "freemocap": "FreeMoCap: .csv with a row per frame",
+    "mediapipe": "MediaPipe: .csv with x, y, z and visibility of each landmark",
+    "openpose": "OpenPose: .json of a frame",
+    "panoptic": "CMU Panoptic: .json of a frame, joints19",
+    "interhand": "InterHand2.6M: .json of world coordinates",
+    "mmpose": "mmpose: .npz of a data set, or .json of results",
+}
+"""What ``like`` names, beside the formats that the ending of a file tells: .trc, .c3d, .mat, .h5, .pt, .pkl, .npz."""
+
+
+def convert(
+    files: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    output: str | os.PathLike[str] | None = None,
+    *,
+    like: str | None = None,
+    role: Literal["truth", "hypotheses"] | None = None,
+    each_file: Literal["frames", "hypothesis"] | None = None,
+    dataset: str | None = None,
+    axes: str | None = None,
+    unit: str | float | None = None,
+    joints: str | Sequence[str] | None = None,
+    fps: float | None = None,
+) -> tuple[dict[str, Any], list[str]]:
+    """Convert files of another tool into the members of the file that posecal reads.
+
+    Parameters
+    ----------
+    files : path or sequence of paths
+        Files of one format: the frames of one recording, or one hypothesis each.
+    output : path, optional
+        The ``.npz`` file to write.
+    like : str, optional
+        A name of the table in :doc:`convert`, where the file does not show of which tool it is.
+    role : str, optional
+        ``truth`` or ``hypotheses``; by default hypotheses where there are several of a frame.
+    each_file : str, optional
+        What each of several files holds: more ``frames``, or one ``hypothesis`` of the same frames. By default frames
+        where each file holds one.
+    dataset : str, optional
+        The array to read, of a file with several.
+    axes : str, optional
+        The layout of an array of a ``.mat``, ``.h5``, ``.pt``, ``.pkl`` or ``.npz`` file, such as ``MKD`` or ``M(KD)``.
+    unit, joints, fps
+        What the file does not state.
+
+    Returns
+    -------
+    members : dict
+        Arrays by name, as :doc:`file-format` lists them.
+    assumed : list of str
+        What was assumed because the file does not say it.
+
+    Raises
+    ------
+    PoseDataError
+        For files that are not what they should be, that don't fit together, or that contradict what is declared.
+    PoseFileError
+        For files that can't be read, or an output that can't be written.
+    """
+    paths = [Path(files)] if isinstance(files, str | os.PathLike) else [Path(path) for path in files]
+    if like is not None and like not in FORMATS:
+        raise PoseDataError(f"like: {like!r} is not known. {did_you_mean(like, FORMATS)}")
+    if not paths:
+        raise PoseDataError("files: none; expected at least one.")
+    problems: list[Any] = []
+    read = [attempt(problems, _read, path, like or "", dataset, axes) for path in paths]
+    raise_all(problems)
+    tracks = [some for some in read if some is not None]
+    first = tracks[0]
+    poses, frame_id, assumed = _together(tracks, paths, each_file)
+    is_hypotheses = role == "hypotheses" or (role is None and poses.ndim == 4)
+    if poses.ndim == 4 and not is_hypotheses:
+        raise PoseDataError(f"role: truth for {len(poses)} poses of each frame; expected one, or hypotheses.")
+    poses = poses[None] if is_hypotheses and poses.ndim == 3 else poses
+    unit = _declared("unit", unit, first.unit.strip().lower() or None, paths[0])
+    known = np.isfinite(poses).all(axis=(0, 3) if is_hypotheses else 2)
+    names = _joint_names(joints, first.joints, poses.shape[-2])
+    rate = _declared("fps", fps, first.fps or None, paths[0])
+    members: dict[str, Any] = {
+        "hypotheses" if is_hypotheses else "truth": poses.astype(np.float32 if is_hypotheses else np.float64),
+        "axes": "NMKD" if is_hypotheses else "MKD",
+        **({} if unit is None else {"unit": str(unit)}),
+        **({} if names is None else {"joints": np.array(names)}),
+        **({} if frame_id is None else {"frame_id": np.array(frame_id)}),
+        **({} if rate is None else {"fps": float(rate)}),
+        **({} if known.all() else {"valid": known}),
+        **(first.labels if len(tracks) == 1 else {}),
+    }
+    if len(tracks) == 1 and first.confidence is not None:
+        members["confidence"] = first.confidence
+    assumed = [*dict.fromkeys([*(line for some in tracks for line in some.assumed), *assumed])]
+    what = f"{len(poses)} hypotheses" if is_hypotheses else "the truth"
+    assumed.append(f"{poses.shape[-3]:,} frames of {poses.shape[-2]} joints are {what}")
+    if unit is None:
+        assumed.append(f"no unit is stated; {option('unit')} declares it")
+    else:
+        quantity(unit)
+    if names is None:
+        assumed.append("joints have no names")
+    if not known.all():
+        assumed.append(f"{(~known).sum():,} of {known.size:,} joints are not known (NaN), and not valid")
+    if output is not None:
+        arrays = {name: np.asarray(value) for name, value in members.items()}
+        write_file(output, lambda file: write_members(file, arrays))
+    return members, assumed
+
+
+def _read(path: Path, like: str, dataset: str | None, axes: str | None) -> Tracks:
+    """Read a file by its ending."""
+    ending = path.suffix.lower()
+    if not path.is_file():
+        raise PoseFileError(f"{path}: no such file.")
+    try:
+        if ending in TEXTS:
+            return TEXTS[ending](path, like)
+        if ending not in CONTAINERS:
+            known = ", ".join([*TEXTS, *CONTAINERS])
+            raise PoseDataError(f"{path.name}: a file {ending or 'without an ending'}; expected one of {known}.")
+        tracks = CONTAINERS[ending](path, dataset)
+    except (OSError, MemoryError, RecursionError, OverflowError) as error:
+        if isinstance(error, PoseFileError):
+            raise
+        raise PoseFileError(f"{path.name}: can't be read ({error}).") from None
+    shape = tracks.poses.shape
+    text = axes or {3: "MKD", 4: "NMKD"}.get(len(shape), "")
+    if not text or (axes is None and shape[-1] not in {1, 2, 3}):
+        raise PoseDataError(
+            f"{path.name}: an array {shape}; expected (M, K, D), or its layout: {option('axes', 'M(KD)')}."
+        )
+    layout = Layout(text, "NMKD" if "N" in text else "MKD")
+    laid_out = layout.read(MemoryArray(tracks.poses), np.arange(layout.shape(shape)[-3]))
+    tracks.poses = np.asarray(laid_out, dtype=np.float64)
+    if axes is None:
+        tracks.assumed.append(f"an array {shape} is {text}")
+    return tracks
+
+
+def _together(
+    tracks: Sequence[Tracks], paths: Sequence[Path], each_file: str | None
+) -> tuple[FloatArray, list[str] | None, list[str]]:
+    """Put the poses of several files together: frame after frame, or hypothesis by hypothesis."""
+    first = tracks[0]
+    if len(tracks) == 1:
+        return first.poses, [*first.frame_id] or None, []
+    for path, some in zip(paths, tracks, strict=True):
+        if list(some.joints) != list(first.joints) or some.poses.shape[-2:] != first.poses.shape[-2:]:
+            raise PoseDataError(
+                f"{path.name}: other joints than {paths[0].name}; expected the same, in the same order."
+            )
+        if (some.unit, some.fps) != (first.unit, first.fps):
+            raise PoseDataError(f"{path.name}: another unit or frame rate than {paths[0].name}; expected the same.")
+    single = all(len(some.poses) == 1 and some.poses.ndim == 3 for some in tracks)
+    if each_file is None and not single:
+        choices = " or ".join(option("each_file", value) for value in ("hypothesis", "frames"))
+        raise PoseDataError(f"files: {len(tracks)} of several frames; expected what each is. Pass {choices}.")
+    if each_file == "hypothesis":
+        for path, some in zip(paths, tracks, strict=True):
+            if some.poses.shape != first.poses.shape or list(some.frame_id) != list(first.frame_id):
+                raise PoseDataError(f"{path.name}: other frames than {paths[0].name}; expected the same in every file.")
+        return np.stack([some.poses for some in tracks]), [*first.frame_id] or None, []
+    frames = [frame for path, some in zip(paths, tracks, strict=True) for frame in _frames(path, some)]
+    if len({*frames}) < len(frames):
+        raise PoseDataError(f"files: frames more than once (first: {first_few(frames)}); expected each frame once.")
+    assumed = [] if each_file else [f"each of {len(tracks)} files is one frame"]
+    return np.concatenate([some.poses for some in tracks]), frames, assumed
+
+
+def _frames(path: Path, tracks: Tracks) -> list[str]:
+    number = len(tracks.poses)
+    if tracks.frame_id:
+        return [f"{frame}" if number == 1 else f"{path.stem}/{frame}" for frame in tracks.frame_id]
+    return [path.stem] if number == 1 else [f"{path.stem}/{frame}" for frame in range(number)]
+
+
+def _declared(name: str, declared: Any, stored: Any, path: Path) -> Any:
+    """Give what is declared, or what the file states; the two must not differ."""
+    if declared is not None and stored is not None and str(declared) != str(stored):
+        raise PoseDataError(f"{path.name} states {name} {stored}; expected no {option(name, declared)}. Leave it out.")
+    return stored if declared is None else declared
+
+
+def _joint_names(declared: str | Sequence[str] | None, stored: Sequence[str], size: int) -> Sequence[str] | None:
+    from posecal.data.skeleton import joint_set
+
+    names = joint_set(declared) if isinstance(declared, str) else declared
+    if names is not None and len(names) != size:
+        raise PoseDataError(f"joints: {len(names)} names for {size} joints; expected one each.")
+    return names if names is not None else stored or None

@@ -1,0 +1,111 @@
+"""JSON of OpenPose, Panoptic, InterHand2.6M and mmpose, or of nested lists."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from posecal.conversion.tracks import Tracks
+from posecal.data.arrays import FloatArray
+from posecal.errors import PoseDataError
+
+
+def read_json(path: Path, like: str) -> Tracks:
+    """Read a document of one of the tools above, as its keys say."""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise PoseDataError(f"{path.name}: is no JSON ({error}).") from None
+    readers = {"openpose": _openpose, "panoptic": _panoptic, "mmpose": _mmpose, "interhand": _interhand}
+    found = like if like in readers else _kind(document)
+    if found == "lists":
+        return Tracks(_array(document, path.name))
+    if found not in readers:
+        keys = ", ".join([*document][:6]) if isinstance(document, dict) else type(document).__name__
+        raise PoseDataError(
+            f"{path.name}: holds {keys}; expected people, bodies, instance_info, frames, or nested lists."
+        )
+    try:
+        return readers[found](document, path.name)
+    except (KeyError, TypeError, IndexError, AttributeError) as error:
+        raise PoseDataError(f"{path.name}: is not as {found} writes it ({type(error).__name__}: {error}).") from None
+
+
+def _kind(document: Any) -> str:
+    if isinstance(document, list):
+        return "mmpose" if document and isinstance(document[0], dict) else "lists"
+    if not isinstance(document, dict):
+        return ""
+    keys = {"people": "openpose", "bodies": "panoptic", "instance_info": "mmpose", "meta_info": "mmpose"}
+    by_key = next((kind for key, kind in keys.items() if key in document), "")
+    first = next(iter(document.values()), None)
+    is_interhand = isinstance(first, dict) and any(isinstance(v, dict) and "world_coord" in v for v in first.values())
+    return by_key or ("interhand" if is_interhand else "")
+
+
+def _array(values: Any, name: str) -> FloatArray:
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (ValueError, TypeError):
+        raise PoseDataError(
+            f"{name}: lists of unequal lengths, or no numbers; expected the same joints in each frame."
+        ) from None
+
+
+def _one(people: list[Any], name: str) -> Any:
+    if len(people) != 1:
+        raise PoseDataError(f"{name}: {len(people)} people in a frame; expected one. Keep the person who is evaluated.")
+    return people[0]
+
+
+def _openpose(document: Any, name: str) -> Tracks:
+    person = _one(document["people"], name)
+    for key, size in (("pose_keypoints_3d", 4), ("pose_keypoints_2d", 3)):
+        if person.get(key):
+            values = _array(person[key], name).reshape(1, -1, size)
+            return Tracks(values[..., :-1], unit="px" if size == 3 else "", confidence=values[..., -1])
+    raise PoseDataError(f"{name}: no pose_keypoints_3d or pose_keypoints_2d; expected keypoints of the person.")
+
+
+def _panoptic(document: Any, name: str) -> Tracks:
+    values = _array(_one(document["bodies"], name)["joints19"], name).reshape(1, 19, 4)
+    joints = _names("panoptic-19")
+    assumed = ["joints are those of panoptic-19", "lengths are in cm, as the data set has them"]
+    frames = [str(document["frame"])] if "frame" in document else []
+    return Tracks(values[..., :3], joints, "cm", confidence=values[..., 3], frame_id=frames, assumed=assumed)
+
+
+def _mmpose(document: Any, name: str) -> Tracks:
+    frames = document["instance_info"] if isinstance(document, dict) else document
+    instances = [frame.get("instances", frame) if isinstance(frame, dict) else frame for frame in frames]
+    people = [_one(some, name) if isinstance(some, list) else some for some in instances]
+    poses = _array([person["keypoints"] for person in people], name)
+    scores = [person.get("keypoint_scores") for person in people]
+    meta = document.get("meta_info", {}) if isinstance(document, dict) else {}
+    named = meta.get("keypoint_id2name", {})
+    joints = [named[key] for key in sorted(named, key=int)] if named else []
+    confidence = None if None in scores else _array(scores, name)
+    return Tracks(poses, joints, "px" if poses.shape[-1] == 2 else "", confidence=confidence)
+
+
+def _interhand(document: Any, name: str) -> Tracks:
+    captures = [
+        (f"{capture}/{frame}", capture, entry)
+        for capture, frames in document.items()
+        for frame, entry in frames.items()
+    ]
+    poses = _array([entry["world_coord"] for _, _, entry in captures], name)
+    seen = _array([np.reshape(entry["joint_valid"], -1) for _, _, entry in captures], name) > 0
+    poses[~seen] = np.nan
+    labels = {"sequence": np.array([capture for _, capture, _ in captures])}
+    joints = _names("interhand-42") if poses.shape[1] == 42 else ()
+    return Tracks(poses, joints, "mm", frame_id=[key for key, _, _ in captures], labels=labels)
+
+
+def _names(joint_set: str) -> tuple[str, ...]:
+    from posecal.data.skeleton import JOINT_SETS
+
+    return JOINT_SETS[joint_set]

@@ -1,0 +1,157 @@
+"""Tables of coordinates: CSV, wide or long, and those of DeepLabCut, Anipose, FreeMoCap and MediaPipe; TRC."""
+
+from __future__ import annotations
+
+import io
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from posecal.conversion.tracks import AXES, Tracks, by_joint
+from posecal.data.arrays import FloatArray
+from posecal.errors import PoseDataError, first_few
+
+_COLUMN = re.compile(r"^(?P<joint>.+?)[\s_.:-]*(?P<axis>[xyzXYZ])$")
+_CONFIDENCE = re.compile(r"^(?P<joint>.+?)[\s_.:-]+(?:likelihood|confidence|score|visibility)$", re.IGNORECASE)
+_FRAME = ("frame", "frame_id", "frame_number", "fnum", "frames")
+_LONG = {"joint": ("joint", "keypoint", "bodypart", "marker", "landmark", "name"), "frame": _FRAME}
+
+
+def read_csv(path: Path, like: str) -> Tracks:
+    """Read a table with a row per frame, or with a row per frame and joint, of any of the tools above."""
+    text = path.read_text(encoding="utf-8-sig", errors="replace")
+    if like == "deeplabcut" or text.startswith("scorer,"):
+        return of_multiindex(_frame_of(text, path, header=[1, 2], index_col=0), path.name)
+    frame = _frame_of(text, path)
+    plain = {str(column).strip().lower(): column for column in frame.columns}
+    joint = next((plain[word] for word in _LONG["joint"] if word in plain), None)
+    if like != "wide" and joint is not None and {*AXES[:2]} <= {*plain}:
+        return _of_long(frame, plain, joint, path.name)
+    return _of_wide(frame, plain, path.name)
+
+
+def _frame_of(text: str, path: Path, **how: Any) -> Any:
+    import pandas as pd
+
+    try:
+        frame: Any = pd.read_csv(io.StringIO(text), **how)
+    except (ValueError, pd.errors.ParserError, IndexError) as error:
+        raise PoseDataError(f"{path.name}: is no table of numbers ({str(error).splitlines()[0]}).") from None
+    if frame.empty:
+        raise PoseDataError(f"{path.name}: no rows; expected one for each frame.")
+    return frame
+
+
+def _numbers(column: Any, name: str, what: Any) -> FloatArray:
+    import pandas as pd
+
+    found: FloatArray = pd.to_numeric(column, errors="coerce").to_numpy(np.float64)
+    bad = np.isnan(found) & pd.Series(column).notna().to_numpy()
+    if bad.any():
+        first = pd.Series(column)[int(np.argmax(bad))]
+        raise PoseDataError(f"{name}: column {what} holds {first!r}; expected numbers, empty where one is not known.")
+    return found
+
+
+def _of_wide(frame: Any, plain: dict[str, Any], name: str) -> Tracks:
+    columns: dict[tuple[str, str], FloatArray] = {}
+    confidence: dict[str, FloatArray] = {}
+    passed = []
+    for column in frame.columns:
+        text = str(column).strip()
+        if match := _CONFIDENCE.match(text):
+            confidence[match["joint"]] = _numbers(frame[column], name, column)
+        elif (match := _COLUMN.match(text)) and text.lower() not in _FRAME:
+            columns[match["joint"], match["axis"].lower()] = _numbers(frame[column], name, column)
+        elif text.lower() not in _FRAME:
+            passed.append(text)
+    joints, poses = by_joint(columns, name)
+    frames: list[str] = next((_frame_names(frame[plain[word]]) for word in _FRAME if word in plain), [])
+    assumed = [f"columns {first_few(passed)} are no coordinates and were left out"] if passed else []
+    shown = np.stack([confidence[joint] for joint in joints], axis=1) if {*joints} <= {*confidence} else None
+    return Tracks(poses, joints, frame_id=frames, confidence=shown, assumed=assumed)
+
+
+def _of_long(frame: Any, plain: dict[str, Any], joint: Any, name: str) -> Tracks:
+    import pandas as pd
+
+    number = next((plain[word] for word in _FRAME if word in plain), None)
+    if number is None:
+        raise PoseDataError(f"{name}: no column frame; expected one beside {joint} and the coordinates.")
+    draw = next((plain[word] for word in ("hypothesis", "sample") if word in plain), None)
+    axes = [axis for axis in AXES if axis in plain]
+    keys = [key for key in (draw, number, joint) if key is not None]
+    repeated = frame.duplicated(keys)
+    if repeated.any():
+        row = int(np.argmax(repeated.to_numpy()))
+        raise PoseDataError(
+            f"{name}: row {row + 2} repeats a joint of its frame; expected each once. {dict(frame.loc[row, keys])}"
+        )
+    for axis in axes:
+        frame[plain[axis]] = _numbers(frame[plain[axis]], name, axis)
+    frames, joints = pd.unique(frame[number]), pd.unique(frame[joint].astype(str))
+    draws = [None] if draw is None else list(pd.unique(frame[draw]))
+    index = pd.MultiIndex.from_product([frames, joints])
+    parts = [
+        (frame if each is None else frame[frame[draw] == each])
+        .assign(_joint=frame[joint].astype(str))
+        .set_index([number, "_joint"])[[plain[axis] for axis in axes]]
+        .reindex(index)
+        .to_numpy(np.float64)
+        .reshape(len(frames), len(joints), len(axes))
+        for each in draws
+    ]
+    poses = parts[0] if draw is None else np.stack(parts)
+    labels: dict[str, Any] = {
+        word: frame.groupby(number, sort=False)[plain[word]].first().astype(str).to_numpy()
+        for word in ("sequence", "subject", "action", "camera")
+        if word in plain
+    }
+    return Tracks(poses, list(joints), frame_id=_frame_names(frames), labels=labels)
+
+
+def _frame_names(values: Any) -> list[str]:
+    """Name frames; whole numbers are written without a decimal point."""
+    return [str(int(value)) if isinstance(value, float) and value.is_integer() else str(value) for value in values]
+
+
+def of_multiindex(frame: Any, name: str) -> Tracks:
+    """Read a table whose columns are named by body part and coordinate, as those of DeepLabCut and Anipose."""
+    columns: dict[tuple[str, str], FloatArray] = {}
+    confidence: dict[str, FloatArray] = {}
+    for column in frame.columns:
+        joint, what = map(str, column[-2:])
+        target = confidence if what in {"likelihood", "score"} else columns if what in AXES else None
+        if target is confidence:
+            confidence[joint] = _numbers(frame[column], name, column)
+        elif target is columns:
+            columns[joint, what] = _numbers(frame[column], name, column)
+    joints, poses = by_joint(columns, name)
+    shown = np.stack([confidence[joint] for joint in joints], axis=1) if {*joints} <= {*confidence} else None
+    return Tracks(poses, joints, unit="px" if poses.shape[2] == 2 else "", confidence=shown)
+
+
+def read_trc(path: Path, _like: str) -> Tracks:
+    """Read the tracks of OpenSim and Pose2Sim: a head of five lines, tabs between numbers."""
+    lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
+    if len(lines) < 6 or "DataRate" not in lines[1]:
+        raise PoseDataError(
+            f"{path.name}: no head of a .trc file; expected DataRate, Units and markers in its first lines."
+        )
+    head = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=False))
+    joints = [word.strip() for word in lines[3].split("\t")[2:] if word.strip()]
+    rows = [line.rstrip("\n").split("\t") for line in lines[5:] if line.strip()]
+    width = 2 + 3 * len(joints)
+    try:
+        values = np.array(
+            [[float(cell) if cell.strip() else np.nan for cell in (row + [""] * width)[:width]] for row in rows]
+        )
+        fps = float(head["DataRate"])
+    except (ValueError, KeyError) as error:
+        raise PoseDataError(f"{path.name}: {error}; expected numbers between tabs, and a DataRate.") from None
+    if len(rows) and len(rows[0]) not in {width, width + 1}:
+        raise PoseDataError(f"{path.name}: {len(rows[0])} columns for {len(joints)} markers; expected {width}.")
+    frames = [str(int(number)) for number in values[:, 0]]
+    return Tracks(values[:, 2:].reshape(len(rows), len(joints), 3), joints, head.get("Units", "").strip(), fps, frames)

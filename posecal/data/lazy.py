@@ -1,0 +1,110 @@
+"""Arrays of HDF5 and zarr, read in place some poses at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from posecal.errors import PoseDataError, PoseFileError
+
+LIBRARIES = {".h5": "h5py", ".hdf5": "h5py", ".zarr": "zarr"}
+_EXTRA = {"h5py": "convert", "zarr": "zarr"}
+
+
+@dataclass(frozen=True)
+class DatasetArray:
+    """A dataset of h5py or zarr, as a :class:`posecal.data.layout.LazyArray`.
+
+    Attributes
+    ----------
+    dataset : h5py.Dataset or zarr.Array
+        It is read where its parts are asked for.
+    """
+
+    dataset: Any
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The length of every axis."""
+        return tuple(self.dataset.shape)
+
+    @property
+    def dtype(self) -> np.dtype[np.generic]:
+        """The type of its numbers."""
+        kind: np.dtype[np.generic] = np.dtype(self.dataset.dtype)
+        return kind
+
+    def part(self, where: tuple[slice, ...]) -> npt.NDArray[np.generic]:
+        """Read a range of every axis."""
+        return np.asarray(self.dataset[where])
+
+
+def is_dataset(source: object) -> bool:
+    """Whether this is a dataset of h5py or an array of zarr, without importing either."""
+    module = type(source).__module__.partition(".")[0]
+    return module in {"h5py", "zarr"} and hasattr(source, "shape")
+
+
+def split_address(text: str) -> tuple[Path, str]:
+    """Split ``FILE.h5:/dataset`` into the file and the dataset, which is empty where none is named."""
+    for ending in LIBRARIES:
+        path, colon, dataset = text.partition(f"{ending}:")
+        if colon:
+            return Path(path + ending), dataset
+    return Path(text), ""
+
+
+def open_datasets(path: Path, dataset: str, names: tuple[str, ...]) -> tuple[Any, Mapping[str, Any]]:
+    """Open the dataset of coordinates of an HDF5 file or a zarr group, and what stands beside it.
+
+    Parameters
+    ----------
+    path : Path
+        An existing ``.h5``, ``.hdf5`` or ``.zarr``.
+    dataset : str
+        Its name; empty for one of ``names``, or the only one of several axes.
+    names : tuple of str
+        What the coordinates may be called.
+
+    Returns
+    -------
+    array : dataset
+        Of the coordinates, not read.
+    others : mapping
+        Datasets and attributes of the same group, by name.
+
+    Raises
+    ------
+    PoseDataError, PoseFileError
+        Where the library is not installed, the file is none, or it holds no such dataset.
+    """
+    library = LIBRARIES[path.suffix.lower()]
+    try:
+        module = import_module(library)
+    except ImportError:
+        raise PoseDataError(
+            f"{path.name}: needs {library}, which is not installed. pip install 'posecal[{_EXTRA[library]}]' brings it."
+        ) from None
+    try:
+        root = module.File(path, "r") if library == "h5py" else module.open(str(path), mode="r")
+        if hasattr(root, "dtype"):  # a zarr array by itself
+            return root, dict(root.attrs)
+        group = root[dataset.rpartition("/")[0] or "/"]
+        held = {str(key): group[key] for key in group if hasattr(group[key], "dtype")}
+    except Exception as error:  # noqa: BLE001  the libraries raise of every kind
+        raise PoseFileError(f"{path.name}: can't be read by {library} ({error}).") from None
+    name = dataset.rpartition("/")[2]
+    large = [key for key, value in held.items() if len(value.shape) > 2]
+    chosen = [name] if name else [key for key in names if key in held] or large
+    if len(chosen) != 1 or chosen[0] not in held:
+        shown = ", ".join(f"{key} {tuple(value.shape)}" for key, value in held.items()) or "nothing"
+        raise PoseDataError(
+            f"{path.name} holds {shown}; expected {' or '.join(names)}, or the name after a colon: {path.name}:NAME."
+        )
+    return held[chosen[0]], {**dict(group.attrs), **{k: v for k, v in held.items() if k != chosen[0]}}

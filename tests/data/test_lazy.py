@@ -1,0 +1,97 @@
+"""Arrays of HDF5 and zarr are read in place, and give what arrays in memory give."""
+
+import resource
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import posecal
+from posecal.data.lazy import split_address
+from posecal.errors import PoseDataError, PoseFileError
+from tests.helpers.samplers import gaussian
+
+X, Y = gaussian(0, 8, 60, 5)
+SEQUENCE = np.repeat(np.arange(6), 10).astype(str)
+
+
+def expected() -> dict[str, float]:
+    return posecal.evaluate(X, Y, unit="mm", axes="NMKD", labels={"sequence": SEQUENCE}, root_joint="none").scalars()
+
+
+def check(report: posecal.Report) -> None:
+    for name, value in expected().items():
+        assert report.scalars()[name] == pytest.approx(value, rel=1e-9, nan_ok=True), name
+
+
+def test_datasets_of_h5py_are_taken_as_they_are(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        hypotheses = file.create_dataset("x", data=X.transpose(1, 0, 2, 3), chunks=(7, 8, 5, 3))
+        options: dict[str, Any] = {"unit": "mm", "axes": "MNKD", "labels": {"sequence": SEQUENCE}, "root_joint": "none"}
+        check(posecal.evaluate(hypotheses, Y, **options))
+
+
+@pytest.mark.parametrize("address", ["a.h5", "a.h5:hypotheses", "b.h5:run/x"])
+def test_files_of_hdf5_declare_what_archives_declare(tmp_path: Path, address: str) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["hypotheses"], file["joints"] = X, [f"j{k}" for k in range(5)]
+        file.attrs["unit"], file.attrs["axes"] = "mm", "NMKD"
+    with h5py.File(tmp_path / "b.h5", "w") as file:
+        file["run/x"], file["run/other"] = X, np.ones((3, 3, 3, 3))
+        file["run"].attrs.update({"unit": "mm", "axes": "NMKD"})
+    np.savez(tmp_path / "gt.npz", truth=Y, unit="mm", sequence=SEQUENCE, joints=[f"j{k}" for k in range(5)])
+    report = posecal.evaluate(f"{tmp_path}/{address}", tmp_path / "gt.npz", root_joint="none")
+    check(report)
+    assert report.totals.spec.joints[0] == "j0"
+
+
+def test_arrays_of_zarr(tmp_path: Path) -> None:
+    zarr = pytest.importorskip("zarr")
+    group = zarr.open_group(str(tmp_path / "a.zarr"), mode="w")
+    array = group.create_array("hyps", shape=X.shape, dtype=X.dtype, chunks=(8, 16, 5, 3))
+    array[:] = X
+    group.attrs.update({"unit": "mm", "axes": "NMKD"})
+    options: dict[str, Any] = {"labels": {"sequence": SEQUENCE}, "root_joint": "none"}
+    check(posecal.evaluate(array, Y, unit="mm", axes="NMKD", **options))
+    check(posecal.evaluate(tmp_path / "a.zarr", Y, truth_unit="mm", **options))
+
+
+def test_what_is_not_there_is_said(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    assert split_address("C:/a.h5:run/x") == (Path("C:/a.h5"), "run/x")
+    assert split_address("a.npz") == (Path("a.npz"), "")
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["a"], file["b"] = X, X
+    with pytest.raises(PoseDataError, match=r"^a\.h5 holds a \(8, 60, 5, 3\), b .*; expected hypotheses or hyps"):
+        posecal.evaluate(tmp_path / "a.h5", Y)
+    with pytest.raises((PoseDataError, PoseFileError), match=r"^a\.h5 holds a"):
+        posecal.evaluate(f"{tmp_path}/a.h5:c", Y)
+    (tmp_path / "b.h5").write_bytes(b"nothing")
+    with pytest.raises(PoseFileError, match=r"^b\.h5: can't be read by h5py"):
+        posecal.evaluate(tmp_path / "b.h5", Y)
+
+
+@pytest.mark.slow
+def test_a_large_dataset_takes_little_memory(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        data = file.create_dataset("hyps", shape=(200, 5000, 17, 3), dtype="f4", chunks=(200, 25, 17, 3))
+        for start in range(0, 5000, 500):
+            data[:, start : start + 500] = np.random.default_rng(start).normal(0, 300, (200, 500, 17, 3))
+        data.attrs["note"] = "204 MB"
+    np.savez(tmp_path / "gt.npz", truth=np.random.default_rng(0).normal(0, 300, (5000, 17, 3)), unit="mm")
+    code = (
+        "import posecal, resource, h5py, numpy\n"
+        "before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
+        "posecal.evaluate('a.h5', 'gt.npz', unit='mm', threads=1, metrics='mpjpe, ece')\n"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
+    unit = 1 if sys.platform == "darwin" else 1024
+    assert int(done.stdout) * unit < 170e6
+    assert resource.RUSAGE_SELF == 0
