@@ -350,6 +350,8 @@ def occlusion_metrics_of(protocol: Protocol, spec: DataSpec) -> dict[str, dict[s
         raise PoseDataError(
             "by: occlusion needs to know which joints are occluded; expected a member occluded or visible, bool (M, K)."
         )
+    if spec.is_ragged:
+        raise PoseDataError("by: occlusion needs as many hypotheses of every pose.")
     if spec.n_hypotheses < 2:
         raise PoseDataError("by: occlusion needs at least 2 hypotheses; there is 1.")
     scope = Scope(protocol, spec)

@@ -46,7 +46,8 @@ def check_units(data: PoseData, unit: str | None, true_unit: str | None, declare
     """
     *_, k, d = data.shape
     some = data.hypotheses.read(0, 8)
-    remarks = _distinct(data.names[0], some)
+    has_weights = data.scores is not None and not data.scores.all()  # of which 0 is that of an absent hypothesis
+    remarks = [] if has_weights else _distinct(data.names[0], some)
     if data.unit != "mm":
         return remarks
     name, true_name = data.names

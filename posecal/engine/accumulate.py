@@ -20,11 +20,12 @@ from posecal.data.arrays import BoolArray, FloatArray
 from posecal.data.pose_data import PoseData
 from posecal.engine.block import Block, block_length
 from posecal.engine.cells import CellIndex
-from posecal.engine.chunks import Chunk, join_chunks, read_chunks
+from posecal.engine.chunks import Chunk, Indices, join_chunks, read_chunks
 from posecal.engine.coinciding import Coinciding
 from posecal.engine.metric import Metric, Statistic
 from posecal.engine.prepare import Prepared, refuse_non_finite
 from posecal.engine.protocol import Protocol
+from posecal.engine.ragged import RaggedBlock, lay_out, measure
 from posecal.engine.scope import DataSpec
 from posecal.engine.threads import run_in_order
 from posecal.engine.totals import Totals
@@ -32,7 +33,6 @@ from posecal.errors import PoseDataError, first_few, option
 
 Progress = Callable[[int], object]
 Pending = Literal["rest", "none", "all"]
-Indices = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -50,9 +50,9 @@ class _Measured:
 
 
 def _measure_block(
-    first: int, lay_out: Callable[[], Block], cells: Indices, statistics: Sequence[Statistic]
+    first: int, make: Callable[[], Block | RaggedBlock], cells: Indices, statistics: Sequence[Statistic]
 ) -> _Measured:
-    block = lay_out()
+    block = make()
     finite = np.zeros_like(block.where)
     masks = block.non_finite, finite if block.reference is None else block.reference.non_finite
     bad, bad_of_reference = (np.argwhere(mask) + np.array([first, 0]) for mask in masks)
@@ -61,7 +61,7 @@ def _measure_block(
     sums: dict[str, tuple[FloatArray, npt.NDArray[np.int64]]] = {}
     per_pose: dict[str, FloatArray] = {}
     for statistic in () if len(bad) or len(bad_of_reference) else statistics:
-        values = block.share(("statistic", statistic.name), partial(statistic.compute, block))  # skills ask again
+        values = measure(block, statistic)
         if statistic.per_pose:
             per_pose[statistic.name] = np.asarray(values, dtype=np.float64)
             continue
@@ -346,8 +346,8 @@ class Accumulator:
 
     def _block(self, chunk: Chunk, start: int, stop: int) -> Callable[[], _Measured]:
         limits = None if self._prepared is None else self._prepared.limits
-        lay_out = chunk.block(start, stop, self.spec.root, limits, self._before, self.spec.period)
-        task = partial(_measure_block, self._given, lay_out, chunk.cells[start:stop], self.statistics)
+        make = lay_out(chunk, start, stop, self.spec, limits, self._before)
+        task = partial(_measure_block, self._given, make, chunk.cells[start:stop], self.statistics)
         self._before = replace(chunk.select(slice(stop - 1, stop)), reference=None).copy()
         self._given += stop - start
         return task

@@ -17,6 +17,8 @@ NEEDS: dict[Need, str] = {
 }
 """What metrics need of the data, in words."""
 
+_AS_MANY = "as many hypotheses of every pose"
+
 _SHOWN = 5
 """How many metrics of one need a remark names."""
 
@@ -25,7 +27,18 @@ def unmet(metric: Metric | Curve, scope: Scope) -> tuple[str, ...]:
     """Say in words which needs of a metric the data don't meet."""
     spec, lack = scope.spec, scope.lack(metric.name) if isinstance(metric, Curve) or metric.function is None else ""
     met = {"lengths": spec.unit == "mm", "three axes": spec.n_coordinates == 3, "positions": spec.unit not in PERIODS}
+    if spec.is_ragged and not _is_of_any_number(metric):
+        return (_AS_MANY,)
     return (*(NEEDS[need] for need in metric.needs if not met[need]), *([lack] if lack else []))
+
+
+def _is_of_any_number(metric: Metric | Curve) -> bool:
+    """Whether a metric is right for poses with different numbers of hypotheses."""
+    if isinstance(metric, Curve):
+        return metric.name != "errors_by_n"
+    names_one = any(word in metric.name for word in ("mpjve", "min_mpjpe_at_", "mode_"))
+    is_alone = metric.family in {"accuracy", "sharpness"} and not names_one and not metric.sequences_per_batch
+    return is_alone or metric.name in {"energy_score", "joint_energy_score", "crps", "variogram_score"}
 
 
 def in_unit(metric: Metric, spec: DataSpec) -> Metric:

@@ -52,6 +52,8 @@ class DataSpec:
         ``mm``, ``deg``, ``px``, or empty.
     n_coordinates : int
         D.
+    is_ragged : bool
+        Whether hypotheses of some poses are absent; N is the most that a pose has.
     """
 
     n_hypotheses: int
@@ -67,6 +69,7 @@ class DataSpec:
     n_reference: int = 0
     unit: str = "mm"
     n_coordinates: int = 3
+    is_ragged: bool = False
     parents: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
@@ -75,7 +78,9 @@ class DataSpec:
             object.__setattr__(self, "root", Root(**root))
 
     @classmethod
-    def of(cls, data: PoseData, *, has_mask: bool = False, preranks: tuple[str, ...] = ()) -> DataSpec:
+    def of(
+        cls, data: PoseData, *, has_mask: bool = False, preranks: tuple[str, ...] = (), is_ragged: bool = False
+    ) -> DataSpec:
         """Describe pose data."""
         return cls(
             n_hypotheses=data.shape[0],
@@ -90,6 +95,7 @@ class DataSpec:
             has_occlusion=data.occluded is not None,
             has_mask=has_mask,
             preranks=preranks,
+            is_ragged=is_ragged,
             reference="" if data.reference is None else data.reference.names[0],
             n_reference=0 if data.reference is None else data.reference.shape[0],
         )

@@ -29,6 +29,7 @@ from posecal.engine.prepare import (
 )
 from posecal.engine.presets import as_protocol
 from posecal.engine.protocol import Protocol
+from posecal.engine.ragged import is_ragged, live_remark
 from posecal.engine.scope import DataSpec
 from posecal.engine.totals import Totals
 from posecal.errors import PoseDataError, checked_type, first_few
@@ -236,12 +237,13 @@ class Evaluation:
         lack = lack_of_scored(data, self.protocol)
         if lack and complete:
             raise PoseDataError(lack)
-        if not complete:  # all poses are checked as they are measured
+        ragged = len(data.truth) > 0 and is_ragged(data, self._accumulator)
+        if not complete and not ragged:  # all poses are checked as they are measured
             refuse_non_finite_hypotheses(data)
         if len(data.truth):
-            if self._accumulator is None and (remark := frame_remark(data)):
-                data = data.replace(remarks=(*data.remarks, remark))
-            spec = DataSpec.of(data, has_mask=has_mask, preranks=tuple(self._preranks))
+            remark = live_remark(data) if ragged else frame_remark(data) if self._accumulator is None else ""
+            data = data.replace(remarks=(*data.remarks, *([remark] if remark else [])))
+            spec = DataSpec.of(data, has_mask=has_mask, preranks=tuple(self._preranks), is_ragged=ragged)
             self._count(data, spec, progress, "all" if hold_back else "none" if complete else "rest", n_given)
         elif self._accumulator is not None:
             self._accumulator.end_run()

@@ -247,7 +247,8 @@ def _of_hypotheses(scope: Scope, prefix: str, align: Alignment) -> Iterator[Metr
     def of_poses(block: Block) -> FloatArray:
         errors, ordered = pose_errors(block, align, body=body, fit=fit), sorted_errors(block, align, body, fit)
         least = linked(block, errors, body) if linking else ordered[:, 0]
-        median = (ordered[:, (n - 1) // 2] + ordered[:, n // 2]) / 2
+        there = errors.shape[-1]  # of these poses; N is the most of all
+        median = (ordered[:, (there - 1) // 2] + ordered[:, there // 2]) / 2
         reduced = (least, errors.mean(axis=-1), median, ordered[:, -1])
         return np.stack(reduced, axis=1, dtype=np.float64)
 
@@ -255,7 +256,7 @@ def _of_hypotheses(scope: Scope, prefix: str, align: Alignment) -> Iterator[Metr
         errors = joint_errors(block, align, fit=fit)
         best = pose_errors(block, align, body=body, fit=fit).argmin(axis=-1)[:, None, None]
         least = np.take_along_axis(errors, best, axis=-1)[..., 0]
-        values = np.stack([least, np.einsum("bkn->bk", errors) / n], axis=-1, dtype=np.float64)
+        values = np.stack([least, np.einsum("bkn->bk", errors) / errors.shape[-1]], axis=-1, dtype=np.float64)
         return np.where((block.where & body)[..., None], values, np.nan)
 
     statistic, joints = Statistic(f"{prefix}errors", of_poses), Statistic(f"{prefix}joint_errors", of_joints, True)

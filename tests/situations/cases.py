@@ -358,4 +358,20 @@ SITUATIONS = (
             "protocol": {"pck_joints": "all", "auc_range": "0:50:100", "auc": "trapezoid"},
         },
     ),
+    Situation(
+        "Hypotheses padded with zeros of weight 0",
+        "mixtures and detectors with a varying N",
+        "the padding counted: 242.5 for 103.4 mm",
+        padded_hypotheses,
+        {"metrics": "mpjpe, min_mpjpe"},
+        says=("absent",),
+    ),
+    Situation(
+        "Hypotheses padded with NaN",
+        "mixtures and detectors with a varying N",
+        "refused, with no way to say that a hypothesis is absent",
+        padded_with_nan,
+        {"metrics": "mpjpe, min_mpjpe"},
+        says=("absent",),
+    ),
 )

@@ -1,0 +1,169 @@
+"""Poses with different numbers of hypotheses: those that are absent are NaN, or have weight 0.
+
+A block of such poses is laid out as several, one for each number of hypotheses that are there, and what is computed of
+those is put together in the order of the poses. So everything that is defined for any N is right; metrics that need as
+many hypotheses of every pose are left out of the report.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from posecal.data.arrays import BoolArray, FloatArray
+from posecal.data.pose_data import PoseData
+from posecal.engine.block import Block
+from posecal.engine.chunks import Chunk, Indices, read_chunks
+from posecal.engine.coordinate_range import CoordinateRange
+from posecal.engine.metric import Statistic
+from posecal.engine.scope import DataSpec
+from posecal.errors import PoseDataError, first_few
+
+if TYPE_CHECKING:
+    from posecal.engine.accumulate import Accumulator
+
+_SAMPLE = 64
+"""How many poses are looked at for hypotheses that are absent."""
+
+_OF_WEIGHTS = 1e-3
+"""Scores whose sum is 1 to this are weights."""
+
+
+def present(hypotheses: FloatArray, scores: FloatArray | None) -> BoolArray:
+    """Find the hypotheses (N, m, K, D) that are there, (N, m).
+
+    Absent are those that are NaN in every coordinate, and those of score 0 where the scores of a pose are weights, of a
+    sum of 1, or where the hypothesis is one point.
+    """
+    there: BoolArray = np.asarray(~np.isnan(hypotheses).all(axis=(2, 3)))
+    if scores is None or (scores < 0).any():
+        return there
+    are_weights = np.abs(scores.sum(axis=0) - 1) < _OF_WEIGHTS
+    is_point = (hypotheses == hypotheses[:, :, :1]).all(axis=(2, 3))
+    return np.asarray(there & ((scores > 0) | ~(are_weights | is_point)))
+
+
+def has_absent(data: PoseData) -> bool:
+    """Whether hypotheses of some poses, evenly chosen, are absent, while each pose has one."""
+    rows = np.unique(np.linspace(0, len(data.truth) - 1, min(_SAMPLE, len(data.truth))).astype(np.intp))
+    scores = data.scores
+    if scores is not None and (scores >= 0).all() and (scores == 0).any():
+        if (scores > 0).sum(axis=0).max() == 1:
+            return False  # one score above 0 for each pose marks a hypothesis, and is no weight
+        lacking = np.flatnonzero((scores == 0).any(axis=0))
+        rows = np.union1d(rows, lacking[:: max(1, len(lacking) // _SAMPLE)])
+    hypotheses = data.hypotheses.select(rows).read(0, len(rows))
+    if scores is None and not np.isnan(hypotheses[:, :, 0, 0]).any():
+        return False
+    there = present(hypotheses, None if scores is None else scores[:, rows])
+    return bool(not there.all() and there.any(axis=0).all())
+
+
+def is_ragged(data: PoseData, accumulator: Accumulator | None) -> bool:
+    """Whether poses are to be measured as some with absent hypotheses: they have some, or those before them had."""
+    return has_absent(data) or (accumulator is not None and accumulator.spec.is_ragged)
+
+
+def live_remark(data: PoseData) -> str:
+    """Say how many hypotheses are absent.
+
+    Raises
+    ------
+    PoseDataError
+        Where a pose has none, with the number of such poses and the first.
+    """
+    parts, start = [], 0
+    for chunk in read_chunks(data.replace(reference=None)):
+        scores = None if data.scores is None else data.scores[:, start : start + len(chunk)]
+        parts.append(present(chunk.hypotheses, scores).sum(axis=0))
+        start += len(chunk)
+    live, (n, m, *_) = np.concatenate(parts), data.shape
+    if not live.all():
+        frames = data.frame_id[live == 0].tolist()
+        raise PoseDataError(
+            f"{data.names[0]}: {len(frames):,} of {m:,} frames have no hypothesis (first: {first_few(frames)}); "
+            "expected at least one. Leave these frames out."
+        )
+    return (
+        f"{data.names[0]}: {n * m - live.sum():,} of {n * m:,} hypotheses are absent (NaN, or of weight 0): N = "
+        f"{live.min()} to {live.max()}."
+    )
+
+
+class RaggedBlock:
+    """B poses as blocks of as many hypotheses each, with the rows in which their poses stand.
+
+    Parameters
+    ----------
+    parts : list of pairs of array of int and Block
+        Rows and block, of each number of hypotheses.
+    n_poses : int
+        B.
+    """
+
+    reference = None
+
+    def __init__(self, parts: list[tuple[Indices, Block]], n_poses: int) -> None:
+        self.parts, self.n_poses = parts, n_poses
+
+    @property
+    def where(self) -> BoolArray:
+        """The joints that count, (B, K)."""
+        return self._together([block.where for _, block in self.parts])
+
+    @property
+    def non_finite(self) -> BoolArray:
+        """The poses and joints, (B, K), at which a coordinate that counts is not finite."""
+        return self._together([block.non_finite for _, block in self.parts])
+
+    def measure(self, statistic: Statistic) -> FloatArray:
+        """Compute a statistic of every pose, (B, …)."""
+        return self._together([np.asarray(statistic.compute(block), dtype=np.float64) for _, block in self.parts])
+
+    def _together(self, values: list[np.ndarray]) -> np.ndarray:
+        found = np.empty((self.n_poses, *values[0].shape[1:]), dtype=values[0].dtype)
+        for (rows, _), some in zip(self.parts, values, strict=True):
+            found[rows] = some
+        return found
+
+
+def lay_out_ragged(chunk: Chunk, spec: DataSpec) -> RaggedBlock:
+    """Lay out poses of a chunk as a block for each number of hypotheses."""
+    there = present(chunk.hypotheses, chunk.scores)
+    order, live = np.argsort(~there, axis=0, kind="stable"), there.sum(axis=0)
+    parts = []
+    for n in np.unique(live):
+        rows = np.flatnonzero(live == n)
+        some, kept = chunk.select(rows), order[:n, rows]
+        poses = np.arange(len(rows))
+        block = Block(
+            some.hypotheses[kept, poses],
+            some.truth,
+            some.where,
+            root=spec.root,
+            scores=None if some.scores is None else some.scores[kept, poses],
+            occluded=some.occluded,
+            usable=some.usable,
+            period=spec.period,
+        )
+        parts.append((rows, block))
+    return RaggedBlock(parts, len(chunk))
+
+
+def lay_out(
+    chunk: Chunk, start: int, stop: int, spec: DataSpec, limits: CoordinateRange | None, before: Chunk | None
+) -> Callable[[], Block | RaggedBlock]:
+    """Lay out some poses of a chunk as a block, when called; ``before`` holds the pose before the first."""
+    if spec.is_ragged:
+        return partial(lay_out_ragged, chunk.select(slice(start, stop)), spec)
+    return chunk.block(start, stop, spec.root, limits, before, spec.period)
+
+
+def measure(block: Block | RaggedBlock, statistic: Statistic) -> FloatArray:
+    """Compute a statistic of every pose of a block, (B, …), once: skills ask again."""
+    if isinstance(block, RaggedBlock):
+        return block.measure(statistic)
+    return block.share(("statistic", statistic.name), partial(statistic.compute, block))

@@ -1,0 +1,125 @@
+"""Poses with different numbers of hypotheses: what is absent does not count, however it is written."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import posecal
+from posecal.errors import PoseDataError
+from posecal.metrics import crps, diversity, energy_score, min_mpjpe, mpjpe, pck, radius
+from tests.helpers.samplers import gaussian
+
+Array = np.ndarray[Any, Any]
+N, M, K = 7, 90, 5
+X, Y = gaussian(0, N, M, K)
+LIVE = np.random.default_rng(1).permuted(np.arange(N)[:, None] < np.random.default_rng(2).integers(2, N + 1, M), axis=0)
+SEQUENCE = np.repeat(np.arange(9), 10).astype(str)
+
+
+def padded(fill: str) -> tuple[Array, Array | None]:
+    """The hypotheses with those that are absent as NaN, or as zeros of weight 0."""
+    if fill == "NaN":
+        return np.where(LIVE[..., None, None], X, np.nan), None
+    return np.where(LIVE[..., None, None], X, 0.0), LIVE * np.random.default_rng(3).uniform(0.1, 1, (N, M))
+
+
+def report_of(fill: str, metrics: str = "default, scores", **options: Any) -> posecal.Report:
+    x, scores = padded(fill)
+    options = {"labels": {"sequence": SEQUENCE}, "root_joint": "none", **options}
+    return posecal.evaluate(x, Y, scores=scores, unit="mm", axes="NMKD", metrics=metrics, threads=1, **options)
+
+
+@pytest.mark.parametrize("fill", ["NaN", "zeros"])
+def test_every_number_is_that_of_the_hypotheses_that_are_there(fill: str) -> None:
+    def mean(function: Any, **options: Any) -> float:
+        of = [function(X[LIVE[:, m], m : m + 1], Y[m : m + 1], **options) for m in range(M)]
+        return float(np.nanmean(np.concatenate(of)))
+
+    report = report_of(fill, "all")
+    right = {
+        "min_mpjpe": mean(min_mpjpe),
+        "mpjpe": mean(mpjpe),
+        "median_mpjpe": mean(mpjpe, of="median"),
+        "worst_mpjpe": mean(mpjpe, of="worst"),
+        "pa_min_mpjpe": mean(min_mpjpe, align="similarity"),
+        "mean_pose_mpjpe": mean(mpjpe, of="mean_pose"),
+        "pck": mean(pck),
+        "energy_score": mean(energy_score),
+        "crps": mean(crps),
+        "diversity": mean(diversity),
+    }
+    for name, value in right.items():
+        assert report[name] == pytest.approx(value, rel=1e-6), name
+    radii = np.concatenate([radius(X[LIVE[:, m], m : m + 1], Y[m : m + 1], share=0.9).ravel() for m in range(M)])
+    assert report["radius_90"] == pytest.approx(radii.mean(), rel=1e-6)
+
+
+def test_the_remark_says_how_many_are_absent_and_the_line_what_is_left_out() -> None:
+    for fill in ("NaN", "zeros"):
+        report = report_of(fill, "default")
+        assert (
+            f"hypotheses: {(~LIVE).sum()} of {N * M} hypotheses are absent (NaN, or of weight 0): N = 2 to 7."
+        ) in report.remarks
+        line = next(remark for remark in report.remarks if remark.startswith("left out: "))
+        assert "ece" in line
+        assert line.endswith("which need as many hypotheses of every pose.")
+        assert not {"ece", "min_mpjpe_at_5", "mpjve", "brier"} & report.metrics.keys()
+        assert report.summary == ()
+
+
+def test_weights_decide_the_weighted_pose() -> None:
+    x, scores = padded("zeros")
+    assert scores is not None
+    weighted = (x * scores[..., None, None]).sum(axis=0) / scores.sum(axis=0)[:, None, None]
+    right = np.linalg.norm(weighted - Y, axis=-1).mean()
+    assert report_of("zeros", "weighted_pose_mpjpe")["weighted_pose_mpjpe"] == pytest.approx(right, rel=1e-6)
+
+
+def test_batches_give_what_one_call_gives() -> None:
+    x, _ = padded("NaN")
+    evaluation = posecal.Evaluation(unit="mm", axes="NMKD", root_joint="none", metrics="default")
+    for start in range(0, M, 30):
+        rows = slice(start, start + 30)
+        evaluation.update(x[:, rows], Y[rows], sequence=SEQUENCE[rows])
+    for name, value in report_of("NaN", "default").scalars().items():
+        assert evaluation.compute().scalars()[name] == pytest.approx(value, rel=1e-9, nan_ok=True), name
+
+
+def test_groups_and_intervals_are_given() -> None:
+    report = report_of("NaN", "mpjpe", by="sequence")
+    errors = np.where(LIVE, np.linalg.norm(X - Y, axis=-1).mean(axis=-1), np.nan)
+    first = np.nanmean(errors[:, :10], axis=0).mean()
+    assert report.value("mpjpe", "sequence=0") == pytest.approx(first, rel=1e-9)
+    low, high = report.interval("mpjpe")
+    assert low < report["mpjpe"] < high
+
+
+def test_a_pose_without_any_hypothesis_is_refused() -> None:
+    x, _ = padded("NaN")
+    x[:, 4] = np.nan
+    with pytest.raises(PoseDataError, match=r"^hypotheses( has non-finite|: 1 of 90 frames have no hypothesis)"):
+        posecal.evaluate(x, Y, unit="mm", axes="NMKD", root_joint="none")
+
+
+def test_part_of_a_hypothesis_that_is_not_finite_is_refused_as_ever() -> None:
+    x, _ = padded("NaN")
+    there = int(np.flatnonzero(LIVE[:, 8])[0])
+    x[there, 8, 2, 1] = np.nan
+    with pytest.raises(
+        PoseDataError, match=r"^hypotheses has non-finite coordinates in 1 of 90 frames \(first: frame 8, "
+    ):
+        posecal.evaluate(x, Y, unit="mm", axes="NMKD", root_joint="none")
+
+
+@pytest.mark.parametrize("options", [{"by": "occlusion", "occluded": np.zeros((M, K), dtype=bool)}, {"metrics": "ece"}])
+def test_what_needs_as_many_hypotheses_of_every_pose_is_refused(options: dict[str, Any]) -> None:
+    with pytest.raises(PoseDataError, match=r"as many hypotheses of every pose"):
+        report_of("NaN", **options)
+
+
+def test_scores_that_are_no_weights_make_nothing_absent() -> None:
+    scores = np.random.default_rng(4).normal(0, 1, (N, M))
+    scores[0, 0] = 0
+    report = posecal.evaluate(X, Y, scores=scores, unit="mm", axes="NMKD", root_joint="none", metrics="default")
+    assert "ece" in report.metrics
