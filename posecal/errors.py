@@ -12,11 +12,14 @@ Independent problems are collected and raised together by :func:`raise_all`.
 from __future__ import annotations
 
 import json
+import os
 import re
 import shlex
-from collections.abc import Callable, Container, Iterable, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from difflib import get_close_matches
 from numbers import Integral
+from pathlib import Path
 from typing import Any, TypeVar
 
 T = TypeVar("T")
@@ -28,7 +31,16 @@ _SEPARATORS = re.compile(r"[-_@\s]")
 """Characters that don't count where a misspelt name is compared with the known ones."""
 
 _MOST_NAMED = 12
-"""How many known names a message has at most."""
+"""How many known names, and how many problems, a message has at most."""
+
+_UNPRINTABLE = re.compile("[\\x00-\\x1f\\x7f-\\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]")
+"""Characters that steer a terminal, reorder text, or are no text in UTF-8 or XML."""
+
+_ITEM = "\n  - "
+"""The only line break of a message, before each of several problems."""
+
+_LONG_WORD = re.compile(r"(\S{160})\S{100,}(\S{60})")
+"""Names that are shortened in a message."""
 
 _FLAGS = {
     "joints": "--joint-names",
@@ -94,6 +106,17 @@ def for_command_line(text: str) -> str:
     return _OPTION.sub(r"\2", text)
 
 
+def printable(text: str) -> str:
+    r"""Write characters that a terminal or a file of text can't show as Python does in a string.
+
+    Examples
+    --------
+    >>> print(printable(f"RWrist {chr(27)}[31m"))
+    RWrist \x1b[31m
+    """
+    return _UNPRINTABLE.sub(lambda match: repr(match[0])[1:-1], text)
+
+
 class PosecalError(Exception):
     """Anything that posecal refuses. The message is for the user; the command line prints it as it is."""
 
@@ -102,8 +125,12 @@ class PosecalError(Exception):
 
     @property
     def message(self) -> str:
-        """The message with its options as :func:`option` gives them: to be part of another one, or to be printed."""
-        return super().__str__()
+        """The message with its options as :func:`option` gives them: to be part of another one, or to be printed.
+
+        Names are printable, and the middle of very long ones is left out.
+        """
+        items = super().__str__().split(_ITEM)[: _MOST_NAMED + 2]
+        return _ITEM.join(_LONG_WORD.sub(r"\1…\2", printable(item)) for item in items)
 
     def __str__(self) -> str:
         return for_python(self.message)
@@ -150,10 +177,56 @@ def raise_all(problems: Iterable[str | PosecalError], error: type[PosecalError] 
         messages += [problem] if isinstance(problem, str) else problem.problems or [problem.message]
         error = PoseFileError if isinstance(problem, PoseFileError) else error
     if messages:
-        several = "\n  - ".join([f"{len(messages)} problems:", *messages])
+        more = len(messages) - _MOST_NAMED
+        shown = messages if more <= 0 else [*messages[:_MOST_NAMED], f"{more:,} more."]
+        several = _ITEM.join([f"{len(messages)} problems:", *shown])
         raised = error(messages[0] if len(messages) == 1 else several)
         raised.problems = messages
         raise raised
+
+
+@contextmanager
+def refuse_unreadable(
+    path: str | os.PathLike[str], sentence: str = "can't be read ({}). Was it cut off? Copy it again."
+) -> Iterator[None]:
+    """Turn whatever the reading of a file can raise into a refusal: the file may be of any kind, and damaged anywhere.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    sentence : str
+        What the message says of one that is there and can't be read; ``{}`` stands for the reason.
+
+    Raises
+    ------
+    PoseFileError
+        For anything that is not refused already.
+    """
+    try:
+        yield
+    except PosecalError:
+        raise
+    except FileNotFoundError:
+        raise PoseFileError(f"{path}: no such file.") from None
+    except IsADirectoryError:
+        raise PoseFileError(f"{path}: is a folder; expected a file.") from None
+    except OSError as error:
+        if error.strerror is None:
+            raise PoseFileError(f"{Path(path).name}: {sentence.format(_reason(error))}") from None
+        raise PoseFileError(f"{path}: can't be read ({error.strerror}).") from None
+    except Exception as error:  # noqa: BLE001 (zipfile, zlib, tokenize, NumPy, … each raise what they like)
+        raise PoseFileError(f"{Path(path).name}: {sentence.format(_reason(error))}") from None
+
+
+def _reason(error: BaseException) -> str:
+    """Describe in some words what a library raised."""
+    if isinstance(error, MemoryError):
+        return "it needs more memory than there is"
+    if isinstance(error, RecursionError):
+        return "it is nested too deeply"
+    words = " ".join(str(error).split())
+    return (words if len(words) <= 200 else f"{words[:199]}…") or "it is cut off or damaged"
 
 
 def checked_type(value: object, name: str, kind: type[T]) -> T:

@@ -19,6 +19,7 @@ from posecal.errors import (
     for_python,
     option,
     raise_all,
+    refuse_unreadable,
 )
 
 
@@ -153,3 +154,36 @@ def test_many_things_are_named_by_the_first_and_their_number(items: list[object]
 )
 def test_a_misspelt_word_is_answered_with_the_nearest_or_all(word: str, known: list[str], words: str) -> None:
     assert did_you_mean(word, iter(known)) == words
+
+
+def test_characters_that_steer_a_terminal_are_written_out() -> None:
+    error = PoseDataError("joints: R\x1b[31mWrist\n  - and \u202efoot")
+    assert str(error) == "joints: R\\x1b[31mWrist\n  - and \\u202efoot"
+
+
+def test_a_message_is_at_most_some_lines_long() -> None:
+    with pytest.raises(PoseDataError) as refused:
+        raise_all(f"problem {number}" for number in range(500))
+    lines = str(refused.value).splitlines()
+    assert len(lines) == 14
+    assert lines[0] == "500 problems:"
+    assert lines[-1] == "  - 488 more."
+    assert len(str(PoseDataError("x" * 10_000))) < 300
+
+
+@pytest.mark.parametrize(
+    ("raised", "words"),
+    [
+        (MemoryError(), "f.npz: can't be read (it needs more memory than there is)"),
+        (RecursionError("deep"), "f.npz: can't be read (it is nested too deeply)"),
+        (NotImplementedError("method 97"), "f.npz: can't be read (method 97)"),
+        (EOFError(), "f.npz: can't be read (it is cut off or damaged)"),
+        (PermissionError(13, "Permission denied"), "f.npz: can't be read (Permission denied)."),
+        (FileNotFoundError(2, "No such file"), "f.npz: no such file."),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_whatever_a_file_makes_a_library_raise_is_a_refusal(raised: Exception, words: str) -> None:
+    with pytest.raises(PoseFileError) as refused, refuse_unreadable("f.npz"):
+        raise raised
+    assert str(refused.value).startswith(words)

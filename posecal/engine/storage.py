@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import zipfile
-import zlib
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -18,9 +19,9 @@ from posecal.engine.metric import Metric
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec
 from posecal.engine.totals import Totals
-from posecal.errors import PoseDataError, PoseFileError, checked_type
+from posecal.errors import PoseDataError, PoseFileError, checked_type, refuse_unreadable
 
-FORMAT = 2
+FORMAT = 3
 """The version of the file format."""
 
 
@@ -59,6 +60,7 @@ def save_totals(totals: Totals, path: str | os.PathLike[str]) -> None:
         members[f"sum/{name}"], members[f"count/{name}"] = totals.sums[name], totals.counts[name]
     members |= {f"per_pose/{name}": values for name, values in totals.per_pose.items()}
     members["cell_of"] = totals.cell_of.astype(np.int32)
+    members["digest"] = np.array(_digest(members))
     write_file(path, lambda file: write_members(file, members, compressed=True))
 
 
@@ -82,17 +84,17 @@ def load_totals(path: str | os.PathLike[str]) -> Totals:
     """
     _check_path(path)
     name = Path(path).name
-    try:
+    with refuse_unreadable(path, "no result of posecal evaluate --save, or not a whole one."):
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as stored:
             members: dict[str, Any] = {key: stored[key] for key in stored.files}
-        about = json.loads(str(members.pop("about")))
+        digest, about = str(members.pop("digest", "")), json.loads(str(members["about"]))
         if about["format"] != FORMAT:
             raise PoseFileError(
                 f"{name}: format {about['format']} of posecal {about['posecal']}; expected {FORMAT}. Evaluate again."
             )
         totals = Totals(
             spec=DataSpec(**_tuples(about["spec"])),
-            protocol=Protocol().changed(about["protocol"]),
+            protocol=_protocol(about["protocol"]),
             version=about["posecal"],
             cells=_part(members, "cell/"),
             poses=members["poses"],
@@ -105,17 +107,26 @@ def load_totals(path: str | os.PathLike[str]) -> Totals:
             own_metrics=tuple(Metric.from_description(texts) for texts in about["own_metrics"]),
         )
         _check_members(totals, about)
-        return totals
-    except PoseFileError:
-        raise
-    except FileNotFoundError:
-        raise PoseFileError(f"{path}: no such file.") from None
-    except IsADirectoryError:
-        raise PoseFileError(f"{path}: is a folder; expected a result of posecal evaluate --save.") from None
-    except (KeyError, TypeError, AttributeError, ValueError, EOFError, zipfile.BadZipFile, zlib.error):
-        raise PoseFileError(f"{name}: no result of posecal evaluate --save, or not a whole one.") from None
-    except OSError as error:
-        raise PoseFileError(f"{path}: can't be read ({error.strerror}).") from None
+        if digest != _digest(members):
+            raise PoseFileError(f"{name}: was changed since posecal wrote it (its digest is another). Evaluate again.")
+    return totals
+
+
+def _protocol(options: dict[str, str]) -> Protocol:
+    try:
+        return Protocol().changed(options)
+    except PoseDataError as error:
+        raise ValueError(error.message) from None
+
+
+def _digest(members: Mapping[str, npt.NDArray[np.generic]]) -> str:
+    """Give the SHA-256 of all members: their names, types, shapes and bytes, in the order of their names."""
+    found = hashlib.sha256()
+    for name in sorted(members):
+        array = np.ascontiguousarray(members[name])
+        found.update(f"{name} {array.dtype.str} {members[name].shape}\n".encode())
+        found.update(array.tobytes())
+    return found.hexdigest()
 
 
 def _check_path(path: object) -> None:
@@ -140,7 +151,13 @@ def _check_members(totals: Totals, about: dict[str, Any]) -> None:
     lengths = {len(values) for values in of_cells}, {len(values) for values in totals.per_pose.values()}
     outside = totals.cell_of.max(initial=-1) >= len(totals.poses) or totals.cell_of.min(initial=0) < 0
     if len(lengths[0]) > 1 or not lengths[1] <= {len(totals.cell_of)} or outside:
-        raise ValueError("lengths")
+        raise ValueError("members of other lengths")
+    if (totals.poses < 0).any() or len({*totals.spec.joints}) < len(totals.spec.joints):
+        raise ValueError("negative numbers of poses, or repeated joints")
+    for key, counts in totals.counts.items():
+        most = totals.poses.reshape(-1, *[1] * (counts.ndim - 1))
+        if (counts < 0).any() or (counts > most).any() or not np.isfinite(totals.sums[key]).all():
+            raise ValueError(f"{key}: counts beyond the poses, or sums that are not finite")
 
 
 def is_result(path: str | os.PathLike[str]) -> bool:

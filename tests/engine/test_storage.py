@@ -76,7 +76,7 @@ def test_a_saved_result_is_compressed(tmp_path: Path) -> None:
 def test_a_file_that_is_missing_or_a_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(PoseFileError, match=r"nothing\.npz: no such file\."):
         load_totals(tmp_path / "nothing.npz")
-    with pytest.raises(PoseFileError, match=r"is a folder; expected a result of posecal evaluate --save\."):
+    with pytest.raises(PoseFileError, match=r"is a folder; expected a file\."):
         load_totals(tmp_path)
     (tmp_path / "file").write_text("")
     with pytest.raises(PoseFileError, match=r"file/inside: can't be read \(Not a directory\)\."):
@@ -140,6 +140,27 @@ def test_cells_of_poses_that_are_not_there_are_refused(cell: int, tmp_path: Path
         load_totals(changed("cell_of", lambda stored: np.append(stored[:-1], cell), tmp_path))
 
 
+@pytest.mark.parametrize(
+    ("name", "values", "words"),
+    [
+        ("sum/height", lambda stored: stored * 0.5, "was changed since posecal wrote it"),
+        ("about", lambda stored: np.array(str(stored).replace('"n_hypotheses": ', '"n_hypotheses": 1')), "was changed"),
+        ("cell/action", lambda stored: stored[::-1], "was changed since posecal wrote it"),
+        ("poses", lambda stored: -stored, "no result of posecal evaluate --save"),
+        ("count/height", lambda stored: stored + 1000, "no result of posecal evaluate --save"),
+        ("sum/height", lambda stored: stored * np.nan, "no result of posecal evaluate --save"),
+    ],
+)
+def test_a_result_that_was_edited_is_refused(name: str, values: Any, words: str, tmp_path: Path) -> None:
+    with pytest.raises(PoseFileError, match=rf"bad\.npz: {words}"):
+        load_totals(changed(name, values, tmp_path))
+
+
+def test_a_copy_of_a_result_is_the_result(tmp_path: Path) -> None:
+    same = load_totals(changed("poses", lambda stored: stored, tmp_path))
+    assert same.poses.sum() == keeping()[0].poses.sum()
+
+
 def test_only_sums_are_saved_and_only_files_read(tmp_path: Path) -> None:
     with pytest.raises(PoseDataError, match=r"^totals: int; expected Totals\.$"):
         save_totals(5, tmp_path / "result.npz")  # type: ignore[arg-type]
@@ -152,9 +173,9 @@ def test_a_result_of_another_format_is_to_be_made_anew(tmp_path: Path) -> None:
     save_totals(totals(), tmp_path / "result.npz")
     with np.load(tmp_path / "result.npz") as stored:
         members: dict[str, npt.NDArray[np.generic]] = dict(stored)
-    members["about"] = np.array(str(members["about"]).replace('"format": 2', '"format": 99'))
+    members["about"] = np.array(str(members["about"]).replace('"format": 3', '"format": 99'))
     np.savez(tmp_path / "later.npz", **members)
-    with pytest.raises(PoseFileError, match=r"later\.npz: format 99 of posecal 1\.0; expected 2\. Evaluate again\."):
+    with pytest.raises(PoseFileError, match=r"later\.npz: format 99 of posecal 1\.0; expected 3\. Evaluate again\."):
         load_totals(tmp_path / "later.npz")
 
 
