@@ -8,7 +8,6 @@ would hold half a gigabyte. So each run of bytes that lie together has a map of 
 
 from __future__ import annotations
 
-import lzma
 import math
 import mmap
 import os
@@ -16,7 +15,6 @@ import tempfile
 import warnings
 import weakref
 import zipfile
-import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -28,10 +26,7 @@ from typing import IO, NamedTuple, cast
 import numpy as np
 import numpy.typing as npt
 
-from posecal.errors import PosecalError, PoseDataError, PoseFileError
-
-BROKEN = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, OSError, ValueError)
-"""What the standard library raises for a file that is not what its first bytes say."""
+from posecal.errors import PoseDataError, PoseFileError, refuse_unreadable
 
 Header = tuple[tuple[int, ...], bool, np.dtype[np.generic]]
 
@@ -156,17 +151,12 @@ def opened(path: Path) -> Iterator[FileIO]:
     except OSError as error:
         raise PoseFileError(f"{path}: can't be read ({error.strerror}).") from None
     try:
-        if not file.seekable():
-            raise PoseFileError(f"{path}: is a stream; expected a file. Save it first.")
-        yield file
-    except BaseException as error:
+        with refuse_unreadable(path):
+            if not file.seekable():
+                raise PoseFileError(f"{path}: is a stream; expected a file. Save it first.")
+            yield file
+    except BaseException:
         file.close()
-        if isinstance(error, PosecalError):
-            raise
-        if isinstance(error, NotImplementedError):
-            raise PoseFileError(f"{path.name}: {error}. Save it again with numpy.savez_compressed.") from None
-        if isinstance(error, BROKEN):
-            raise PoseFileError(f"{path.name}: can't be read ({error}). Was it cut off? Copy it again.") from None
         raise
 
 

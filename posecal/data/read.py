@@ -23,6 +23,9 @@ T = TypeVar("T")
 Role = Literal["hypotheses", "truth"]
 
 _NAMES: dict[Role, tuple[str, ...]] = {"hypotheses": ("hypotheses", "hyps"), "truth": ("truth", "gt")}
+_DESCRIPTOR = 24
+"""The most bytes that may follow the contents of a member: its checksum and sizes."""
+
 _MARKS = ("occluded", "visible")
 _RESERVED = (*_MARKS, "axes", "unit", "joints", "frame_id", "scores", "fps", "valid", "parents")
 
@@ -94,6 +97,7 @@ def _foreign(path: Path, what: str) -> str:
 def _read_archive(file: FileIO, path: Path, role: Role) -> StoredPoses:
     """Read the members of an ``.npz`` file, but for the coordinates, and close it unless those lie in it."""
     archive, name = zipfile.ZipFile(file), path.name
+    _refuse_damaged_directory(archive, file, name)
     infos = {info.filename.removesuffix(".npy"): info for info in archive.infolist() if info.filename.endswith(".npy")}
     if not infos and any(member.endswith("data.pkl") for member in archive.namelist()):
         raise PoseFileError(_foreign(path, "is a file of PyTorch"))
@@ -104,6 +108,31 @@ def _read_archive(file: FileIO, path: Path, role: Role) -> StoredPoses:
     if array.file is not file:
         file.close()
     return StoredPoses(name, array, **members)
+
+
+def _refuse_damaged_directory(archive: zipfile.ZipFile, file: FileIO, name: str) -> None:
+    """Refuse an archive whose directory does not name what lies in the file, each member once and one after another.
+
+    Raises
+    ------
+    PoseFileError
+        Where a member is named twice, or there are bytes between members that no member accounts for.
+    """
+    infos = sorted(archive.infolist(), key=lambda info: info.header_offset)
+    if len({info.filename for info in infos}) < len(infos):
+        raise PoseFileError(f"{name} names members more than once. Save it again.")
+    end = 0
+    for info in infos:
+        if not end <= info.header_offset <= end + _DESCRIPTOR:
+            raise PoseFileError(
+                f"{name}: its directory does not fit its contents. Was it cut off or edited? Copy it again."
+            )
+        file.seek(info.header_offset + 26)
+        lengths = file.read(4)
+        names = sum(int.from_bytes(lengths[at : at + 2], "little") for at in (0, 2))
+        end = info.header_offset + 30 + names + info.compress_size
+    if infos and not end <= archive.start_dir <= end + _DESCRIPTOR:
+        raise PoseFileError(f"{name}: its directory lacks members that lie in it. Was it edited? Copy it again.")
 
 
 def _read_datasets(path: Path, dataset: str, role: Role) -> StoredPoses:

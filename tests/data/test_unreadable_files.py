@@ -22,6 +22,7 @@ from posecal.data.read import read_poses
 from posecal.errors import PosecalError, PoseDataError, PoseFileError
 from tests.helpers.small_files import (
     FRAMES,
+    JOINTS,
     K,
     M,
     N,
@@ -30,6 +31,7 @@ from tests.helpers.small_files import (
     member,
     npy,
     save,
+    truth,
     truth_file,
 )
 
@@ -226,7 +228,7 @@ def test_a_compression_that_python_lacks_is_named(tmp_path: Path) -> None:
     contents = bytearray(hypotheses_file(tmp_path).read_bytes())
     contents[8] = contents[contents.rfind(b"PK\x01\x02") + 10] = 97
     (tmp_path / "hyps.npz").write_bytes(contents)
-    with pytest.raises(PoseFileError, match=r"^hyps\.npz: That compression method.*Save it again with numpy"):
+    with pytest.raises(PoseFileError, match=r"^hyps\.npz: can't be read \(That compression method is not supported\)"):
         read_poses(tmp_path / "hyps.npz", "hypotheses")
 
 
@@ -314,3 +316,34 @@ def test_arrays_are_checked_as_members_are() -> None:
     assert as_scores([[1, 2]], "scores").dtype == np.float64
     with pytest.raises(PoseDataError, match=r"^scores: 1 of 2 are NaN"):
         as_scores([[np.nan, 2]], "scores")
+
+
+def dropped(path: Path, name: str) -> Path:
+    """Take a member out of an archive's directory, and leave it in the file."""
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.filelist = [info for info in archive.filelist if info.filename != f"{name}.npy"]
+        archive._didModify = True  # type: ignore[attr-defined]
+    return path
+
+
+@pytest.mark.parametrize("name", ["truth", "joints", "sequence"])
+def test_a_directory_that_lacks_a_member_is_refused(name: str, tmp_path: Path) -> None:
+    """Without ``sequence``, intervals would be too narrow by half."""
+    path = save(tmp_path / "gt.npz", truth=truth(), joints=JOINTS, sequence=np.arange(M))
+    read_poses(path, "truth")
+    with pytest.raises(PoseFileError, match=r"^gt\.npz: its directory (does not fit|lacks members)"):
+        read_poses(dropped(path, name), "truth")
+
+
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+def test_a_member_that_is_there_twice_is_refused(tmp_path: Path) -> None:
+    path = save(tmp_path / "gt.npz", truth=truth())
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("truth.npy", archive.read("truth.npy"))
+    with pytest.raises(PoseFileError, match=r"^gt\.npz names members more than once\. Save it again\.$"):
+        read_poses(path, "truth")
+
+
+def test_compressed_and_stored_archives_are_whole(tmp_path: Path) -> None:
+    np.savez_compressed(tmp_path / "gt.npz", truth=truth(), joints=JOINTS)
+    assert read_poses(tmp_path / "gt.npz", "truth").joints == tuple(JOINTS)
