@@ -20,17 +20,18 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.calibration.ranks import DEFINITIONS, LEVELS, Definition, inside
+from posecal.data.arguments import checked
 from posecal.data.arrays import (
     BoolArray,
     FloatArray,
-    checked,
     checked_choice,
     checked_number,
     checked_root,
     real_array,
 )
-from posecal.engine.block import Block, per_pose
+from posecal.engine.block import Block
 from posecal.engine.metric import mean_over_joints
+from posecal.engine.per_pose import per_pose
 from posecal.engine.protocol import OverJoints
 from posecal.errors import PoseDataError
 
@@ -273,6 +274,7 @@ def calibration_curve(
     definition: Definition = "exchangeable",
     where: npt.ArrayLike | None = None,
     root: int | None = None,
+    axes: str | None = None,
 ) -> CalibrationCurve:
     r"""Calibration curve of every joint.
 
@@ -290,6 +292,8 @@ def calibration_curve(
         The joints that count.
     root : int, optional
         The joint to subtract from every pose first; it carries no information then and is left out.
+    axes : str, optional
+        The layout of the hypotheses, such as ``MNKD``; needed where the shapes leave it open.
 
     Returns
     -------
@@ -326,10 +330,12 @@ def calibration_curve(
     (0.0, 0.5, 1.0)
     """
     checked_choice(definition, "definition", DEFINITIONS)
-    n_joints = checked(hypotheses, truth)[1].shape[1]
+    n_joints = checked(hypotheses, truth, axes=axes, unit="mm")[1].shape[1]  # the unit does not matter
     root = checked_root(root, n_joints)
     joints = None if root is None else np.arange(n_joints) != root
-    table = per_pose(lambda b: inside_table(b, definition, joints), hypotheses, truth, where, root=root)
+    table = per_pose(
+        lambda b: inside_table(b, definition, joints), hypotheses, truth, where, root=root, axes=axes, unit="mm"
+    )
     number = (~np.isnan(table[..., 0])).sum(axis=0)[:, None]
     mean = np.where(number > 0, np.nansum(table, axis=0) / np.maximum(number, 1), np.nan)
     return curve_of(mean, definition)

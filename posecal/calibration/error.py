@@ -34,6 +34,7 @@ def ece(
     over: OverJoints = "median",
     where: npt.ArrayLike | None = None,
     root: int | None = None,
+    axes: str | None = None,
 ) -> float:
     r"""Expected calibration error: mean distance of the calibration curve from the diagonal.
 
@@ -54,6 +55,8 @@ def ece(
         The joints that count.
     root : int, optional
         The joint to subtract from every pose first; it is left out.
+    axes : str, optional
+        The layout of the hypotheses, such as ``MNKD``; needed where the shapes leave it open.
 
     Returns
     -------
@@ -89,7 +92,7 @@ def ece(
     0.452
     """
     checked_choice(over, "over", OVER_JOINTS)
-    return calibration_curve(hypotheses, truth, definition=definition, where=where, root=root).ece(over)
+    return calibration_curve(hypotheses, truth, definition=definition, where=where, root=root, axes=axes).ece(over)
 
 
 # --- metrics --------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Arrays, tensors and lists as NumPy arrays, and the checks of arguments of functions of arrays."""
+"""Arrays, tensors and lists as NumPy arrays, and the checks of single arguments."""
 
 from __future__ import annotations
 
@@ -183,45 +183,6 @@ def as_scores(values: object, name: str) -> FloatArray:
 
 
 # --- checks ---------------------------------------------------------------------------------------------------
-
-
-def checked(hypotheses: object, truth: object, where: object = None) -> tuple[FloatArray, FloatArray, BoolArray | None]:
-    """Check two arrays in the paper's layout, and the mask.
-
-    Parameters
-    ----------
-    hypotheses : array_like (N, M, K, D)
-        Hypotheses.
-    truth : array_like (M, K, D)
-        True poses.
-    where : bool array_like (M, K), optional
-        The joints that count.
-
-    Returns
-    -------
-    tuple
-        The three as arrays.
-
-    Raises
-    ------
-    PoseDataError
-        Where a dtype or a shape is wrong; shapes are named with the letters that they break.
-    """
-    x, y = real_array(hypotheses, "hypotheses"), real_array(truth, "truth")
-    shapes = f"hypotheses {x.shape} and truth {y.shape}"
-    expected = "expected (N, M, K, D) and (M, K, D)"
-    if x.ndim == 3 and y.ndim == 4:
-        raise PoseDataError(f"{shapes}: {expected}. The two look swapped.")
-    if x.ndim != 4 or y.ndim != 3:
-        raise PoseDataError(f"{shapes}: {expected}.")
-    differing = [f"{letter} is {a} and {b}" for letter, a, b in zip("MKD", x.shape[1:], y.shape, strict=True) if a != b]
-    if differing:
-        raise PoseDataError(f"{shapes}: {expected}, but {', '.join(differing)}.")
-    if 0 in x.shape:
-        empty = [letter for letter, size in zip("NMKD", x.shape, strict=True) if size == 0]
-        raise PoseDataError(f"{shapes}: {', '.join(empty)} is 0; expected at least one of each.")
-    x, y = (array if array.dtype.kind == "f" else array.astype(np.float64) for array in (x, y))
-    return x, y, None if where is None else checked_mask(where, y.shape[:2])
 
 
 def checked_mask(values: object, shape: tuple[int, ...], name: str = "where") -> BoolArray:

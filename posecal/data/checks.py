@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 BONES = (50.0, 700.0)
 """A median bone length outside this range, in mm, is remarked on."""
 
+CENTIMETRES = 20.0, 60.0
+"""Poses of a size within this range, in what should be mm, are hands or faces, or people in centimetres."""
+
 TINY = 10.0
 """Poses of this size, in what should be mm, look like metres: a person's joints lie some 400 mm from their centre."""
 
@@ -68,15 +71,45 @@ def check_units(data: PoseData, unit: str | None, true_unit: str | None, declare
             "right."
         )
     remarks += [f"{message} Is its unit right?" for _, message, _ in tiny]
-    if size > 0 and true_size > 0 and not 0.05 < size / true_size < 20:
-        ratio = f"{name} and {true_name} differ in size by a factor of {max(size / true_size, true_size / size):,.0f}"
+    if size > 0 and true_size > 0 and (ratio := ratio_message(name, true_name, size, true_size)):
         if declared.truth_unit is None and not (is_known and true_unit is not None):
             raise PoseDataError(
                 f"{ratio}; expected one unit. Store unit in both, or pass {option('unit')} for the one and "
                 f"{option('truth_unit')} for the other."
             )
         remarks.append(f"{ratio}. Are their units right?")
-    return remarks or _check_bones(data)
+    sizes = [size for _, _, size, known in sides if not known and size > 0]
+    return remarks or [*_check_bones(data), *_remark_on_centimetres(data, max(sizes, default=0.0))][:1]
+
+
+def refuse_tiny(hypotheses: FloatArray, truth: FloatArray) -> None:
+    """Refuse arrays of no declared unit that look like metres, or that are in different units.
+
+    Parameters
+    ----------
+    hypotheses : array (N, M, K, D)
+        Hypotheses.
+    truth : array (M, K, D)
+        True poses. Where their joints coincide, as in worked examples, they have no size to compare.
+
+    Raises
+    ------
+    PoseDataError
+        With the parameter to pass.
+    """
+    true_size, size = pose_size(truth), pose_size(hypotheses[:, :8][:12].reshape(-1, *truth.shape[1:]))
+    right = f"{option('unit', 'mm')} if it is right"
+    if 0 < true_size < TINY:
+        raise PoseDataError(f"{metres_message('truth', true_size)} Pass {option('unit', 'm')}, or {right}.")
+    if true_size > 0 and size > 0 and (message := ratio_message("hypotheses", "truth", size, true_size)):
+        raise PoseDataError(f"{message}; expected one unit. Convert one of the two, or pass {right}.")
+
+
+def ratio_message(name: str, true_name: str, size: float, true_size: float) -> str:
+    """Describe two sizes that can't be in one unit; empty where they can."""
+    if 0.05 < size / true_size < 20:
+        return ""
+    return f"{name} and {true_name} differ in size by a factor of {max(size / true_size, true_size / size):,.0f}"
 
 
 def _distinct(name: str, some: FloatArray) -> list[str]:
@@ -131,6 +164,16 @@ def pose_size(poses: FloatArray) -> float:
 def _sample(poses: FloatArray) -> FloatArray:
     """Give up to a thousand poses, evenly chosen, in double precision."""
     return poses[:: max(1, len(poses) // 500)].astype(np.float64)
+
+
+def _remark_on_centimetres(data: PoseData, size: float) -> list[str]:
+    """Remark on undeclared poses of no known skeleton that are as small as a hand, or a person in centimetres."""
+    if data.parents or known_set(data.joints) or not CENTIMETRES[0] <= size < CENTIMETRES[1]:
+        return []
+    return [
+        f"{data.names[1]} may be in centimetres: joints lie {size:.0f} from the middle of the pose, as those of a hand "
+        f"in mm or of a person in cm. Pass {option('unit', 'cm')}, or {option('unit', 'mm')} if it is right."
+    ]
 
 
 def _check_bones(data: PoseData) -> list[str]:

@@ -152,14 +152,26 @@ def choose_layouts(
             raise PoseDataError(f"{both}, but the shapes don't tell the axes apart (K = D = 3). Pass {options}.")
         return layout, true_layout
     fitting = plausible_layouts(x, true_shape)
-    options = " or ".join(option("axes", text) for text in fitting)
-    if len(fitting) > 1:
-        sizes = Layout(fitting[0], HYPOTHESES).sizes(x)
-        equal = ", ".join(f"{a} = {b} = {sizes[a]}" for a, b in combinations(HYPOTHESES, 2) if sizes[a] == sizes[b])
-        raise PoseDataError(f"{both}, but the shapes don't tell the axes apart ({equal}). Pass {options}.")
+    refuse_ambiguous(both, x, fitting)
     if fitting not in ([], [HYPOTHESES]):
-        raise PoseDataError(f"{both}. The shapes fit {options}.")
+        raise PoseDataError(f"{both}. The shapes fit {option('axes', fitting[0])}.")
     return layout, true_layout
+
+
+def refuse_ambiguous(which: str, shape: tuple[int, ...], fitting: Sequence[str]) -> None:
+    """Refuse hypotheses of a shape that several layouts fit.
+
+    Raises
+    ------
+    PoseDataError
+        With the lengths that are equal, and the layouts.
+    """
+    if len(fitting) > 1:
+        sizes = Layout(fitting[0], HYPOTHESES).sizes(shape)
+        pairs = ((a, b) for a, b in combinations(HYPOTHESES, 2) if sizes[a] == sizes[b] > 1)
+        equal = ", ".join(f"{a} = {b} = {sizes[a]}" for a, b in pairs)
+        options = " or ".join(option("axes", text) for text in fitting)
+        raise PoseDataError(f"{which}, but the shapes don't tell the axes apart ({equal}). Pass {options}.")
 
 
 def _default_truth(layout: Layout, shape: tuple[int, ...]) -> str:

@@ -246,7 +246,7 @@ class Layout:
 
 
 def plausible_layouts(shape: tuple[int, ...], truth: tuple[int, ...]) -> list[str]:
-    """Name the common layouts that would fit hypotheses to a truth of shape (M, K, D).
+    """Name the common layouts that would fit hypotheses to a truth of shape (M, K, D), one of those that are the same.
 
     Examples
     --------
@@ -257,4 +257,6 @@ def plausible_layouts(shape: tuple[int, ...], truth: tuple[int, ...]) -> list[st
     """
     if len(shape) != 4:
         return []
-    return [text for text in _COMMON if tuple(shape[text.index(letter)] for letter in TRUTH) == truth]
+    fitting = [text for text in _COMMON if tuple(shape[text.index(letter)] for letter in TRUTH) == truth]
+    order = {text: "".join(letter for letter, n in zip(text, shape, strict=True) if n > 1) for text in fitting}
+    return [text for text in fitting if order[text] not in [order[other] for other in fitting[: fitting.index(text)]]]

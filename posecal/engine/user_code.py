@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from posecal.data.arguments import declared
 from posecal.data.arrays import FloatArray
 from posecal.engine.block import Block
 from posecal.errors import PoseDataError, option
@@ -74,7 +75,8 @@ def values_of_arrays(function: Callable[..., npt.ArrayLike], name: str, block: B
     expected = where.shape if by_joint else where.shape[:1]
     try:
         takes_mask = _takes_mask(function)
-        values = np.asarray(function(hypotheses, truth, **({"where": where} if takes_mask else {})))
+        with declared():
+            values = np.asarray(function(hypotheses, truth, **({"where": where} if takes_mask else {})))
         if np.iscomplexobj(values):
             raise PoseDataError(f"metric: {name} gave {values.dtype}; expected real numbers.")
         values = values.astype(np.float64)

@@ -12,9 +12,11 @@ from functools import cache, partial
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.arrays import BoolArray, FloatArray, as_array, checked, checked_choice
-from posecal.engine.block import Block, per_pose
+from posecal.data.arguments import checked
+from posecal.data.arrays import BoolArray, FloatArray, as_array, checked_choice
+from posecal.engine.block import Block
 from posecal.engine.metric import Curve, Metric, Statistic, entry
+from posecal.engine.per_pose import per_pose
 from posecal.engine.scope import Scope
 from posecal.errors import PoseDataError
 from posecal.geometry.procrustes import ALIGNMENTS, Alignment
@@ -108,6 +110,8 @@ def min_mpjpe_curve(
     align: Alignment = "none",
     where: npt.ArrayLike | None = None,
     root: int | None = None,
+    axes: str | None = None,
+    unit: str | float | None = None,
 ) -> FloatArray:
     r"""Expected minMPJPE of each pose with n of the N hypotheses, exactly, without sampling anew.
 
@@ -117,7 +121,7 @@ def min_mpjpe_curve(
 
     Parameters
     ----------
-    hypotheses, truth, align, where, root
+    hypotheses, truth, align, where, root, axes, unit
         As for :func:`posecal.metrics.mpjpe`.
     sizes : array of int (T,)
         The n, each from 1 to N. At 1 it is the mean error, at N it is minMPJPE.
@@ -150,11 +154,15 @@ def min_mpjpe_curve(
     array([[3.    , 1.3333, 1.    ]])
     """
     checked_choice(align, "align", ALIGNMENTS)
-    n = len(checked(hypotheses, truth)[0])
+    n = len(checked(hypotheses, truth, axes=axes, unit=unit)[0])
     asked = as_array(sizes, "sizes")
     if asked.ndim != 1 or asked.dtype.kind not in "iu" or not ((asked >= 1) & (asked <= n)).all():
         raise PoseDataError(f"sizes: {asked.tolist()}; expected whole numbers from 1 to N = {n}.")
-    return per_pose(lambda b: subset_errors(b, asked, align), hypotheses, truth, where, root=root)
+
+    def statistic(block: Block) -> FloatArray:
+        return subset_errors(block, asked, align)
+
+    return per_pose(statistic, hypotheses, truth, where, root=root, axes=axes, unit=unit)
 
 
 # --- metrics --------------------------------------------------------------------------------------------------

@@ -64,6 +64,8 @@ def brier_score(
     threshold: float = 150.0,
     where: npt.ArrayLike | None = None,
     root: int | None = None,
+    axes: str | None = None,
+    unit: str | float | None = None,
 ) -> FloatArray:
     r"""Fair Brier score of each pose for the event that the median pose is right at every joint.
 
@@ -74,7 +76,7 @@ def brier_score(
 
     Parameters
     ----------
-    hypotheses, truth, where, root
+    hypotheses, truth, where, root, axes, unit
         As for :func:`posecal.metrics.energy_score`.
     threshold : float
         Distance below which a joint is right, mm.
@@ -114,7 +116,7 @@ def brier_score(
     array([1.])
     """
     threshold = checked_number(threshold, "threshold", lambda mm: 0 < mm < np.inf, "a length above 0")
-    return fair_per_pose(lambda b: fair_brier(b, None, threshold), hypotheses, truth, where, root)
+    return fair_per_pose(lambda b: fair_brier(b, None, threshold), hypotheses, truth, where, root, axes, unit)
 
 
 @dataclass(frozen=True)

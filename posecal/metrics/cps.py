@@ -13,8 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray, checked_choice
-from posecal.engine.block import Block, per_pose
+from posecal.engine.block import Block
 from posecal.engine.metric import Curve, Metric, Need, Statistic
+from posecal.engine.per_pose import per_pose
 from posecal.engine.scope import Scope
 from posecal.geometry.procrustes import ALIGNMENTS, Alignment
 from posecal.metrics.mpjpe import aligned_words
@@ -83,6 +84,8 @@ def cps(
     align: Alignment = "similarity",
     where: npt.ArrayLike | None = None,
     root: int | None = None,
+    axes: str | None = None,
+    unit: str | float | None = None,
 ) -> FloatArray:
     r"""Correct pose score of each pose: CPS.
 
@@ -93,7 +96,7 @@ def cps(
 
     Parameters
     ----------
-    hypotheses, truth, select, where, root
+    hypotheses, truth, select, where, root, axes, unit
         As for :func:`posecal.metrics.pck`; Human3.6M's CPS has 16 of 17 joints, all but the spine.
     align : str
         See :mod:`posecal.geometry.procrustes`; Procrustes by default.
@@ -131,7 +134,11 @@ def cps(
     """
     checked_choice(select, "select", SELECTIONS)
     checked_choice(align, "align", ALIGNMENTS)
-    return per_pose(lambda b: pose_score(b, cps_area, select, align), hypotheses, truth, where, root=root)
+
+    def statistic(block: Block) -> FloatArray:
+        return pose_score(block, cps_area, select, align)
+
+    return per_pose(statistic, hypotheses, truth, where, root=root, axes=axes, unit=unit)
 
 
 # --- metrics --------------------------------------------------------------------------------------------------

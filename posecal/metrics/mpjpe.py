@@ -21,9 +21,11 @@ from typing import Literal, cast, get_args
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.arrays import BoolArray, FloatArray, checked, checked_choice, checked_index
-from posecal.engine.block import Block, per_pose
+from posecal.data.arguments import checked
+from posecal.data.arrays import BoolArray, FloatArray, checked_choice, checked_index
+from posecal.engine.block import Block
 from posecal.engine.metric import Metric, Need, Statistic, entry, per_joint
+from posecal.engine.per_pose import per_pose
 from posecal.engine.scope import Scope
 from posecal.errors import PoseDataError
 from posecal.geometry.procrustes import ALIGNMENTS, Alignment
@@ -52,6 +54,8 @@ def mpjpe(
     where: npt.ArrayLike | None = None,
     root: int | None = None,
     mode: int = 0,
+    axes: str | None = None,
+    unit: str | float | None = None,
 ) -> FloatArray:
     r"""Mean per-joint position error of each pose.
 
@@ -77,6 +81,8 @@ def mpjpe(
         The joint to subtract from every pose first.
     mode : int
         The index that ``of="mode"`` takes.
+    axes, unit : str, optional
+        Such as ``MNKD`` and ``m``, where the hypotheses are not (N, M, K, D), or both not in mm, or it is not clear.
 
     Returns
     -------
@@ -118,11 +124,16 @@ def mpjpe(
     """
     checked_choice(align, "align", ALIGNMENTS)
     checked_choice(of, "of", [*OF_ERRORS, *(name for name in OF_POSES if name != "weighted_pose")])
-    if of in OF_ERRORS:
-        return per_pose(lambda b: reduce_errors(pose_errors(b, align), of), hypotheses, truth, where, root=root)
-    pose = cast(OfPoses, of)
-    index = checked_index(mode, "mode", len(checked(hypotheses, truth)[0]), "hypotheses") if of == "mode" else None
-    return per_pose(lambda b: pose_errors(b, align, pose, mode=index)[:, 0], hypotheses, truth, where, root=root)
+    index: int | None = None
+    if of == "mode":
+        index = checked_index(mode, "mode", len(checked(hypotheses, truth, axes=axes, unit=unit)[0]), "hypotheses")
+
+    def statistic(block: Block) -> FloatArray:
+        if of in OF_ERRORS:
+            return reduce_errors(pose_errors(block, align), of)
+        return pose_errors(block, align, cast(OfPoses, of), mode=index)[:, 0]
+
+    return per_pose(statistic, hypotheses, truth, where, root=root, axes=axes, unit=unit)
 
 
 def min_mpjpe(
@@ -133,6 +144,8 @@ def min_mpjpe(
     align: Alignment = "none",
     where: npt.ArrayLike | None = None,
     root: int | None = None,
+    axes: str | None = None,
+    unit: str | float | None = None,
 ) -> FloatArray:
     r"""Error of the best of the N hypotheses of each pose: minMPJPE.
 
@@ -140,7 +153,7 @@ def min_mpjpe(
 
     Parameters
     ----------
-    hypotheses, truth, align, where, root
+    hypotheses, truth, align, where, root, axes, unit
         As for :func:`mpjpe`.
 
     Returns
@@ -176,7 +189,7 @@ def min_mpjpe(
     >>> min_mpjpe(hypotheses, np.zeros((1, 1, 3)))
     array([2.])
     """
-    return mpjpe(hypotheses, truth, of="min", align=align, where=where, root=root)
+    return mpjpe(hypotheses, truth, of="min", align=align, where=where, root=root, axes=axes, unit=unit)
 
 
 # --- metrics --------------------------------------------------------------------------------------------------

@@ -14,8 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray, checked_choice, checked_number
-from posecal.engine.block import Block, per_pose
+from posecal.engine.block import Block
 from posecal.engine.metric import Curve, Metric, Need, Statistic, entry
+from posecal.engine.per_pose import per_pose
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import Scope
 from posecal.errors import PoseDataError
@@ -107,6 +108,8 @@ def pck(
     strict: bool = True,
     where: npt.ArrayLike | None = None,
     root: int | None = None,
+    axes: str | None = None,
+    unit: str | float | None = None,
 ) -> FloatArray:
     r"""Share of correct keypoints of each pose: PCK.
 
@@ -129,6 +132,8 @@ def pck(
         The joints that count; Human3.6M's PCK has 14 of 17 (:data:`posecal.data.skeleton.JOINT_SETS`).
     root : int, optional
         The joint to subtract from every pose first.
+    axes, unit : str, optional
+        Such as ``MNKD`` and ``m``, where the hypotheses are not (N, M, K, D), or both not in mm, or it is not clear.
 
     Returns
     -------
@@ -164,7 +169,11 @@ def pck(
     """
     checked_choice(select, "select", SELECTIONS)
     threshold = checked_number(threshold, "threshold", lambda mm: 0 < mm < np.inf, "a length above 0")
-    return per_pose(lambda b: correct_joints(b, threshold, select, strict=strict), hypotheses, truth, where, root=root)
+
+    def statistic(block: Block) -> FloatArray:
+        return correct_joints(block, threshold, select, strict=strict)
+
+    return per_pose(statistic, hypotheses, truth, where, root=root, axes=axes, unit=unit)
 
 
 def auc(
@@ -178,12 +187,14 @@ def auc(
     strict: bool = True,
     where: npt.ArrayLike | None = None,
     root: int | None = None,
+    axes: str | None = None,
+    unit: str | float | None = None,
 ) -> FloatArray:
     """Mean of PCK over thresholds, 0, 5, … 150 mm by default, of each pose: AUC.
 
     Parameters
     ----------
-    hypotheses, truth, select, strict, where, root
+    hypotheses, truth, select, strict, where, root, axes, unit
         As for :func:`pck`; ``own`` takes the best hypothesis at each threshold.
     thresholds : tuple of float, float and int
         The first and the last threshold, mm, and how many there are: hands take (0, 50, 100).
@@ -232,7 +243,10 @@ def auc(
     def score(errors: FloatArray) -> FloatArray:
         return auc_share(errors, thresholds, area, strict=strict)
 
-    return per_pose(lambda b: joint_score(b, score, select), hypotheses, truth, where, root=root)
+    def statistic(block: Block) -> FloatArray:
+        return joint_score(block, score, select)
+
+    return per_pose(statistic, hypotheses, truth, where, root=root, axes=axes, unit=unit)
 
 
 # --- metrics --------------------------------------------------------------------------------------------------

@@ -20,9 +20,11 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.arrays import BoolArray, FloatArray, checked, squared_norms
-from posecal.engine.block import Block, per_pose
+from posecal.data.arguments import checked
+from posecal.data.arrays import BoolArray, FloatArray, squared_norms
+from posecal.engine.block import Block
 from posecal.engine.metric import Metric, Statistic, entry, mean_over_joints
+from posecal.engine.per_pose import per_pose
 from posecal.engine.scope import Scope
 from posecal.errors import PoseDataError
 
@@ -48,7 +50,6 @@ def _half_mean_distances(points: FloatArray) -> FloatArray:
         times = np.repeat(np.array([1, 2], dtype=points.dtype), [own, later - own])
         factors = left[..., start : start + own].swapaxes(-1, -2), right[..., start:]
         strips.append((factors, distances, np.einsum("sii->si", distances[..., :own]), times))
-
     total = np.zeros((B, S))
     for b in range(B):
         centred = np.subtract(points[b], centres[b], out=left[:, :D])
@@ -133,15 +134,24 @@ def fair_per_pose(
     truth: npt.ArrayLike,
     where: npt.ArrayLike | None,
     root: int | None,
+    axes: str | None,
+    unit: str | float | None,
 ) -> FloatArray:
     """Compute a fair score of every pose, (M,); refuse fewer than two hypotheses."""
-    if len(checked(hypotheses, truth)[0]) < 2:
+    if len(checked(hypotheses, truth, axes=axes, unit=unit)[0]) < 2:
         raise PoseDataError("hypotheses: N = 1; fair scores need at least 2.")
-    return per_pose(statistic, hypotheses, truth, where, root=root)
+    return per_pose(statistic, hypotheses, truth, where, root=root, axes=axes, unit=unit)
 
 
 def energy_score(
-    hypotheses: npt.ArrayLike, truth: npt.ArrayLike, /, *, where: npt.ArrayLike | None = None, root: int | None = None
+    hypotheses: npt.ArrayLike,
+    truth: npt.ArrayLike,
+    /,
+    *,
+    where: npt.ArrayLike | None = None,
+    root: int | None = None,
+    axes: str | None = None,
+    unit: str | float | None = None,
 ) -> FloatArray:
     r"""Fair energy score of each whole pose.
 
@@ -159,6 +169,8 @@ def energy_score(
         The joints that count.
     root : int, optional
         The joint to subtract from every pose first.
+    axes, unit : str, optional
+        Such as ``MNKD`` and ``m``, where the hypotheses are not (N, M, K, D), or both not in mm, or it is not clear.
 
     Returns
     -------
@@ -194,11 +206,18 @@ def energy_score(
     >>> energy_score(hypotheses, np.zeros((1, 1, 1)))
     array([1.])
     """
-    return fair_per_pose(lambda b: joint_energies(b)[:, -1], hypotheses, truth, where, root)
+    return fair_per_pose(lambda b: joint_energies(b)[:, -1], hypotheses, truth, where, root, axes, unit)
 
 
 def crps(
-    hypotheses: npt.ArrayLike, truth: npt.ArrayLike, /, *, where: npt.ArrayLike | None = None, root: int | None = None
+    hypotheses: npt.ArrayLike,
+    truth: npt.ArrayLike,
+    /,
+    *,
+    where: npt.ArrayLike | None = None,
+    root: int | None = None,
+    axes: str | None = None,
+    unit: str | float | None = None,
 ) -> FloatArray:
     r"""Fair continuous ranked probability score of each pose, the mean over its coordinates: CRPS.
 
@@ -207,7 +226,7 @@ def crps(
 
     Parameters
     ----------
-    hypotheses, truth, where, root
+    hypotheses, truth, where, root, axes, unit
         As for :func:`energy_score`.
 
     Returns
@@ -236,16 +255,22 @@ def crps(
     --------
     In one dimension it is the energy score.
 
-    >>> import numpy as np
     >>> hypotheses = np.array([3.0, 1.0]).reshape(2, 1, 1, 1)
     >>> crps(hypotheses, np.zeros((1, 1, 1)))
     array([1.])
     """
-    return fair_per_pose(lambda b: mean_over_joints(joint_crps(b)), hypotheses, truth, where, root)
+    return fair_per_pose(lambda b: mean_over_joints(joint_crps(b)), hypotheses, truth, where, root, axes, unit)
 
 
 def variogram_score(
-    hypotheses: npt.ArrayLike, truth: npt.ArrayLike, /, *, where: npt.ArrayLike | None = None, root: int | None = None
+    hypotheses: npt.ArrayLike,
+    truth: npt.ArrayLike,
+    /,
+    *,
+    where: npt.ArrayLike | None = None,
+    root: int | None = None,
+    axes: str | None = None,
+    unit: str | float | None = None,
 ) -> FloatArray:
     r"""Fair variogram score of order ½ of each pose, on the distances between its joints.
 
@@ -259,6 +284,8 @@ def variogram_score(
     ----------
     hypotheses, truth, where, root
         As for :func:`energy_score`.
+    axes, unit : str, optional
+        Such as ``MNKD`` and ``m``, where the hypotheses are not (N, M, K, D), or both not in mm, or it is not clear.
 
     Returns
     -------
@@ -288,13 +315,11 @@ def variogram_score(
     Two joints 4 mm apart, and 1 and 9 mm apart in the hypotheses: √d is 2, and 1 and 3, with the mean 2 and the
     variance 2, so the score is 0 - 2/2.
 
-    >>> import numpy as np
-    >>> hypotheses = np.zeros((2, 1, 2, 1))
-    >>> hypotheses[:, 0, 1, 0] = 1, 9
-    >>> variogram_score(hypotheses, np.array([0.0, 4.0]).reshape(1, 2, 1)).round(6)
+    >>> hypotheses = np.array([0.0, 1.0, 0.0, 9.0]).reshape(2, 1, 2, 1)
+    >>> variogram_score(hypotheses, np.array([0.0, 4.0]).reshape(1, 2, 1), unit="mm").round(6)
     array([-1.])
     """
-    return fair_per_pose(variograms, hypotheses, truth, where, root)
+    return fair_per_pose(variograms, hypotheses, truth, where, root, axes, unit)
 
 
 # --- metrics --------------------------------------------------------------------------------------------------

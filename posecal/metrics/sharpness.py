@@ -13,8 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray, checked_number, squared_norms
-from posecal.engine.block import Block, per_pose
+from posecal.engine.block import Block
 from posecal.engine.metric import Metric, Statistic, mean_over_joints, per_joint
+from posecal.engine.per_pose import per_pose
 from posecal.engine.scope import Scope
 
 
@@ -66,6 +67,8 @@ def diversity(
     population: bool = False,
     where: npt.ArrayLike | None = None,
     root: int | None = None,
+    axes: str | None = None,
+    unit: str | float | None = None,
 ) -> FloatArray:
     r"""Standard deviation of the hypotheses of each pose, over n, averaged over axes and joints.
 
@@ -83,6 +86,8 @@ def diversity(
         The joints that count.
     root : int, optional
         The joint to subtract from every pose first; its spread of 0 counts unless ``where`` leaves it out.
+    axes, unit : str, optional
+        Such as ``MNKD`` and ``m``, where the hypotheses are not (N, M, K, D), or both not in mm, or it is not clear.
 
     Returns
     -------
@@ -119,7 +124,15 @@ def diversity(
     def statistic(block: Block) -> FloatArray:
         return mean_over_joints(joint_deviations(block, population=population))
 
-    return per_pose(statistic, hypotheses, truth, where, root=root)
+    return per_pose(
+        statistic,
+        hypotheses,
+        truth,
+        where,
+        root=root,
+        axes=axes,
+        unit=unit,
+    )
 
 
 def radius(
@@ -130,6 +143,8 @@ def radius(
     share: float = 0.5,
     where: npt.ArrayLike | None = None,
     root: int | None = None,
+    axes: str | None = None,
+    unit: str | float | None = None,
 ) -> FloatArray:
     r"""Sharpness of each pose: mean radius of the balls that hold a share q of the hypotheses of a joint.
 
@@ -138,7 +153,7 @@ def radius(
 
     Parameters
     ----------
-    hypotheses, truth, where, root
+    hypotheses, truth, where, root, axes, unit
         As for :func:`diversity`.
     share : float
         q, above 0 and at most 1.
@@ -176,7 +191,11 @@ def radius(
     array([1.])
     """
     share = checked_number(share, "share", lambda share: 0 < share <= 1, "above 0 and at most 1")
-    return per_pose(lambda b: mean_over_joints(joint_radii(b, (share,))[..., 0]), hypotheses, truth, where, root=root)
+
+    def statistic(block: Block) -> FloatArray:
+        return mean_over_joints(joint_radii(block, (share,))[..., 0])
+
+    return per_pose(statistic, hypotheses, truth, where, root=root, axes=axes, unit=unit)
 
 
 # --- metrics --------------------------------------------------------------------------------------------------

@@ -8,9 +8,11 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.arrays import BoolArray, FloatArray, as_array, checked, checked_number, squared_norms
-from posecal.engine.block import Block, per_pose
+from posecal.data.arguments import checked
+from posecal.data.arrays import BoolArray, FloatArray, as_array, checked_number, squared_norms
+from posecal.engine.block import Block
 from posecal.engine.metric import Metric, Statistic
+from posecal.engine.per_pose import per_pose
 from posecal.engine.scope import Scope
 from posecal.errors import PoseDataError
 from posecal.metrics.position import OfPoses
@@ -44,6 +46,8 @@ def mpjve(
     fps: float | None = None,
     where: npt.ArrayLike | None = None,
     root: int | None = None,
+    axes: str | None = None,
+    unit: str | float | None = None,
 ) -> FloatArray:
     r"""Mean per-joint velocity error of each pose, from the pose before it in its sequence.
 
@@ -63,6 +67,8 @@ def mpjve(
         The joints that count; a step needs the joint in both of its poses.
     root : int, optional
         The joint to subtract from every pose first.
+    axes, unit : str, optional
+        Such as ``MNKD`` and ``m``, where the hypotheses are not (N, M, K, D), or both not in mm, or it is not clear.
 
     Returns
     -------
@@ -96,7 +102,7 @@ def mpjve(
     >>> mpjve(walk, np.zeros((3, 1, 3)))
     array([nan,  5.,  5.])
     """
-    _, y, _ = checked(hypotheses, truth, where)
+    _, y, _ = checked(hypotheses, truth, where, axes=axes, unit=unit)
     labels = np.zeros(len(y)) if sequence is None else as_array(sequence, "sequence")
     if labels.shape != (len(y),):
         raise PoseDataError(f"sequence {labels.shape}: expected (M,) = ({len(y)},).")
@@ -106,7 +112,7 @@ def mpjve(
     def statistic(block: Block) -> FloatArray:
         return np.asarray(velocity_errors(block).mean(axis=-1, dtype=np.float64))
 
-    return per_pose(statistic, hypotheses, truth, where, root=root, follows=follows) * rate
+    return per_pose(statistic, hypotheses, truth, where, root=root, follows=follows, axes=axes, unit=unit) * rate
 
 
 # --- metrics --------------------------------------------------------------------------------------------------

@@ -107,12 +107,12 @@ def test_this_test_would_see_the_bias_of_the_other_definitions(N: int, definitio
 @pytest.mark.parametrize("N", [2, 3, 7])
 def test_hypotheses_and_truth_may_be_swapped_in_the_pool(N: int) -> None:
     """Over all N + 1 choices of the truth among the same points the weights average to q, exactly."""
-    points = np.random.default_rng(N).normal(0, 100, (N + 1, 40, 3, 3))
+    points = np.random.default_rng(N).normal(0, 100, (N + 1, 40, 4, 3))
     weights = []
     for truth in range(N + 1):
         others = np.delete(points, truth, axis=0)
         weights.append(calibration_curve(others, points[truth]).joints)
-    np.testing.assert_allclose(np.mean(weights, axis=0), np.broadcast_to(LEVELS, (3, 21)), atol=1e-12)
+    np.testing.assert_allclose(np.mean(weights, axis=0), np.broadcast_to(LEVELS, (4, 21)), atol=1e-12)
 
 
 @pytest.mark.parametrize("N", [4, 5])

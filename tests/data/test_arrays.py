@@ -11,10 +11,10 @@ import numpy.typing as npt
 import pandas as pd
 import pytest
 
+from posecal.data.arguments import checked
 from posecal.data.arrays import (
     as_array,
     as_labels,
-    checked,
     checked_choice,
     checked_number,
     checked_root,

@@ -201,7 +201,16 @@ def test_joints_without_names_have_no_bones_to_look_at() -> None:
         StoredPoses("gt.npz", MemoryArray(truth() / 10)),
         Declarations(),
     )
-    assert pairs.remarks == ()
+    (remark,) = pairs.remarks  # as small as a hand
+    assert remark.startswith(
+        "gt.npz may be in centimetres: joints lie 53 from the middle of the pose, as those of a hand"
+    )
+    declared = match_poses(
+        StoredPoses("hyps.npz", MemoryArray(hypotheses() / 10)),
+        StoredPoses("gt.npz", MemoryArray(truth() / 10)),
+        Declarations(unit="mm"),
+    )
+    assert declared.remarks == ()
 
 
 def test_poses_with_missing_coordinates_are_looked_at_by_the_others() -> None:

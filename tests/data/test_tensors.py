@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from posecal.data.arrays import as_array, as_labels, checked, checked_number, checked_root
+from posecal.data.arguments import checked
+from posecal.data.arrays import as_array, as_labels, checked_number, checked_root
 from posecal.data.pose_data import PoseData
 from posecal.errors import PoseDataError
 from posecal.metrics import min_mpjpe

@@ -293,7 +293,7 @@ def test_a_function_may_give_a_value_per_joint() -> None:
 def test_posecal_s_own_functions_of_arrays_are_such_functions() -> None:
     part, x, y, where = block()
     values = Metric.from_function(posecal.metrics.pck, name="own").statistic.compute(part)
-    np.testing.assert_allclose(values, posecal.metrics.pck(x, y, where=where), rtol=1e-12)
+    np.testing.assert_allclose(values, posecal.metrics.pck(x, y, where=where, axes="NMKD"), rtol=1e-12)
 
 
 @pytest.mark.parametrize(

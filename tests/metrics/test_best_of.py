@@ -92,7 +92,7 @@ def test_the_curve_goes_from_the_mean_to_the_minimum(arrays: tuple[Array, Array]
 
 
 def test_the_curve_falls() -> None:
-    x, y = skewed(7, 300, 4, 3)
+    x, y = skewed(7, 300, 4, 5)
     assert (np.diff(min_mpjpe_curve(x, y, np.arange(1, 301))) < 0).all()
 
 

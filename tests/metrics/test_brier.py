@@ -15,7 +15,7 @@ from tests.helpers.score_oracles import isotonic, near_median
 
 
 def test_the_brier_score_is_of_the_share_of_hypotheses_with_every_joint_near_the_median() -> None:
-    x, y = skewed(15, 8, 40, 3)
+    x, y = skewed(15, 8, 40, 4)
     expected = []
     for m in range(40):
         inner, happened = near_median(x[:, m], y[m], 150)

@@ -61,7 +61,9 @@ def test_mpjpe_is_the_naive_formula(
 def test_mpjpe_is_the_naive_formula_for_every_shape(n: int, m: int, k: int, d: int, seed: int, of: OfPoses) -> None:
     x, y = skewed(seed, n, m, k, d)
     w = np.random.default_rng(seed).random((m, k)) < 0.6
-    np.testing.assert_allclose(mpjpe(x, y, of=of, where=w), expected(x, y, w, of, "none", None), rtol=1e-12)
+    np.testing.assert_allclose(
+        mpjpe(x, y, of=of, where=w, axes="NMKD"), expected(x, y, w, of, "none", None), rtol=1e-12
+    )
 
 
 @pytest.mark.parametrize("n", [1, 2, 5])

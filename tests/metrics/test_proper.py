@@ -101,7 +101,7 @@ def test_scores_do_not_depend_on_the_number_of_hypotheses_but_for_chance(name: s
 @pytest.mark.parametrize("factor", [0.6, 1.6])
 def test_a_sampler_of_a_wrong_spread_scores_worse(name: str, factor: float) -> None:
     random = np.random.default_rng(7)
-    y, x = random.normal(0, 50, (400, 3, 3)), random.normal(0, 50, (20, 400, 3, 3))
+    y, x = random.normal(0, 50, (400, 4, 3)), random.normal(0, 50, (20, 400, 4, 3))
     differences = SCORES[name](factor * x, y) - SCORES[name](x, y)
     assert differences.mean() > 4 * differences.std() / np.sqrt(len(differences))
 
@@ -120,21 +120,21 @@ def test_the_energy_score_of_a_perfect_sampler_is_half_the_mean_distance_of_two_
 
 @pytest.mark.parametrize("name", ["energy", "crps", "variogram"])
 def test_hypotheses_that_all_agree_have_the_score_of_their_error(name: str) -> None:
-    x, y = skewed(9, 1, 6, 3)
+    x, y = skewed(9, 1, 6, 4)
     same = np.repeat(x, 7, axis=0)
     if name == "energy":
         expected = np.sqrt(((x[0] - y) ** 2).sum(axis=(1, 2)))
     elif name == "crps":
         expected = np.abs(x[0] - y).mean(axis=(1, 2))
     else:
-        pairs = [(0, 1), (0, 2), (1, 2)]
+        pairs = [(0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3)]
         roots = [[np.sqrt(np.linalg.norm(p[:, k] - p[:, j], axis=-1)) for k, j in pairs] for p in (x[0], y)]
         expected = ((np.array(roots[0]) - np.array(roots[1])) ** 2).mean(axis=0)
     np.testing.assert_allclose(SCORES[name](same, y), expected, rtol=1e-9)
 
 
 def test_a_constant_far_from_the_origin_costs_no_precision() -> None:
-    x, y = skewed(10, 60, 4, 3)
+    x, y = skewed(10, 60, 5, 4)
     far = np.float32(1e5)
     for name in ("energy", "crps"):
         near = SCORES[name](x.astype("f4"), y.astype("f4"))
@@ -161,25 +161,25 @@ def test_a_variogram_needs_two_joints() -> None:
 
 @pytest.mark.parametrize("name", SCORES)
 def test_the_root_is_subtracted_where_it_is_asked_for(name: str) -> None:
-    x, y = skewed(13, 5, 4, 3)
+    x, y = skewed(13, 5, 6, 4)
     relative = SCORES[name](x - x[:, :, [1]], y - y[:, [1]])
     np.testing.assert_allclose(SCORES[name](x, y, root=1), relative, rtol=1e-9)
 
 
 @pytest.mark.parametrize("name", SCORES)
 def test_one_hypothesis_has_no_fair_score(name: str) -> None:
-    x, y = skewed(14, 1, 4, 3)
+    x, y = skewed(14, 1, 5, 4)
     with pytest.raises(PoseDataError, match=r"hypotheses: N = 1; fair scores need at least 2"):
         SCORES[name](x, y)
 
 
 def test_of_one_hypothesis_a_block_s_scores_are_not_numbers() -> None:
-    block = Block(*skewed(14, 1, 4, 3))
-    for found, shape in ((joint_energies(block), (4, 4)), (joint_crps(block), (4, 3)), (variograms(block), (4,))):
+    block = Block(*skewed(14, 1, 5, 4))
+    for found, shape in ((joint_energies(block), (5, 5)), (joint_crps(block), (5, 4)), (variograms(block), (5,))):
         assert found.shape == shape
         assert np.isnan(found).all()
 
 
 @pytest.mark.parametrize("name", SCORES)
 def test_of_two_hypotheses_every_score_is_a_number(name: str) -> None:
-    assert np.isfinite(SCORES[name](*skewed(14, 2, 4, 3))).all()
+    assert np.isfinite(SCORES[name](*skewed(14, 2, 5, 4))).all()

@@ -12,7 +12,7 @@ from posecal import calibration, metrics
 from posecal.errors import PoseDataError
 from tests.helpers.random_worlds import skewed
 
-N, M, K = 4, 5, 3
+N, M, K = 3, 5, 4
 X, Y = skewed(0, N, M, K)
 
 FUNCTIONS = {
@@ -54,6 +54,8 @@ WRONG = {
     "area": ("mean", 3, None),
     "thresholds": (150, (0, 150), (50, 0, 10), (0, 50, 1), (0, 50, 2.5), "0:50:10"),
     "where": ("yes", 3, np.full((M, K), 2), np.ones((M, K + 1), bool), [[True], [True, False]]),
+    "axes": ("MNK", 3, "NMKDD", ["NMKD"]),
+    "unit": ("inch", 0, -1.0, [1]),
     "root": ("Hip", 1.5, True, K, -K - 1, [0], np.zeros(2), 1j),
 }
 
@@ -79,7 +81,7 @@ def test_what_is_no_array_of_poses_is_refused(name: str, wrong: str) -> None:
 )
 def test_a_wrong_option_is_refused(name: str, option: str) -> None:
     for value in WRONG[option]:
-        with pytest.raises(PoseDataError, match=rf"^{option}"):
+        with pytest.raises(PoseDataError, match=rf"^(hypotheses.*)?{option}"):
             FUNCTIONS[name](X, Y, **{**REQUIRED.get(name, {}), option: value})
 
 

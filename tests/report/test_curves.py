@@ -15,7 +15,8 @@ from tests.helpers.reports import N, report_of, world
 def test_the_calibration_curves_are_those_of_the_arrays() -> None:
     here = world()
     sitting = here.action == "sitting"
-    expected = calibration_curve(sample(here, N)[:, sitting], here.truth[sitting], definition="paper", root=0)
+    arrays = sample(here, N)[:, sitting], here.truth[sitting]
+    expected = calibration_curve(*arrays, definition="paper", root=0, axes="NMKD")
     curves = report_of(by=("action",)).calibration("paper", "action=sitting")
     np.testing.assert_allclose(curves.joints[1:], expected.joints[1:], atol=1e-12)
     assert curves.definition == "paper"

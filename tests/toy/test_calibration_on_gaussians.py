@@ -5,6 +5,7 @@ hypotheses the first-order bend of :func:`toy.curves.coverage_of` with a quarter
 """
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -19,6 +20,9 @@ drawn = settings(derandomize=True, deadline=None)
 seeds = st.integers(0, 2**32 - 1)
 dimensions = st.integers(1, 6)
 spreads = st.one_of(st.floats(0.3, 0.8), st.floats(1.25, 2.5))
+
+
+curve_of = partial(calibration_curve, axes="NMKD")  # also where lengths drawn at random agree
 
 
 def sampler(
@@ -51,7 +55,7 @@ def error(expected: np.ndarray, draws: int) -> np.ndarray:
 @given(seed=seeds, N=st.integers(80, 200), K=st.integers(2, 7), D=dimensions, spread=spreads)
 def test_a_wrong_spread_shows_its_closed_curve_and_ece(seed: int, N: int, K: int, D: int, spread: float) -> None:
     M = 300
-    curve = calibration_curve(*sampler(seed, N=N, M=M, K=K, D=D, spread=spread))
+    curve = curve_of(*sampler(seed, N=N, M=M, K=K, D=D, spread=spread))
     infinite, exact = curves.coverage(spread=spread, D=D), curves.coverage_of(N, spread=spread, D=D)
     beyond = 0.25 * np.abs(exact - infinite)
     tolerance = 5 * error(exact, M * K) + beyond
@@ -65,7 +69,7 @@ def test_a_wrong_spread_shows_its_closed_curve_and_ece(seed: int, N: int, K: int
 @given(seed=seeds, K=st.integers(2, 5), D=dimensions, offset=st.floats(0.5, 2.5))
 def test_a_wrong_mean_shows_its_closed_curve(seed: int, K: int, D: int, offset: float) -> None:
     N, M = 200, 400
-    measured = calibration_curve(*sampler(seed, N=N, M=M, K=K, D=D, offset=offset)).joints.mean(axis=0)
+    measured = curve_of(*sampler(seed, N=N, M=M, K=K, D=D, offset=offset)).joints.mean(axis=0)
     exact = curves.coverage(offset=offset, D=D)
     # N hypotheses shift a level by at most a few ranks: the discreteness of one and the median's pull, below 4/N
     around = [curves.coverage(np.clip(LEVELS + shift, 0, 1), offset=offset, D=D) for shift in (-4 / N, 4 / N)]
@@ -78,7 +82,7 @@ def test_a_wrong_mean_shows_its_closed_curve(seed: int, K: int, D: int, offset: 
 def test_a_truth_in_fewer_dimensions_shows_its_closed_curve(seed: int, D: int, data: st.DataObject) -> None:
     N, M, K = 200, 400, 4
     truth_D = data.draw(st.integers(1, D - 1))
-    measured = calibration_curve(*sampler(seed, N=N, M=M, K=K, D=D, truth_D=truth_D)).joints.mean(axis=0)
+    measured = curve_of(*sampler(seed, N=N, M=M, K=K, D=D, truth_D=truth_D)).joints.mean(axis=0)
     exact = curves.coverage(D=D, truth_D=truth_D)
     around = [curves.coverage(np.clip(LEVELS + shift, 0, 1), D=D, truth_D=truth_D) for shift in (-4 / N, 4 / N)]
     tolerance = 5 * error(exact, M * K) + np.maximum(exact - around[0], around[1] - exact)
@@ -106,7 +110,7 @@ def test_exchangeable_ranks_are_uniform_for_every_number_of_hypotheses(seed: int
     which = rng.integers(N + 1, size=M)  # any of the pooled points may be the truth
     truth = pool[which, np.arange(M)]
     hypotheses = np.stack([np.delete(pool[:, m], which[m], axis=0) for m in range(M)], axis=1)
-    measured = calibration_curve(hypotheses, truth).pooled
+    measured = curve_of(hypotheses, truth).pooled
     # The joints of a pose may go together, so only poses count; a weight varies no more than q(1 − q).
     np.testing.assert_array_less(np.abs(measured - LEVELS)[INNER], 5 * error(LEVELS, M)[INNER])
 
@@ -114,7 +118,7 @@ def test_exchangeable_ranks_are_uniform_for_every_number_of_hypotheses(seed: int
 @pytest.mark.parametrize("N", [2, *(pytest.param(N, marks=pytest.mark.slow) for N in (3, 5, 10, 20))])
 def test_exchangeable_ranks_of_few_hypotheses_are_uniform_to_a_tenth_of_a_rank(N: int) -> None:
     M, K = 60_000, 4
-    measured = calibration_curve(*sampler(N, N=N, M=M, K=K, D=3)).joints.mean(axis=0)
+    measured = curve_of(*sampler(N, N=N, M=M, K=K, D=3)).joints.mean(axis=0)
     tolerance = 4.5 * error(LEVELS, M * K)
     assert tolerance.max() < 0.1 / (N + 1)
     np.testing.assert_array_less(np.abs(measured - LEVELS)[INNER], tolerance[INNER])
@@ -123,7 +127,7 @@ def test_exchangeable_ranks_of_few_hypotheses_are_uniform_to_a_tenth_of_a_rank(N
 @settings(drawn, max_examples=10)
 @given(seed=seeds, D=dimensions, N=st.integers(40, 120), narrow=st.floats(0.3, 0.75))
 def test_overconfident_curves_lie_below_the_diagonal_everywhere(seed: int, D: int, N: int, narrow: float) -> None:
-    measured = calibration_curve(*sampler(seed, N=N, M=1500, K=4, D=D, spread=narrow)).joints.mean(axis=0)
+    measured = curve_of(*sampler(seed, N=N, M=1500, K=4, D=D, spread=narrow)).joints.mean(axis=0)
     assert (measured[INNER] < LEVELS[INNER]).all()
 
 
@@ -131,7 +135,7 @@ def test_overconfident_curves_lie_below_the_diagonal_everywhere(seed: int, D: in
 @settings(drawn, max_examples=10)
 @given(seed=seeds, D=dimensions, N=st.integers(40, 120), wide=st.floats(1.35, 3))
 def test_underconfident_curves_lie_above_the_diagonal_everywhere(seed: int, D: int, N: int, wide: float) -> None:
-    measured = calibration_curve(*sampler(seed, N=N, M=1500, K=4, D=D, spread=wide)).joints.mean(axis=0)
+    measured = curve_of(*sampler(seed, N=N, M=1500, K=4, D=D, spread=wide)).joints.mean(axis=0)
     assert (measured[INNER] > LEVELS[INNER]).all()
 
 
@@ -141,7 +145,7 @@ def test_underconfident_curves_lie_above_the_diagonal_everywhere(seed: int, D: i
 def test_all_definitions_show_the_closed_curve_when_there_are_many_hypotheses(definition: str) -> None:
     N, M, K = 700, 800, 6
     hypotheses, truth = sampler(5, N=N, M=M, K=K, D=3, spread=0.7)
-    curve = calibration_curve(hypotheses, truth, definition=definition)  # type: ignore[arg-type]
+    curve = curve_of(hypotheses, truth, definition=definition)  # type: ignore[arg-type]
     measured, exact = curve.joints.mean(axis=0), curves.coverage(spread=0.7)
     # A rank more or less, half a level's rounding and the median's pull: below 3/N of a level
     around = [curves.coverage(np.clip(LEVELS + shift, 0, 1), spread=0.7) for shift in (-3 / N, 3 / N)]
@@ -156,8 +160,8 @@ class TestLaws:
     @given(seed=seeds, N=st.integers(3, 12), D=dimensions, power=st.integers(-12, 12))
     def test_a_common_scale_changes_nothing(self, seed: int, N: int, D: int, power: int) -> None:
         hypotheses, truth = sampler(seed, N=N, M=7, K=3, D=D, spread=0.6)
-        scaled = calibration_curve(2.0**power * hypotheses, 2.0**power * truth)  # exact in floating point
-        np.testing.assert_array_equal(scaled.joints, calibration_curve(hypotheses, truth).joints)
+        scaled = curve_of(2.0**power * hypotheses, 2.0**power * truth)  # exact in floating point
+        np.testing.assert_array_equal(scaled.joints, curve_of(hypotheses, truth).joints)
 
     @settings(drawn, max_examples=10)
     @given(seed=seeds, N=st.integers(3, 12), data=st.data())
@@ -165,8 +169,8 @@ class TestLaws:
         hypotheses, truth = sampler(seed, N=N, M=7, K=3, D=3, spread=0.6)
         axes = data.draw(st.permutations(range(3)))
         signs = np.array(data.draw(st.tuples(*[st.sampled_from([-1.0, 1.0])] * 3)))
-        turned = calibration_curve(signs * hypotheses[..., axes], signs * truth[..., axes])
-        np.testing.assert_allclose(turned.joints, calibration_curve(hypotheses, truth).joints, atol=1e-12)
+        turned = curve_of(signs * hypotheses[..., axes], signs * truth[..., axes])
+        np.testing.assert_allclose(turned.joints, curve_of(hypotheses, truth).joints, atol=1e-12)
 
     def test_any_other_rotation_leaves_the_law_of_the_curve(self) -> None:
         # The median of each coordinate does not turn with the points, so single ranks may change. Turned isotropic
@@ -174,7 +178,7 @@ class TestLaws:
         N, M, K = 150, 800, 4
         hypotheses, truth = sampler(8, N=N, M=M, K=K, D=3, spread=0.6)
         turn = np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))[0]
-        plain, turned = calibration_curve(hypotheses, truth), calibration_curve(hypotheses @ turn, truth @ turn)
+        plain, turned = curve_of(hypotheses, truth), curve_of(hypotheses @ turn, truth @ turn)
         assert not np.array_equal(plain.joints, turned.joints)
         exact = curves.coverage_of(N, spread=0.6)
         bend = 0.25 * np.abs(exact - curves.coverage(spread=0.6))
@@ -188,14 +192,14 @@ class TestLaws:
         hypotheses, truth = sampler(seed, N=N, M=7, K=3, D=D, spread=0.6)
         rng = np.random.default_rng(seed)
         poses = rng.permutation(7)
-        shuffled = calibration_curve(hypotheses[rng.permutation(N)][:, poses], truth[poses])
-        np.testing.assert_allclose(shuffled.joints, calibration_curve(hypotheses, truth).joints, atol=1e-12)
+        shuffled = curve_of(hypotheses[rng.permutation(N)][:, poses], truth[poses])
+        np.testing.assert_allclose(shuffled.joints, curve_of(hypotheses, truth).joints, atol=1e-12)
 
     @settings(drawn, max_examples=10)
     @given(seed=seeds, N=st.integers(3, 12), D=dimensions, joints=st.permutations(range(4)))
     def test_order_of_joints_orders_the_curves(self, seed: int, N: int, D: int, joints: list[int]) -> None:
         hypotheses, truth = sampler(seed, N=N, M=7, K=4, D=D, spread=0.6)
-        plain = calibration_curve(hypotheses, truth)
-        moved = calibration_curve(hypotheses[:, :, joints], truth[:, joints])
+        plain = curve_of(hypotheses, truth)
+        moved = curve_of(hypotheses[:, :, joints], truth[:, joints])
         np.testing.assert_array_equal(moved.joints, plain.joints[joints])
         assert math.isclose(moved.ece(), plain.ece())

@@ -1,0 +1,94 @@
+"""Hypotheses and truth as functions of arrays take them: layout, unit, shapes and mask, checked in one place."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+import numpy as np
+
+from posecal.data.arrays import BoolArray, FloatArray, checked_mask, real_array
+from posecal.data.checks import refuse_tiny
+from posecal.data.declarations import choose_layouts, refuse_ambiguous
+from posecal.data.layout import HYPOTHESES, Layout, MemoryArray, plausible_layouts
+from posecal.data.stored_poses import StoredPoses, in_millimetres
+from posecal.data.units import millimetres_per
+from posecal.errors import PoseDataError
+
+_DECLARED: ContextVar[bool] = ContextVar("declared", default=False)
+
+
+@contextmanager
+def declared() -> Iterator[None]:
+    """Take arrays as (N, M, K, D) in mm: blocks of poses that were read so, passed on to a user's function."""
+    token = _DECLARED.set(True)
+    try:
+        yield
+    finally:
+        _DECLARED.reset(token)
+
+
+def checked(
+    hypotheses: object,
+    truth: object,
+    where: object = None,
+    *,
+    axes: str | None = None,
+    unit: str | float | None = None,
+) -> tuple[FloatArray, FloatArray, BoolArray | None]:
+    """Check two arrays and the mask, in the paper's layout and in millimetres.
+
+    Parameters
+    ----------
+    hypotheses : array_like (N, M, K, D)
+        Hypotheses, in another layout if ``axes`` says so.
+    truth : array_like (M, K, D)
+        True poses, likewise.
+    where : bool array_like (M, K), optional
+        The joints that count.
+    axes : str, optional
+        The layout of the hypotheses, such as ``MNKD``. Where None, shapes that several layouts fit are refused.
+    unit : str, float or None
+        Of both. Where None, mm, and poses that look like metres are refused.
+
+    Returns
+    -------
+    tuple
+        The three as arrays.
+
+    Raises
+    ------
+    PoseDataError
+        Where a dtype or a shape is wrong, or layout or unit are open; shapes are named with the letters that they
+        break.
+    """
+    x, y = real_array(hypotheses, "hypotheses"), real_array(truth, "truth")
+    if axes is not None:
+        Layout(axes, HYPOTHESES)
+        stored = StoredPoses("hypotheses", MemoryArray(x)), StoredPoses("truth", MemoryArray(y))
+        layout, true_layout = choose_layouts(*stored, axes, "MKD" if y.ndim == 3 else None)
+        m, true_m = layout.shape(x.shape)[1], true_layout.shape(y.shape)[0]
+        if m and true_m:
+            x = layout.read(stored[0].array, np.arange(m))
+            y = true_layout.read(stored[1].array, np.arange(true_m))
+    shapes = f"hypotheses {x.shape} and truth {y.shape}"
+    expected = "expected (N, M, K, D) and (M, K, D)"
+    if x.ndim == 3 and y.ndim == 4:
+        raise PoseDataError(f"{shapes}: {expected}. The two look swapped.")
+    if x.ndim != 4 or y.ndim != 3:
+        raise PoseDataError(f"{shapes}: {expected}.")
+    differing = [f"{letter} is {a} and {b}" for letter, a, b in zip("MKD", x.shape[1:], y.shape, strict=True) if a != b]
+    if differing:
+        raise PoseDataError(f"{shapes}: {expected}, but {', '.join(differing)}.")
+    if 0 in x.shape:
+        empty = [letter for letter, size in zip("NMKD", x.shape, strict=True) if size == 0]
+        raise PoseDataError(f"{shapes}: {', '.join(empty)} is 0; expected at least one of each.")
+    is_declared = _DECLARED.get()
+    if axes is None and not is_declared:
+        refuse_ambiguous(f"{shapes}: {expected}", x.shape, plausible_layouts(x.shape, y.shape))
+    factor = 1.0 if unit is None else millimetres_per(unit)
+    x, y = (in_millimetres(array, factor) if factor != 1 or array.dtype.kind != "f" else array for array in (x, y))
+    if unit is None and not is_declared:
+        refuse_tiny(x, y)
+    return x, y, None if where is None else checked_mask(where, y.shape[:2])

@@ -1,0 +1,62 @@
+"""Statistics of every pose of two arrays, block by block: what functions of arrays are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from posecal.data.arguments import checked
+from posecal.data.arrays import BoolArray, FloatArray, checked_root
+from posecal.engine.block import Block, block_length, iter_blocks
+from posecal.errors import PoseDataError
+
+
+def per_pose(
+    statistic: Callable[[Block], FloatArray],
+    hypotheses: npt.ArrayLike,
+    truth: npt.ArrayLike,
+    where: npt.ArrayLike | None = None,
+    *,
+    root: int | None = None,
+    follows: BoolArray | None = None,
+    axes: str | None = None,
+    unit: str | float | None = None,
+) -> FloatArray:
+    """Compute a statistic of every pose, block by block.
+
+    Parameters
+    ----------
+    statistic : callable
+        From a block to an array (B, ...).
+    hypotheses, truth, where, axes, unit
+        As for :func:`posecal.data.arguments.checked`.
+    root : int, optional
+        The joint to subtract from every pose.
+    follows : bool array (M,), optional
+        Whether each pose comes right after the one before it.
+
+    Returns
+    -------
+    array (M, ...)
+        The statistic of each pose, in double.
+
+    Raises
+    ------
+    PoseDataError
+        For arrays that don't fit, no joint of that index, and coordinates that are not finite.
+    """
+    x, y, mask = checked(hypotheses, truth, where, axes=axes, unit=unit)
+    parts: list[FloatArray] = []
+    length = block_length(x.shape, x.dtype)
+    for number, lay_out in enumerate(iter_blocks(x, y, mask, root=checked_root(root, y.shape[1]), follows=follows)):
+        block = lay_out()
+        if block.non_finite.any():
+            pose, joint = np.argwhere(block.non_finite)[0] + np.array([number * length, 0])
+            raise PoseDataError(
+                f"hypotheses or truth: non-finite coordinates (first: pose {pose}, joint {joint}). "
+                "Mask those joints with where, or leave those poses out."
+            )
+        parts.append(np.asarray(statistic(block), dtype=np.float64))
+    return np.concatenate(parts)
