@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import lzma
-import struct
 import sys
-import tokenize
 import warnings
-import zipfile
-import zlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -19,6 +14,7 @@ import numpy.typing as npt
 
 from posecal.data.joint_names import canonical_name
 from posecal.data.layout import TRUTH, Layout, MemoryArray
+from posecal.data.pickles import READ_ERRORS, describe_error
 from posecal.errors import PoseDataError, PoseFileError, first_few
 
 __all__ = [
@@ -34,31 +30,6 @@ __all__ = [
 ]
 
 Members = Mapping[str, npt.NDArray[np.generic]]
-
-READ_ERRORS = (
-    *(OSError, EOFError, ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RuntimeError),
-    *(MemoryError, SyntaxError, zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, tokenize.TokenError),
-)
-"""Exceptions of the standard library and NumPy for damaged files."""
-
-
-def describe_error(problem: BaseException) -> str:
-    """Describe one of :data:`READ_ERRORS` in one line.
-
-    Parameters
-    ----------
-    problem : exception
-        The exception.
-
-    Returns
-    -------
-    str
-        Its message, or a default where that is empty.
-    """
-    if isinstance(problem, MemoryError):
-        return "it needs more memory than there is"
-    return " ".join(str(problem).split()) or "it is cut off or damaged"
-
 
 def read_npz(path: str | Path, *, required: Sequence[str] = ()) -> dict[str, npt.NDArray[np.generic]]:
     """Read the members of an ``.npz`` file, without unpickling.

@@ -15,11 +15,11 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from posecal.data.pickles import read_pickle
 from posecal.data.skeleton import joint_set
 from posecal.errors import PoseDataError, PoseFileError
 from posecal_models.data.lifting_set import LiftingSet
 from posecal_models.data.npz import numeric_array
-from posecal_models.data.pickles import read_pickle
 from posecal_models.data.unit_checks import check_millimetres
 
 __all__ = ["KeypointJoin", "read_prohpe"]
@@ -34,7 +34,7 @@ _KEYS = (*_COLUMNS, "imgpath")
 def read_prohpe(
     path: str | Path, *, every: int = 1, threshold: float = 5.0, join: KeypointJoin = "by-name"
 ) -> LiftingSet:
-    """Read ProHPE's pickle, with the safe reader of :mod:`posecal_models.data.pickles`.
+    """Read ProHPE's pickle, with the safe reader of :mod:`posecal.data.pickles`.
 
     Parameters
     ----------

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from posecal.data.pickles import read_object_npz
 from posecal.data.skeleton import joint_set
 from posecal.errors import PoseDataError, PoseFileError
 from posecal_models.data.cameras import Camera
 from posecal_models.data.lifting_set import LiftingSet
 from posecal_models.data.npz import numeric_array
-from posecal_models.data.pickles import read_object_npz
 from posecal_models.data.unit_checks import check_millimetres
 
 __all__ = ["OF_32", "read_videopose3d"]

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from posecal.data.pickles import read_object_npz
 from posecal.errors import PosecalError, PoseFileError
 from posecal_models.cli import main
 from posecal_models.data.cameras import Camera, read_cameras
@@ -22,7 +23,6 @@ from posecal_models.data.keypoint_set import KeypointSet
 from posecal_models.data.lifting_set import LiftingSet
 from posecal_models.data.mocap import MocapPoses
 from posecal_models.data.npz import read_npz
-from posecal_models.data.pickles import read_object_npz
 from posecal_models.data.prohpe import read_prohpe
 from posecal_models.data.videopose3d import read_videopose3d
 from tests.models.test_data_formats import cdf, numbers, prohpe, videopose3d

@@ -9,12 +9,16 @@ arrays are built afterwards, of numbers and text alone, once their lengths are c
 from __future__ import annotations
 
 import io
+import lzma
 import math
 import pickle
 import re
+import struct
 import sys
+import tokenize
 import warnings
 import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -24,9 +28,32 @@ import numpy.typing as npt
 from numpy.lib import format as npy
 
 from posecal.errors import PoseFileError
-from posecal_models.data.npz import READ_ERRORS, describe_error
 
-__all__ = ["read_object_npz", "read_pickle"]
+__all__ = ["READ_ERRORS", "describe_error", "read_object_npz", "read_pickle"]
+
+READ_ERRORS = (
+    *(OSError, EOFError, ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RuntimeError),
+    *(MemoryError, SyntaxError, zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, tokenize.TokenError),
+)
+"""Exceptions of the standard library and NumPy for damaged files."""
+
+
+def describe_error(problem: BaseException) -> str:
+    """Describe one of :data:`READ_ERRORS` in one line.
+
+    Parameters
+    ----------
+    problem : exception
+        The exception.
+
+    Returns
+    -------
+    str
+        Its message, or a default where that is empty.
+    """
+    if isinstance(problem, MemoryError):
+        return "it needs more memory than there is"
+    return " ".join(str(problem).split()) or "it is cut off or damaged"
 
 _MAX_DEPTH = 100
 """Maximum nesting depth of plain data."""

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from posecal.data.pickles import read_object_npz, read_pickle
 from posecal.errors import PoseFileError
-from posecal_models.data.pickles import read_object_npz, read_pickle
 from tests.models.test_data_formats import numbers
 
 PROTOCOLS = range(pickle.HIGHEST_PROTOCOL + 1)
