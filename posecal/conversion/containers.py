@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import pickle
-import pickletools
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
@@ -14,9 +11,10 @@ import numpy as np
 
 from posecal.conversion.tables import of_multiindex
 from posecal.conversion.tracks import Tracks
-from posecal.errors import PoseDataError, PoseFileError, first_few
+from posecal.data import pickles
+from posecal.errors import PosecalError, PoseDataError, PoseFileError, first_few
 
-_EXTRAS = {"h5py": "convert", "pymatreader": "convert", "tables": "convert", "ezc3d": "c3d", "torch": "models"}
+_EXTRAS = {"h5py": "convert", "pymatreader": "convert", "ezc3d": "c3d", "torch": "models"}
 _LIKELY = (
     "hypotheses",
     "hyps",
@@ -110,7 +108,10 @@ def _flat(document: Mapping[str, Any], before: str = "") -> dict[str, Any]:
 
 
 def read_hdf5(path: Path, dataset: str | None) -> Tracks:
-    """Read HDF5: a dataset, or the table that DeepLabCut and Anipose write through pandas."""
+    """Read HDF5: a dataset, or the table that DeepLabCut and Anipose write through pandas.
+
+    pandas itself would unpickle what such a table holds beside its numbers, and with it run any code.
+    """
     h5py = library("h5py")
     arrays: dict[str, Any] = {}
 
@@ -120,17 +121,38 @@ def read_hdf5(path: Path, dataset: str | None) -> Tracks:
 
     try:
         with h5py.File(path) as file:
-            is_table = any("block0_values" in group for group in file.values() if isinstance(group, h5py.Group))
-            if not is_table:
-                file.visititems(keep)
-    except OSError as error:
-        raise PoseFileError(f"{path.name}: is no HDF5 file ({error}).") from None
-    if is_table:
-        import pandas as pd
-
-        library("tables")
-        return of_multiindex(pd.read_hdf(path), path.name)
+            groups = [group for group in file.values() if "pandas_type" in group.attrs]
+            if groups:
+                return of_multiindex(_of_pandas(groups[0], path.name), path.name)
+            file.visititems(keep)
+    except (OSError, KeyError, IndexError, RuntimeError, MemoryError) as error:
+        if isinstance(error, PosecalError):
+            raise
+        raise PoseFileError(f"{path.name}: is no HDF5 file that can be read ({error}).") from None
     return Tracks(chosen_array(arrays, dataset, path.name).astype(np.float64))
+
+
+def _of_pandas(group: Any, name: str) -> Any:
+    """Read a data frame of numbers whose columns have several levels, stored as a table or in the fixed format."""
+    import pandas as pd
+
+    if "table" in group:
+        table = group["table"][()]
+        if "values_block_0" not in table.dtype.names or "values_block_1" in table.dtype.names:
+            raise PoseDataError(f"{name}: columns of several types; expected numbers. Save it as .csv.")
+        columns = pickles.read_pickled(bytes(group.attrs["non_index_axes"]), f"{name}: names of columns")[0][1]
+        return pd.DataFrame(table["values_block_0"], table["index"], pd.MultiIndex.from_tuples(map(tuple, columns)))
+    if "block0_values" not in group or "block1_values" in group:
+        raise PoseDataError(f"{name}: columns of several types, or none; expected numbers. Save it as .csv.")
+    levels, codes = [], []
+    for number in range(int(group.attrs.get("block0_items_nlevels", 1))):
+        words = group[f"block0_items_level{number}"][()]
+        if words.dtype.kind != "S":
+            raise PoseDataError(f"{name}: names of columns are {words.dtype}; expected text. Save it as .csv.")
+        levels.append(np.char.decode(words, "utf-8"))
+        codes.append(group[f"block0_items_label{number}"][()])
+    columns = [tuple(level[code] for level, code in zip(levels, key, strict=True)) for key in zip(*codes, strict=True)]
+    return pd.DataFrame(group["block0_values"][()], columns=pd.MultiIndex.from_tuples(columns))
 
 
 def read_torch(path: Path, dataset: str | None) -> Tracks:
@@ -147,41 +169,16 @@ def read_torch(path: Path, dataset: str | None) -> Tracks:
 
 def read_pickle(path: Path, dataset: str | None) -> Tracks:
     """Read a pickle of NumPy arrays in lists, tuples and dictionaries; one that asks for anything else is refused."""
-    data = path.read_bytes()
-    try:
-        for _ in pickletools.genops(data):  # refuses claims of more bytes than there are, before they are made room for
-            pass
-        loaded = _Restricted(io.BytesIO(data)).load()
-    except PoseDataError as error:
-        raise PoseDataError(f"{path.name}: {error.message}") from None
-    except Exception as error:  # noqa: BLE001  a pickle can raise anything
-        raise PoseDataError(f"{path.name}: is no pickle of arrays ({type(error).__name__}: {error}).") from None
-    return Tracks(chosen_array(_tensors(loaded), dataset, path.name).astype(np.float64))
+    return Tracks(
+        chosen_array(_tensors(pickles.read_pickled(path.read_bytes(), path.name)), dataset, path.name).astype(
+            np.float64
+        )
+    )
 
 
 def _tensors(loaded: Any) -> dict[str, Any]:
     arrays = loaded if isinstance(loaded, Mapping) else {"array": loaded}
     return {str(key): value.numpy(force=True) if hasattr(value, "numpy") else value for key, value in arrays.items()}
-
-
-class _Restricted(pickle.Unpickler):
-    """An unpickler that makes NumPy arrays and nothing else."""
-
-    _ALLOWED = frozenset(
-        (module, name)
-        for core in ("numpy.core", "numpy._core")
-        for module, name in (
-            (f"{core}.multiarray", "_reconstruct"),
-            (f"{core}.multiarray", "scalar"),
-            (f"{core}.numeric", "_frombuffer"),
-        )
-    ) | {("numpy", "ndarray"), ("numpy", "dtype"), ("_codecs", "encode"), ("collections", "OrderedDict")}
-
-    def find_class(self, module: str, name: str) -> Any:
-        """Give one of the few classes that arrays need."""
-        if (module, name) not in self._ALLOWED:
-            raise PoseDataError(f"pickle: asks for {module}.{name}; expected NumPy arrays alone. It was not loaded.")
-        return super().find_class(module, name)
 
 
 def read_c3d(path: Path, _dataset: str | None) -> Tracks:

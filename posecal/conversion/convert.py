@@ -145,7 +145,7 @@ def _read(path: Path, like: str, dataset: str | None, axes: str | None) -> Track
         raise PoseFileError(f"{path}: no such file.")
     try:
         if ending in TEXTS:
-            return TEXTS[ending](path, like)
+            return _without_unseen(TEXTS[ending](path, like))
         if ending not in CONTAINERS:
             known = ", ".join([*TEXTS, *CONTAINERS])
             raise PoseDataError(f"{path.name}: a file {ending or 'without an ending'}; expected one of {known}.")
@@ -155,7 +155,10 @@ def _read(path: Path, like: str, dataset: str | None, axes: str | None) -> Track
             raise
         raise PoseFileError(f"{path.name}: can't be read ({error}).") from None
     shape = tracks.poses.shape
-    text = axes or {3: "MKD", 4: "NMKD"}.get(len(shape), "")
+    if axes is None and len(shape) == 4:
+        choices = " or ".join(option("axes", text) for text in ("NMKD", "MNKD"))
+        raise PoseDataError(f"{path.name}: an array {shape}, which does not say its order of axes. Pass {choices}.")
+    text = axes or ("MKD" if len(shape) == 3 else "")
     if not text or (axes is None and shape[-1] not in {1, 2, 3}):
         raise PoseDataError(
             f"{path.name}: an array {shape}; expected (M, K, D), or its layout: {option('axes', 'M(KD)')}."
@@ -165,6 +168,16 @@ def _read(path: Path, like: str, dataset: str | None, axes: str | None) -> Track
     tracks.poses = np.asarray(laid_out, dtype=np.float64)
     if axes is None:
         tracks.assumed.append(f"an array {shape} is {text}")
+    return _without_unseen(tracks)
+
+
+def _without_unseen(tracks: Tracks) -> Tracks:
+    """Take joints without confidence as not known: tools write 0, or anything, where they saw none."""
+    if tracks.confidence is not None and tracks.confidence.shape == tracks.poses.shape[:-1]:
+        unseen = ~(tracks.confidence > 0)
+        tracks.poses = np.where(unseen[..., None], np.nan, tracks.poses)
+        if unseen.any():
+            tracks.assumed.append("joints of a confidence of 0 or less are not known")
     return tracks
 
 

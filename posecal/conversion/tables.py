@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import io
 import re
 from pathlib import Path
@@ -13,8 +14,9 @@ from posecal.conversion.tracks import AXES, Tracks, by_joint
 from posecal.data.arrays import FloatArray
 from posecal.errors import PoseDataError, first_few
 
-_COLUMN = re.compile(r"^(?P<joint>.+?)[\s_.:-]*(?P<axis>[xyzXYZ])$")
+_COLUMN = re.compile(r"^(?P<joint>.+?)(?:[\s_.:-]+|(?<=[a-z])(?=[XYZ])|(?<=\d))(?P<axis>[xyzXYZ])$")
 _CONFIDENCE = re.compile(r"^(?P<joint>.+?)[\s_.:-]+(?:likelihood|confidence|score|visibility)$", re.IGNORECASE)
+_SEEN = ("confidence", "likelihood", "visibility", "score")
 _FRAME = ("frame", "frame_id", "frame_number", "fnum", "frames")
 _LONG = {"joint": ("joint", "keypoint", "bodypart", "marker", "landmark", "name"), "frame": _FRAME}
 
@@ -35,6 +37,14 @@ def read_csv(path: Path, like: str) -> Tracks:
 def _frame_of(text: str, path: Path, **how: Any) -> Any:
     import pandas as pd
 
+    widths = [len(row) for row in csv.reader(io.StringIO(text)) if any(row)]
+    usual = max(set(widths), key=widths.count, default=0)
+    short = [number for number, width in enumerate(widths) if width != usual]
+    if short:
+        raise PoseDataError(
+            f"{path.name}: {len(short):,} of {len(widths):,} rows have another number of columns (first: row "
+            f"{short[0] + 1}); expected as many in each. Was the file cut off?"
+        )
     try:
         frame: Any = pd.read_csv(io.StringIO(text), **how)
     except (ValueError, pd.errors.ParserError, IndexError) as error:
@@ -80,6 +90,8 @@ def _of_long(frame: Any, plain: dict[str, Any], joint: Any, name: str) -> Tracks
     number = next((plain[word] for word in _FRAME if word in plain), None)
     if number is None:
         raise PoseDataError(f"{name}: no column frame; expected one beside {joint} and the coordinates.")
+    if "sequence" in plain and (frame.groupby(number)[plain["sequence"]].nunique() > 1).any():
+        frame[number] = frame[plain["sequence"]].astype(str) + "/" + pd.Series(_frame_names(frame[number]))
     draw = next((plain[word] for word in ("hypothesis", "sample") if word in plain), None)
     axes = [axis for axis in AXES if axis in plain]
     keys = [key for key in (draw, number, joint) if key is not None]
@@ -91,6 +103,9 @@ def _of_long(frame: Any, plain: dict[str, Any], joint: Any, name: str) -> Tracks
         )
     for axis in axes:
         frame[plain[axis]] = _numbers(frame[plain[axis]], name, axis)
+    seen = next((plain[word] for word in _SEEN if word in plain), None)
+    if seen is not None:
+        frame.loc[~(_numbers(frame[seen], name, seen) > 0), [plain[axis] for axis in axes]] = np.nan
     frames, joints = pd.unique(frame[number]), pd.unique(frame[joint].astype(str))
     draws = [None] if draw is None else list(pd.unique(frame[draw]))
     index = pd.MultiIndex.from_product([frames, joints])
@@ -151,7 +166,12 @@ def read_trc(path: Path, _like: str) -> Tracks:
         fps = float(head["DataRate"])
     except (ValueError, KeyError) as error:
         raise PoseDataError(f"{path.name}: {error}; expected numbers between tabs, and a DataRate.") from None
-    if len(rows) and len(rows[0]) not in {width, width + 1}:
-        raise PoseDataError(f"{path.name}: {len(rows[0])} columns for {len(joints)} markers; expected {width}.")
+    other = [row for row in rows if len(row) not in {width, width + 1}]
+    if other:
+        raise PoseDataError(f"{path.name}: {len(other[0])} columns for {len(joints)} markers; expected {width}.")
+    if head.get("NumFrames", "").isdigit() and len(rows) != int(head["NumFrames"]):
+        raise PoseDataError(
+            f"{path.name}: {len(rows):,} of {head['NumFrames']} frames are there. Was the file cut off?"
+        )
     frames = [str(int(number)) for number in values[:, 0]]
     return Tracks(values[:, 2:].reshape(len(rows), len(joints), 3), joints, head.get("Units", "").strip(), fps, frames)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
@@ -14,6 +15,10 @@ import numpy.typing as npt
 from posecal.errors import PoseDataError, PoseFileError
 
 LIBRARIES = {".h5": "h5py", ".hdf5": "h5py", ".zarr": "zarr"}
+_RATIO = 1100
+"""What compression can save at most."""
+_LEAST_CLAIMED = 1 << 24
+"""Bytes up to which an array may be missing in its file: HDF5 stores no chunks that were never written."""
 _EXTRA = {"h5py": "convert", "zarr": "zarr"}
 
 
@@ -29,6 +34,24 @@ class DatasetArray:
 
     dataset: Any
 
+    def __post_init__(self) -> None:
+        needed = math.prod(self.shape) * self.dtype.itemsize
+        if self.dtype.kind not in "fiu":
+            raise PoseDataError(f"{self.name}: dtype {self.dtype}; expected real numbers such as float32.")
+        if hasattr(self.dataset, "id") and needed > max(_RATIO * self.dataset.id.get_storage_size(), _LEAST_CLAIMED):
+            there = self.dataset.id.get_storage_size()
+            raise PoseFileError(f"{self.name}: {there:,} of {needed:,} bytes of {self.shape} are there; expected all.")
+
+    def __reduce__(self) -> tuple[object, ...]:
+        if hasattr(self.dataset, "file"):  # of h5py, which does not pickle
+            return _reopened, (self.dataset.file.filename, self.dataset.name)
+        return DatasetArray, (self.dataset,)
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return str(self.dataset.name or "array").lstrip("/")
+
     @property
     def shape(self) -> tuple[int, ...]:
         """The length of every axis."""
@@ -41,8 +64,21 @@ class DatasetArray:
         return kind
 
     def part(self, where: tuple[slice, ...]) -> npt.NDArray[np.generic]:
-        """Read a range of every axis."""
-        return np.asarray(self.dataset[where])
+        """Read a range of every axis.
+
+        Raises
+        ------
+        PoseFileError
+            Where the file is closed, cut off or damaged.
+        """
+        try:
+            return np.asarray(self.dataset[where])
+        except Exception as error:  # noqa: BLE001  the libraries raise of every kind
+            raise PoseFileError(f"{self.name}: can't be read ({error}). Was the file closed, or cut off?") from None
+
+
+def _reopened(path: str, dataset: str) -> DatasetArray:
+    return DatasetArray(import_module("h5py").File(path, "r")[dataset])
 
 
 def is_dataset(source: object) -> bool:

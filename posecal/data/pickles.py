@@ -21,7 +21,7 @@ import zipfile
 import zlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -29,7 +29,7 @@ from numpy.lib import format as npy
 
 from posecal.errors import PoseFileError
 
-__all__ = ["READ_ERRORS", "describe_error", "read_object_npz", "read_pickle"]
+__all__ = ["READ_ERRORS", "describe_error", "read_object_npz", "read_pickle", "read_pickled"]
 
 READ_ERRORS = (
     *(OSError, EOFError, ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RuntimeError),
@@ -54,6 +54,7 @@ def describe_error(problem: BaseException) -> str:
     if isinstance(problem, MemoryError):
         return "it needs more memory than there is"
     return " ".join(str(problem).split()) or "it is cut off or damaged"
+
 
 _MAX_DEPTH = 100
 """Maximum nesting depth of plain data."""
@@ -169,11 +170,27 @@ _ALLOWED: dict[tuple[str, str], _Callable] = {
 class _PlainUnpickler(pickle._Unpickler):
     """Unpickler with an allow-list, in Python: that in C allocates memory for any memo index, GBs for six bytes."""
 
+    def __init__(self, content: bytes) -> None:
+        super().__init__(io.BytesIO(content), encoding="latin1")
+        self._size = len(content)
+
     def find_class(self, module: str, name: str) -> Any:
         try:
             return _ALLOWED[module, name]
         except KeyError:
             raise pickle.UnpicklingError(f"asks for {module}.{name}") from None
+
+    def load_bytearray8(self: Any) -> None:
+        """Refuse lengths beyond the end of the file before memory is allocated."""
+        length = int.from_bytes(self.read(8), "little")
+        if length > self._size:
+            raise pickle.UnpicklingError(f"claims a bytearray of {length:,} bytes")
+        content = self.read(length)
+        if len(content) < length:
+            raise EOFError("cut off")
+        self.append(bytearray(content))
+
+    dispatch: ClassVar = {**pickle._Unpickler.dispatch, pickle.BYTEARRAY8[0]: load_bytearray8}
 
 
 # --- from recorded calls to arrays ----------------------------------------------------------------------------
@@ -266,10 +283,11 @@ def _numbers(content: object, dtype: np.dtype[np.generic], count: int, shape: tu
 
 def _load(file: io.BufferedIOBase, which: str) -> Any:
     try:
-        return _plain(_PlainUnpickler(file, encoding="latin1").load(), {})
+        return _plain(_PlainUnpickler(file.read()).load(), {})
     except (pickle.UnpicklingError, *READ_ERRORS) as problem:
+        what = "is no pickle" if isinstance(problem, KeyError) else describe_error(problem)
         raise PoseFileError(
-            f"{which}: {describe_error(problem)}; expected a pickle of plain arrays, dictionaries, lists "
+            f"{which}: {what}; expected a pickle of plain arrays, dictionaries, lists "
             "and text. It was not loaded: a pickle with anything else can run code."
         ) from problem
 
@@ -300,6 +318,11 @@ def read_pickle(path: str | Path) -> Any:
         raise
     except OSError as problem:
         raise PoseFileError(f"{path}: can't be read ({problem.strerror}).") from problem
+
+
+def read_pickled(content: bytes, which: str) -> Any:
+    """Read a pickle in memory, as :func:`read_pickle` does a file."""
+    return _load(io.BytesIO(content), which)
 
 
 def read_object_npz(path: str | Path) -> dict[str, Any]:

@@ -31,6 +31,7 @@ __all__ = [
 
 Members = Mapping[str, npt.NDArray[np.generic]]
 
+
 def read_npz(path: str | Path, *, required: Sequence[str] = ()) -> dict[str, npt.NDArray[np.generic]]:
     """Read the members of an ``.npz`` file, without unpickling.
 

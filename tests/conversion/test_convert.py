@@ -1,7 +1,10 @@
 """Files of other tools, written here as those tools write them, become the file that posecal reads."""
 
 import json
+import os
 import pickle
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -106,20 +109,120 @@ def deeplabcut(poses: Array) -> pd.DataFrame:
     return pd.DataFrame(values, columns=columns)
 
 
-@pytest.mark.parametrize("ending", ["csv", "h5"])
-def test_deeplabcut(poses: Array, tmp_path: Path, ending: str) -> None:
-    path = tmp_path / f"a.{ending}"
-    if ending == "csv":
+@pytest.mark.parametrize("form", ["csv", "fixed", "table"])
+def test_deeplabcut(poses: Array, tmp_path: Path, form: str) -> None:
+    path = tmp_path / ("a.csv" if form == "csv" else "a.h5")
+    if form == "csv":
         deeplabcut(poses).to_csv(path)
     else:
         pytest.importorskip("tables")
         pytest.importorskip("h5py")
-        deeplabcut(poses).to_hdf(path, key="df_with_missing", mode="w")
+        deeplabcut(poses).to_hdf(path, key="df_with_missing", mode="w", format=form)
     members, _ = convert(path)
     np.testing.assert_allclose(members["truth"], poses[..., :2])
     assert members["joints"].tolist() == JOINTS
     assert members["unit"] == "px"
     np.testing.assert_allclose(members["confidence"], 0.9)
+
+
+class Opens:
+    """What makes a folder where it is unpickled."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os.mkdir, (str(self.path),)
+
+
+@pytest.mark.parametrize(("form", "attribute"), [("table", "non_index_axes"), ("fixed", "encoding"), ("fixed", "any")])
+def test_a_table_in_hdf5_runs_no_code(poses: Array, tmp_path: Path, form: str, attribute: str) -> None:
+    pytest.importorskip("tables")
+    h5py = pytest.importorskip("h5py")
+    deeplabcut(poses).to_hdf(tmp_path / "a.h5", key="df_with_missing", mode="w", format=form)
+    with h5py.File(tmp_path / "a.h5", "r+") as file:
+        hostile = np.bytes_(pickle.dumps(Opens(tmp_path / "made"), protocol=0))
+        file["df_with_missing"].attrs[attribute] = hostile
+    if form == "table":
+        with pytest.raises(
+            PoseFileError, match=r"^a\.h5: names of columns: asks for posix\.mkdir; expected a pickle of"
+        ):
+            convert(tmp_path / "a.h5")
+    else:
+        np.testing.assert_allclose(convert(tmp_path / "a.h5")[0]["truth"], poses[..., :2])
+    assert not (tmp_path / "made").exists()
+
+
+def test_a_table_of_several_types_in_hdf5_is_refused(poses: Array, tmp_path: Path) -> None:
+    pytest.importorskip("tables")
+    pytest.importorskip("h5py")
+    table = deeplabcut(poses)
+    table["DLC", "Hip", "x"] = range(M)
+    for form in ("table", "fixed"):
+        table.to_hdf(tmp_path / "a.h5", key="df_with_missing", mode="w", format=form)
+        with pytest.raises(
+            PoseDataError, match=r"^a\.h5: columns of several types(, or none)?; expected numbers\. Save it as \.csv"
+        ):
+            convert(tmp_path / "a.h5")
+
+
+def test_a_pickle_of_eleven_bytes_takes_no_gigabytes(tmp_path: Path) -> None:
+    (tmp_path / "a.pkl").write_bytes(b"\x80\x02]r\xff\xff\xff\x3f.")  # an empty list, with memo index 2^30
+    code = (
+        "import resource, sys, posecal\n"
+        "before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
+        "try: posecal.convert(sys.argv[1], unit='m')\nexcept ValueError: pass\n"
+        "print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024)"
+    )
+    done = subprocess.run([sys.executable, "-c", code, tmp_path / "a.pkl"], capture_output=True, text=True, check=True)
+    assert float(done.stdout) < 200  # MB, those of the libraries
+
+
+def test_tables_that_are_cut_off_are_refused(poses: Array, tmp_path: Path) -> None:
+    whole = trc(poses, tmp_path / "a.trc").read_text()
+    lines = whole.splitlines()
+    for text, words in (
+        ("\n".join(lines[:-1]), r"a\.trc: 5 of 6 frames are there\. Was the file cut off\?"),
+        (whole[:-40], r"a\.trc: \d+ columns for 4 markers; expected 14\."),
+    ):
+        (tmp_path / "a.trc").write_text(text)
+        with pytest.raises(PoseDataError, match=f"^{words}"):
+            convert(tmp_path / "a.trc")
+    text = wide(poses, tmp_path / "a.csv").read_text()
+    (tmp_path / "a.csv").write_text(text[: text.rindex(",")])
+    with pytest.raises(PoseDataError, match=r"^a\.csv: 1 of 7 rows have another number of columns \(first: row 7\);"):
+        convert(tmp_path / "a.csv", unit="mm")
+
+
+def test_sequences_of_a_long_table_count_their_frames_anew(poses: Array, tmp_path: Path) -> None:
+    both = [
+        pd.read_csv(long(poses + 5 * n, tmp_path / "a.csv", sequence=f"walk {n}", confidence=1.0)) for n in range(2)
+    ]
+    table = pd.concat(both, ignore_index=True)
+    table.loc[M * K + 1, "confidence"] = 0
+    table.to_csv(tmp_path / "a.csv", index=False)
+    members, _ = convert(tmp_path / "a.csv", unit="mm")
+    assert np.argwhere(~members["valid"]).tolist() == [[M, 1]]
+    expected = np.concatenate([poses, poses + 5])
+    np.testing.assert_allclose(members["truth"][members["valid"]], expected[members["valid"]])
+    assert members["frame_id"][[0, M]].tolist() == ["walk 0/0", "walk 1/0"]
+    assert members["sequence"].tolist() == ["walk 0"] * M + ["walk 1"] * M
+
+
+def test_joints_that_openpose_did_not_see_are_not_valid(poses: Array, tmp_path: Path) -> None:
+    keypoints = np.concatenate([poses[0], np.ones((K, 1))], axis=1)
+    keypoints[2] = 0
+    person = {"pose_keypoints_3d": keypoints.ravel().tolist()}
+    (tmp_path / "a.json").write_text(json.dumps({"people": [person]}))
+    members, _ = convert(tmp_path / "a.json", unit="mm")
+    assert members["valid"].tolist() == [[True, True, False, True]]
+
+
+def test_names_that_end_in_x_are_no_coordinates(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("index,ThoraxX,ThoraxY,ThoraxZ,apex_x,apex_y,apex_z\n7,1,2,3,4,5,6\n")
+    members, assumed = convert(tmp_path / "a.csv", unit="mm")
+    assert (members["joints"].tolist(), members["truth"].tolist()) == (["Thorax", "apex"], [[[1, 2, 3], [4, 5, 6]]])
+    assert assumed[0] == "columns index are no coordinates and were left out"
 
 
 def test_anipose(poses: Array, tmp_path: Path) -> None:
@@ -171,11 +274,15 @@ def test_openpose_a_file_per_frame(poses: Array, tmp_path: Path) -> None:
 
 def test_panoptic(tmp_path: Path) -> None:
     joints = np.random.default_rng(1).normal(0, 90, (19, 4))
+    joints[:, 3] = 0.5
+    joints[4, 3] = -1  # what Panoptic writes where it saw no joint
     (tmp_path / "a.json").write_text(
         json.dumps({"frame": 7, "bodies": [{"id": 0, "joints19": joints.ravel().tolist()}]})
     )
     members, assumed = convert(tmp_path / "a.json")
-    np.testing.assert_allclose(members["truth"][0], joints[:, :3])
+    assert np.flatnonzero(~members["valid"][0]).tolist() == [4]
+    np.testing.assert_allclose(members["truth"][members["valid"]], np.delete(joints[:, :3], 4, axis=0))
+    assert "joints of a confidence of 0 or less are not known" in assumed
     assert members["unit"] == "cm"
     assert members["joints"].tolist() == list(posecal.JOINT_SETS["panoptic-19"])
     assert members["frame_id"].tolist() == ["7"]
@@ -254,7 +361,9 @@ def test_hdf5(poses: Array, tmp_path: Path) -> None:
         file["group/other"] = np.ones((M, K, 3))
     with pytest.raises(PoseDataError, match=r"^a\.h5: holds group/hyps \(2, 6, 4, 3\), group/other .* Name it with"):
         convert(tmp_path / "a.h5")
-    members, _ = convert(tmp_path / "a.h5", dataset="group/hyps", unit="mm")
+    with pytest.raises(PoseDataError, match=r'^a\.h5: an array \(2, 6, 4, 3\), .* Pass axes="NMKD" or axes="MNKD"\.$'):
+        convert(tmp_path / "a.h5", dataset="group/hyps", unit="mm")
+    members, _ = convert(tmp_path / "a.h5", dataset="group/hyps", axes="NMKD", unit="mm")
     np.testing.assert_allclose(members["hypotheses"], [poses, poses + 1], rtol=1e-6)
 
 
@@ -274,10 +383,10 @@ def test_pickles_of_arrays_and_nothing_else(poses: Array, tmp_path: Path) -> Non
         members, _ = convert(tmp_path / "a.pkl", unit="mm")
         np.testing.assert_allclose(members["truth"], poses)
     (tmp_path / "b.pkl").write_bytes(b"cos\nsystem\n(S'touch pwned'\ntR.")
-    with pytest.raises(PoseDataError, match=r"^b\.pkl: pickle: asks for os\.system; expected NumPy arrays alone"):
+    with pytest.raises(PoseFileError, match=r"b\.pkl: asks for os\.system; expected a pickle of plain arrays"):
         convert(tmp_path / "b.pkl", unit="mm")
     (tmp_path / "c.pkl").write_bytes(b"\x80\x05\x96" + (2 << 30).to_bytes(8, "little") + b".")
-    with pytest.raises(PoseDataError, match=r"^c\.pkl: is no pickle of arrays"):
+    with pytest.raises(PoseFileError, match=r"c\.pkl: claims a bytearray of 2,147,483,648 bytes; expected a pickle"):
         convert(tmp_path / "c.pkl", unit="mm")
 
 
@@ -347,7 +456,7 @@ def test_what_is_converted_is_evaluated(poses: Array, tmp_path: Path) -> None:
         ("a.json", "[[[1, 2, 3]], [[1, 2]]]", "lists of unequal lengths"),
         ("a.json", '{"bodies": [{}]}', "is not as panoptic writes it"),
         ("a.npz", "PK", "can't be read"),
-        ("a.pkl", "x", "is no pickle of arrays"),
+        ("a.pkl", "x", "is no pickle; expected a pickle of plain arrays"),
         ("a.mp4", "x", "a file .mp4; expected one of .csv"),
     ],
 )  # fmt: skip

@@ -1,5 +1,6 @@
 """Arrays of HDF5 and zarr are read in place, and give what arrays in memory give."""
 
+import pickle
 import resource
 import subprocess
 import sys
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 import posecal
-from posecal.data.lazy import split_address
+from posecal.data.lazy import DatasetArray, split_address
 from posecal.errors import PoseDataError, PoseFileError
 from tests.helpers.samplers import gaussian
 
@@ -74,6 +75,31 @@ def test_what_is_not_there_is_said(tmp_path: Path) -> None:
     (tmp_path / "b.h5").write_bytes(b"nothing")
     with pytest.raises(PoseFileError, match=r"^b\.h5: can't be read by h5py"):
         posecal.evaluate(tmp_path / "b.h5", Y)
+
+
+def test_datasets_pickle_and_are_refused_where_they_are_closed_or_no_numbers(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["run/x"], file["words"] = X, ["a"]
+    with h5py.File(tmp_path / "a.h5") as file:
+        array = DatasetArray(file["run/x"])
+        again = pickle.loads(pickle.dumps(array))
+        with pytest.raises(PoseDataError, match=r"^words: dtype object; expected real numbers such as float32\.$"):
+            DatasetArray(file["words"])
+    where = (slice(1, 3), slice(2, 7), slice(0, 5), slice(0, 3))
+    np.testing.assert_array_equal(again.part(where), X[1:3, 2:7])
+    with pytest.raises(PoseFileError, match=r"can't be read \(.*\)\. Was the file closed, or cut off\?$"):
+        array.part(where)
+
+
+def test_a_dataset_that_claims_more_than_its_file_can_hold_is_refused(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("hyps", shape=(10**6, 10**6, 17, 3), dtype="f4", chunks=(1, 10, 17, 3))
+    with pytest.raises(
+        PoseFileError, match=r"^hyps: 0 of 204,000,000,000,000 bytes of \(.*\) are there; expected all\.$"
+    ):
+        posecal.evaluate(tmp_path / "a.h5", Y)
 
 
 @pytest.mark.slow
