@@ -94,7 +94,9 @@ def evaluate_faults(
         case = Case.of(world, scene, rng, joint_correlation=correlation)
         hypotheses, truth = fault.apply(case, N)
         labels = {"sequence": np.arange(M).astype(np.str_)}
-        pairs = PoseData(hypotheses, truth, axes="NMKD", unit="mm", joints=world.joints, labels=labels)
+        pairs = PoseData(
+            hypotheses, truth, axes="NMKD", unit="mm", joints=world.joints, root_joint="none", labels=labels
+        )
         totals = evaluate(pairs, metrics=[*COLUMNS, "energy_score"]).totals
         deviations = (truth - case.posterior.mean).reshape(M, -1)  # identically distributed for all poses
         evaluations[fault.name] = FaultEvaluation(Report(totals), float(pdist(deviations).mean() / 2))
