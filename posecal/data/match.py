@@ -6,6 +6,7 @@ Everything that does not fit is raised together.
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any
@@ -134,7 +135,7 @@ class Matcher:
             "parents": parents_among(parents, true_columns.tolist()) if parents else (),
             "root": root,
             "frame_id": true_rows.astype(str) if truth.frame_id is None else truth.frame_id[true_rows],
-            "order": true_rows,
+            "order": self._order(true_rows, labels),
             "labels": labels,
             "occluded": _part(marks, rows, columns) if occluded is None else occluded,
             "scores": None if scores is None else scores[:n, rows],
@@ -145,6 +146,23 @@ class Matcher:
             "remarks": tuple(self.remarks),
             "reference": None,
         }
+
+    def _order(self, rows: Rows, labels: Labels) -> Rows:
+        """Number the frames so that those that follow each other differ by 1: by the numbers in their names, if any."""
+        names, sequence = self.truth.frame_id, labels.get("sequence")
+        if names is None or sequence is None or len(rows) < 2:
+            return rows
+        numbers = [re.search(r"(\d{1,15})\D*$", name) for name in names[rows].tolist()]
+        if None in numbers:
+            return rows
+        steps = np.diff([int(match[1]) for match in numbers if match])
+        within = steps[sequence[1:] == sequence[:-1]]
+        if not within.size or (within <= 0).any():  # they are names, and no numbers of frames
+            return rows
+        apart = int(within.min())
+        if apart > 1:
+            self.remarks.append(f"frame numbers are {apart} apart: velocities are of steps of {apart} frames.")
+        return np.asarray(rows[0] + np.concatenate([[0], np.cumsum(np.where(steps == apart, 1, 2))]))
 
     def _columns_beside(self, truth: npt.NDArray[np.generic]) -> list[str]:
         """Say which of the two hold something beside coordinates; the hypotheses are looked at where it may be so."""

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import posecal
 from posecal.data.alone import resolve_hypotheses
 from posecal.data.declarations import Declarations
 from posecal.data.pose_data import PoseData, match_poses
@@ -440,3 +441,31 @@ def test_everything_that_is_wrong_with_hypotheses_alone_is_said_at_once() -> Non
         resolve_hypotheses(hyps(axes="NM"))
     with pytest.raises(PoseDataError, match=r"^hyps\.npz: axes: NMKD names 4 axes; the array has 3"):
         resolve_hypotheses(hyps(truth()))
+
+
+@pytest.mark.parametrize(
+    ("numbers", "follows"),
+    [
+        ([1, 2, 3, 5, 6, 9, 10], [True, True, False, True, False, True]),
+        ([0, 64, 128, 192, 320, 384, 448], [True, True, True, False, True, True]),
+        ([5, 4, 3, 2, 1, 0, 9], [True] * 6),  # no numbers of frames
+    ],
+)
+def test_frames_follow_each_other_by_their_numbers(numbers: list[int], follows: list[bool]) -> None:
+    names = ids(*[f"walk/{number:06}.png" for number in numbers])
+    data = match_poses(hyps(), gt(frame_id=names, labels={"sequence": ids(*["walk"] * M)}))
+    assert (np.diff(data.order) == 1).tolist() == follows
+    said = [remark for remark in data.remarks if remark.startswith("frame numbers")]
+    assert said == (["frame numbers are 64 apart: velocities are of steps of 64 frames."] if 64 in numbers else [])
+
+
+def test_velocities_skip_frames_that_are_not_there() -> None:
+    random = np.random.default_rng(0)
+    y = random.normal(0, 300, (12, 5, 3))
+    x = y + random.normal(0, 40, (4, 12, 5, 3))
+    numbers = np.array([0, 1, 2, 3, 7, 8, 9, 10, 11, 20, 21, 22])
+    found = posecal.evaluate(
+        *(x, y), frame_id=numbers, labels={"sequence": "a"}, unit="mm", axes="NMKD", root_joint="none", metrics="mpjve"
+    )
+    steps = np.linalg.norm(np.diff(x, axis=1) - np.diff(y, axis=0), axis=-1).mean(axis=(0, 2))
+    assert found["mpjve"] == pytest.approx(steps[np.diff(numbers) == 1].mean(), rel=1e-9)
