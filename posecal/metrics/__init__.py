@@ -2,8 +2,8 @@
 
 Every function takes ``hypotheses`` (N, M, K, D) and ``truth`` (M, K, D) as they stand and returns (M,) values, one per
 pose; average them as you like. ``mpjpe``: the MPJPE family; ``best_of``: minMPJPE against the number of hypotheses;
-``velocity``: MPJVE; ``pck``: PCK and AUC; ``cps``: CPS; ``proper``: fair proper scores; ``brier``: the Brier score;
-``sharpness``: diversity and radii; ``uncertainty``: whether a wide spread is a sign of error.
+``velocity``: MPJVE; ``world``: WA- and W-MPJPE; ``pck``: PCK and AUC; ``cps``: CPS; ``proper``: fair proper scores;
+``brier``: the Brier score; ``sharpness``: diversity and radii; ``uncertainty``: whether a wide spread means error.
 """
 
 from posecal.metrics.best_of import min_mpjpe_curve
@@ -15,6 +15,7 @@ from posecal.metrics.proper import crps, energy_score, variogram_score
 from posecal.metrics.sharpness import diversity, radius
 from posecal.metrics.uncertainty import rank_correlation, sparsification, sparsification_area
 from posecal.metrics.velocity import mpjve
+from posecal.metrics.world import world_mpjpe
 
 __all__ = [
     "auc",
@@ -33,4 +34,5 @@ __all__ = [
     "sparsification",
     "sparsification_area",
     "variogram_score",
+    "world_mpjpe",
 ]

@@ -51,6 +51,7 @@ WRONG = {
     "fps": (*NO_NUMBER[1:], 0, -25.0, float("inf")),
     "sizes": (None, "a", 3, [1.5], [0], [N + 1], [[1]], [True], [1, [2]]),
     "sequence": ("abc", 3, ["a"], [["a"] * M], ["a", ["b", "c"], "d", "e", "f"]),
+    "segment": (*NO_NUMBER[1:], 0, 1, 2.5, float("inf")),
     "area": ("mean", 3, None),
     "thresholds": (150, (0, 150), (50, 0, 10), (0, 50, 1), (0, 50, 2.5), "0:50:10"),
     "where": ("yes", 3, np.full((M, K), 2), np.ones((M, K + 1), bool), [[True], [True, False]]),

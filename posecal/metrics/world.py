@@ -1,0 +1,131 @@
+"""Errors in the world frame: trajectories aligned once per sequence, WA-MPJPE and W-MPJPE."""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from posecal.data.arguments import checked
+from posecal.data.arrays import FloatArray, as_array, checked_choice, checked_number
+from posecal.errors import PoseDataError
+from posecal.geometry.procrustes import aligned_errors
+
+WorldAlignment = Literal["whole", "first_two"]
+OverHypotheses = Literal["mean", "min"]
+
+
+def world_mpjpe(
+    hypotheses: npt.ArrayLike,
+    truth: npt.ArrayLike,
+    /,
+    *,
+    sequence: npt.ArrayLike | None = None,
+    align: WorldAlignment = "whole",
+    segment: int | None = 100,
+    of: OverHypotheses = "mean",
+    where: npt.ArrayLike | None = None,
+    axes: str | None = None,
+    unit: str | float | None = None,
+) -> FloatArray:
+    r"""Error of each pose in the world frame, after one alignment of its whole trajectory: WA-MPJPE, W-MPJPE.
+
+    .. math:: \frac{1}{K} \sum_k \lVert s_n R_n x_{nmk} + t_n - y_{mk} \rVert_2
+
+    with one scale, rotation and translation for all frames of a segment and hypothesis n, by least squares.
+
+    Parameters
+    ----------
+    hypotheses : array (N, M, K, 3)
+        Hypotheses as they stand in the world, mm; hypothesis n is followed through the sequence. No root is subtracted.
+    truth : array (M, K, 3)
+        True poses in the world, mm, in the order of time.
+    sequence : array (M,), optional
+        The sequence of each pose; all are one sequence by default.
+    align : str
+        To which frames the alignment is fitted: the ``whole`` segment (WA-MPJPE), or its ``first_two`` frames
+        (W-MPJPE), so that drift counts.
+    segment : int, optional
+        The number of frames that are aligned together, from the first of each sequence; None for whole sequences. The
+        last segment has the frames that are left.
+    of : str
+        ``mean`` over the hypotheses, or ``min``: of each sequence the hypothesis whose mean error over it is smallest.
+    where : bool array (M, K), optional
+        The joints that count, in the fit and in the mean.
+    axes, unit : str, optional
+        Such as ``MNKD`` and ``m``, where the hypotheses are not (N, M, K, D), or both not in mm, or it is not clear.
+
+    Returns
+    -------
+    array (M,)
+        Errors, mm; lower is better, 0 at best; NaN for a pose without a joint that counts.
+
+    Raises
+    ------
+    PoseDataError
+        For shapes, dtypes, values or names that don't fit, and for coordinates that are not finite.
+
+    Notes
+    -----
+    Differs from the published code: its scripts take one hypothesis.
+
+    See Also
+    --------
+    posecal.metrics.mpjpe : Each pose aligned by itself.
+
+    References
+    ----------
+    Ye et al., arXiv:2302.12827 (SLAHMR); Shin et al., arXiv:2312.07531 (WHAM).
+
+    Examples
+    --------
+    A trajectory that is turned and twice as large is right after alignment.
+
+    >>> import numpy as np
+    >>> truth = np.random.default_rng(0).normal(0, 300, (5, 4, 3))
+    >>> hypotheses = 2 * truth[None, ..., [1, 2, 0]] + 70
+    >>> (world_mpjpe(hypotheses, truth) < 1e-6).all()
+    np.True_
+    """
+    checked_choice(align, "align", get_args(WorldAlignment))
+    checked_choice(of, "of", get_args(OverHypotheses))
+    x, y, mask = checked(hypotheses, truth, where, axes=axes, unit=unit)
+    most = len(y)
+    if segment is not None:
+        frames = "a whole number of frames, at least 2"
+        most = int(checked_number(segment, "segment", lambda n: n >= 2 and n.is_integer(), frames))
+    labels = np.zeros(len(y)) if sequence is None else as_array(sequence, "sequence")
+    if labels.shape != (len(y),):
+        raise PoseDataError(f"sequence {labels.shape}: expected (M,) = ({len(y)},).")
+    counted = np.ones(y.shape[:2], dtype=bool) if mask is None else mask
+    finite = np.isfinite(x).all(axis=(0, 3)) & np.isfinite(y).all(axis=2)
+    if (counted & ~finite).any():
+        pose, joint = np.argwhere(counted & ~finite)[0]
+        raise PoseDataError(
+            f"hypotheses or truth: non-finite coordinates (first: pose {pose}, joint {joint}). "
+            "Mask those joints with where, or leave those poses out."
+        )
+    found = np.full(len(y), np.nan)
+    for label in np.unique(labels):
+        poses = np.flatnonzero(labels == label)
+        parts = [poses[start : start + most] for start in range(0, len(poses), most)]
+        errors = np.concatenate([_segment_errors(x[:, part], y[part], counted[part], align) for part in parts])
+        known = counted[poses].any(axis=1)
+        best = int(np.argmin(errors[known].sum(axis=0)))
+        found[poses] = np.where(known, errors[:, best] if of == "min" else errors.mean(axis=1), np.nan)
+    return found
+
+
+def _segment_errors(x: FloatArray, y: FloatArray, counted: npt.NDArray[np.bool_], align: WorldAlignment) -> FloatArray:
+    """Mean error over joints of each pose and hypothesis, (T, N), of a segment aligned like one pose."""
+    n, t, k, d = x.shape
+    truth = np.where(counted[..., None], y, 0).astype(np.float64)
+    offsets = np.where(counted[..., None], x - y, 0).astype(np.float64).reshape(n, 1, t * k, d).transpose(1, 2, 3, 0)
+    fitted = counted.copy()
+    if align == "first_two":
+        fitted[np.flatnonzero(counted.any(axis=1))[2:]] = False
+    weights = fitted.reshape(1, -1) / max(fitted.sum(), 1)
+    errors = aligned_errors(offsets, truth.reshape(1, t * k, d), weights, "similarity").reshape(t, k, n)
+    sums: FloatArray = np.einsum("tk,tkn->tn", counted.astype(np.float64), errors)
+    return np.asarray(sums / np.maximum(counted.sum(axis=1), 1)[:, None])
