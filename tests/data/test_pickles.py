@@ -15,9 +15,12 @@ import pytest
 
 from posecal.data.pickles import read_object_npz, read_pickle
 from posecal.errors import PoseFileError
-from tests.models.test_data_formats import numbers
 
 PROTOCOLS = range(pickle.HIGHEST_PROTOCOL + 1)
+
+
+def numbers(*shape: int) -> np.ndarray:
+    return np.random.default_rng(0).normal(size=shape) * 100
 
 
 class _CreatesFolder:
