@@ -17,7 +17,7 @@ from posecal.data.file_array import Header, Source, open_array, open_member, ope
 from posecal.data.layout import MemoryArray
 from posecal.data.lazy import LIBRARIES, DatasetArray, is_dataset, open_datasets, split_address
 from posecal.data.stored_poses import COMMON_LABELS, StoredPoses
-from posecal.errors import PosecalError, PoseDataError, PoseFileError, attempt, raise_all
+from posecal.errors import PosecalError, PoseDataError, PoseFileError, attempt, first_few, raise_all
 
 T = TypeVar("T")
 Role = Literal["hypotheses", "truth"]
@@ -101,6 +101,9 @@ def _read_archive(file: FileIO, path: Path, role: Role) -> StoredPoses:
     infos = {info.filename.removesuffix(".npy"): info for info in archive.infolist() if info.filename.endswith(".npy")}
     if not infos and any(member.endswith("data.pkl") for member in archive.namelist()):
         raise PoseFileError(_foreign(path, "is a file of PyTorch"))
+    others = [member for member in archive.namelist() if not member.endswith(".npy")]
+    if infos and others:  # one changed letter of a name would drop a member
+        raise PoseFileError(f"{name}: holds {first_few(others)} beside arrays; expected .npy members alone.")
     headers = {key: _member_header(archive, info, f"{name}: {key}") for key, info in infos.items()}
     chosen = _choose(headers, name, role)
     members = _declared(headers, chosen, name, lambda key: _load(archive, infos[key], f"{name}: {key}"))

@@ -347,3 +347,14 @@ def test_a_member_that_is_there_twice_is_refused(tmp_path: Path) -> None:
 def test_compressed_and_stored_archives_are_whole(tmp_path: Path) -> None:
     np.savez_compressed(tmp_path / "gt.npz", truth=truth(), joints=JOINTS)
     assert read_poses(tmp_path / "gt.npz", "truth").joints == tuple(JOINTS)
+
+
+def test_a_member_whose_name_was_damaged_is_not_dropped(tmp_path: Path) -> None:
+    path = save(tmp_path / "gt.npz", truth=truth(), sequence=np.arange(M))
+    contents = path.read_bytes()
+    at = contents.rindex(b"sequence.npy")
+    path.write_bytes(contents[:at] + b"sequence.npx" + contents[at + 12 :])
+    with pytest.raises(
+        PoseFileError, match=r"^gt\.npz: holds sequence\.npx beside arrays; expected \.npy members alone\.$"
+    ):
+        read_poses(path, "truth")
