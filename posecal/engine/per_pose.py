@@ -33,7 +33,7 @@ def per_pose(
     hypotheses, truth, where, axes, unit
         As for :func:`posecal.data.arguments.checked`.
     root : int, optional
-        The joint to subtract from every pose.
+        The joint to subtract from every pose; poses in which it does not count don't count.
     follows : bool array (M,), optional
         Whether each pose comes right after the one before it.
 
@@ -45,12 +45,18 @@ def per_pose(
     Raises
     ------
     PoseDataError
-        For arrays that don't fit, no joint of that index, and coordinates that are not finite.
+        For arrays that don't fit, no joint of that index, a root that counts in no pose, and coordinates that are
+        not finite.
     """
     x, y, mask = checked(hypotheses, truth, where, axes=axes, unit=unit)
+    root = checked_root(root, y.shape[1])
+    if mask is not None and root is not None:
+        if mask.any() and not mask[:, root].any():
+            raise PoseDataError(f"where: the root {root} counts in no pose; expected some.")
+        mask = mask & mask[:, [root]]  # relative to a root that does not count, no joint does
     parts: list[FloatArray] = []
     length = block_length(x.shape, x.dtype)
-    for number, lay_out in enumerate(iter_blocks(x, y, mask, root=checked_root(root, y.shape[1]), follows=follows)):
+    for number, lay_out in enumerate(iter_blocks(x, y, mask, root=root, follows=follows)):
         block = lay_out()
         if block.non_finite.any():
             pose, joint = np.argwhere(block.non_finite)[0] + np.array([number * length, 0])

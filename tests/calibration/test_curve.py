@@ -34,7 +34,7 @@ def test_curves_are_means_over_the_poses_in_which_a_joint_counts(
     arrays: tuple[Array, Array], where: Mask, definition: Definition, root: int | None
 ) -> None:
     x, y = (oracles.relative(array, None if root is None else 1) for array in arrays)
-    w = where if root is None else where & (np.arange(K) != 1)
+    w = where if root is None else oracles.relative_mask(where, 1) & (np.arange(K) != 1)
     weights = oracles.inside(x, y, w, definition)
     found = calibration_curve(*arrays, definition=definition, where=where, root=root)
     assert found.definition == definition

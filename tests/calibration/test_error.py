@@ -207,7 +207,7 @@ def test_the_ece_of_arrays_is_that_of_their_curve(over: OverJoints, definition: 
     assert type(found) is float
     assert found == calibration_curve(x, y, **options).ece(over)  # type: ignore[arg-type]
     x, y = oracles.relative(x, 1), oracles.relative(y, 1)
-    weights = oracles.inside(x, y, where & (np.arange(4) != 1), definition)
+    weights = oracles.inside(x, y, oracles.relative_mask(where, 1) & (np.arange(4) != 1), definition)
     np.testing.assert_allclose(found, oracles.ece(oracles.curves(weights), oracles.pooled_curve(weights), over))
 
 

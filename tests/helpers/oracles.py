@@ -31,6 +31,11 @@ def relative(x: Array, root: int | None) -> Array:
     return x if root is None else x - x[..., root : root + 1, :]
 
 
+def relative_mask(w: Mask, root: int | None) -> Mask:
+    """Joints that count relative to a joint: none where that one does not."""
+    return w if root is None else w & w[:, root : root + 1]
+
+
 # --- from positions to errors -----------------------------------------------------------------------------------
 
 

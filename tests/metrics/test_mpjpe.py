@@ -32,7 +32,7 @@ def where() -> Mask:
 
 def expected(x: Array, y: Array, w: Mask, of: str, align: str, root: int | None, mode: int = 0) -> Array:
     """By the naive formulas."""
-    x, y = oracles.relative(x, root), oracles.relative(y, root)
+    x, y, w = oracles.relative(x, root), oracles.relative(y, root), oracles.relative_mask(w, root)
     if of in OF_ERRORS:
         e = oracles.pose_errors(oracles.aligned(x, y, w, align), y, w)
         return np.array([oracles.of_errors(list(column), of) for column in e.T])
@@ -92,9 +92,8 @@ def test_of_one_hypothesis_every_way_gives_its_error() -> None:
 def test_the_root_counts_with_its_error_of_zero() -> None:
     """17 joints over 16: 1.0625."""
     x, y = skewed(5, N, M, 17)
-    without = np.ones((M, 17), dtype=bool)
-    without[:, 0] = False
-    ratio = min_mpjpe(x, y, root=0, where=without) / min_mpjpe(x, y, root=0)
+    without = min_mpjpe(oracles.relative(x, 0)[:, :, 1:], oracles.relative(y, 0)[:, 1:])
+    ratio = without / min_mpjpe(x, y, root=0)
     np.testing.assert_allclose(ratio, 17 / 16)
 
 
@@ -120,6 +119,22 @@ def test_a_pose_without_a_joint_that_counts_has_no_error(arrays: tuple[Array, Ar
         for align in ALIGNMENTS:
             found = mpjpe(*arrays, of=of, align=align, where=where)  # type: ignore[arg-type]
             assert np.flatnonzero(np.isnan(found)).tolist() == [4]
+
+
+def test_relative_to_a_root_that_does_not_count_a_pose_has_no_error(arrays: tuple[Array, Array]) -> None:
+    where = np.ones((M, K), dtype=bool)
+    where[[2, 5], 1] = False
+    found = min_mpjpe(*arrays, where=where, root=1)
+    assert np.flatnonzero(np.isnan(found)).tolist() == [2, 5]
+    others = np.delete(np.arange(M), [2, 5])
+    np.testing.assert_allclose(found[others], min_mpjpe(*arrays, root=1)[others])
+
+
+def test_a_root_that_counts_in_no_pose_is_refused(arrays: tuple[Array, Array]) -> None:
+    where = np.ones((M, K), dtype=bool)
+    where[:, 1] = False
+    with pytest.raises(PoseDataError, match=r"^where: the root 1 counts in no pose; expected some\.$"):
+        min_mpjpe(*arrays, where=where, root=1)
 
 
 # --- words -----------------------------------------------------------------------------------------------------------

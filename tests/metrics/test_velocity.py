@@ -35,7 +35,7 @@ def test_velocity_errors_are_the_naive_formula(
     arrays: tuple[Array, Array], where: Mask, root: int | None, masked: bool
 ) -> None:
     x, y = (oracles.relative(array, root) for array in arrays)
-    w = where if masked else np.ones((M, K), dtype=bool)
+    w = oracles.relative_mask(where, root) if masked else np.ones((M, K), dtype=bool)
     found = mpjve(*arrays, sequence=SEQUENCE, root=root, where=where if masked else None)
     np.testing.assert_allclose(found, oracles.velocity_errors(x, y, w, SEQUENCE), rtol=1e-9)
 
