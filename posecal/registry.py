@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace as changed
-from functools import cache
+from functools import cache, lru_cache
 
 from posecal.calibration.error import calibration_metrics
 from posecal.calibration.rank_tests import PreRank, rank_test_metrics
@@ -19,7 +19,7 @@ from posecal.metrics.brier import brier_metrics
 from posecal.metrics.cps import cps_curve, cps_metrics
 from posecal.metrics.limbs import limb_metrics
 from posecal.metrics.mpjpe import mpjpe_metrics
-from posecal.metrics.occlusion import OCCLUSION, occlusion_metrics
+from posecal.metrics.occlusion import occlusion_metrics_of
 from posecal.metrics.pck import pck_curve, pck_metrics
 from posecal.metrics.proper import score_metrics
 from posecal.metrics.root_position import root_metrics
@@ -138,7 +138,8 @@ def known_metrics(
     PoseDataError
         For options that don't fit the spec.
     """
-    scope, metrics = Scope(protocol, spec), {m.name: m for m in _all_metrics(protocol, spec, preranks, own)}
+    listed = _all_metrics(protocol, spec, preranks, own) if preranks or own else _plain_metrics(protocol, spec)
+    scope, metrics = Scope(protocol, spec), {m.name: m for m in listed}
     return {name: needs.in_unit(m, spec) for name, m in metrics.items() if not needs.unmet(m, scope)}
 
 
@@ -159,9 +160,15 @@ def _all_metrics(
     return found
 
 
+@lru_cache(maxsize=8)
+def _plain_metrics(protocol: Protocol, spec: DataSpec) -> tuple[Metric, ...]:
+    """Every metric of posecal's own; a report asks for them more than once."""
+    return tuple(_all_metrics(protocol, spec, None, ()))
+
+
 def left_out(protocol: Protocol, spec: DataSpec) -> str:
     """Say which metrics of the report the data can't have, and what they need; nothing where there is none."""
-    return needs.left_out(_all_metrics(protocol, spec, None, ()), Scope(protocol, spec), protocol.wanted)
+    return needs.left_out(_plain_metrics(protocol, spec), Scope(protocol, spec), protocol.wanted)
 
 
 def _with_functions(metric: Metric) -> Metric:
@@ -288,7 +295,7 @@ def unmeasured(name: str, protocol: Protocol, spec: DataSpec) -> str:
 
 
 def _lacks(name: str, protocol: Protocol, spec: DataSpec, known: dict[str, Metric]) -> str:
-    for metric in _all_metrics(protocol, spec, None, ()):
+    for metric in _plain_metrics(protocol, spec):
         if metric.name == name and (lacking := needs.unmet(metric, Scope(protocol, spec))):
             return f"needs {' and '.join(lacking)}; the data are {spec.unit or 'no unit'}, D = {spec.n_coordinates}."
     if "mpjve" in name and "sequence" not in spec.labels:
@@ -324,38 +331,6 @@ def curves_of(protocol: Protocol, spec: DataSpec) -> dict[str, Curve]:
         for curve in curves
         if not needs.unmet(curve, scope)
     }
-
-
-def occlusion_metrics_of(protocol: Protocol, spec: DataSpec) -> dict[str, dict[str, Metric]]:
-    """Give the numbers over occluded and over visible joints, by the kind of joint and by name.
-
-    Parameters
-    ----------
-    protocol : Protocol
-        The options.
-    spec : DataSpec
-        What is measured.
-
-    Returns
-    -------
-    dict
-        Metrics by ``occluded`` and ``visible``, then by name.
-
-    Raises
-    ------
-    PoseDataError
-        Where the poses don't say which joints are occluded, or there is one hypothesis.
-    """
-    if not spec.has_occlusion:
-        raise PoseDataError(
-            "by: occlusion needs to know which joints are occluded; expected a member occluded or visible, bool (M, K)."
-        )
-    if spec.is_ragged:
-        raise PoseDataError("by: occlusion needs as many hypotheses of every pose.")
-    if spec.n_hypotheses < 2:
-        raise PoseDataError("by: occlusion needs at least 2 hypotheses; there is 1.")
-    scope = Scope(protocol, spec)
-    return {kind: {m.name: needs.in_unit(m, spec) for m in occlusion_metrics(scope, kind)} for kind in OCCLUSION}
 
 
 def statistics_of(

@@ -16,7 +16,10 @@ from posecal.calibration.ranks import LEVELS, inside
 from posecal.data.arrays import BoolArray, FloatArray
 from posecal.engine.block import Block
 from posecal.engine.metric import Deviation, Metric, Statistic, entry
-from posecal.engine.scope import Scope
+from posecal.engine.needs import in_unit
+from posecal.engine.protocol import Protocol
+from posecal.engine.scope import DataSpec, Scope
+from posecal.errors import PoseDataError
 from posecal.metrics.position import joint_errors
 from posecal.metrics.sharpness import joint_radii
 
@@ -110,3 +113,35 @@ def occlusion_metrics(scope: Scope, occlusion: str) -> Iterator[Metric]:
         statistic=radii,
         finish=entry(row),
     )
+
+
+def occlusion_metrics_of(protocol: Protocol, spec: DataSpec) -> dict[str, dict[str, Metric]]:
+    """Give the numbers over occluded and over visible joints, by the kind of joint and by name.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        The options.
+    spec : DataSpec
+        What is measured.
+
+    Returns
+    -------
+    dict
+        Metrics by ``occluded`` and ``visible``, then by name.
+
+    Raises
+    ------
+    PoseDataError
+        Where the poses don't say which joints are occluded, or there is one hypothesis.
+    """
+    if not spec.has_occlusion:
+        raise PoseDataError(
+            "by: occlusion needs to know which joints are occluded; expected a member occluded or visible, bool (M, K)."
+        )
+    if spec.is_ragged:
+        raise PoseDataError("by: occlusion needs as many hypotheses of every pose.")
+    if spec.n_hypotheses < 2:
+        raise PoseDataError("by: occlusion needs at least 2 hypotheses; there is 1.")
+    scope = Scope(protocol, spec)
+    return {kind: {m.name: in_unit(m, spec) for m in occlusion_metrics(scope, kind)} for kind in OCCLUSION}

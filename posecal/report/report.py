@@ -17,8 +17,8 @@ from posecal.engine.storage import save_totals
 from posecal.engine.sums import Cells
 from posecal.engine.totals import Totals
 from posecal.errors import PoseDataError, checked_integer, checked_type, did_you_mean, for_python, is_among, option
-from posecal.metrics.occlusion import OCCLUSION
-from posecal.registry import GROUPS, metrics_of, occlusion_metrics_of, unmeasured
+from posecal.metrics.occlusion import OCCLUSION, occlusion_metrics_of
+from posecal.registry import GROUPS, metrics_of, unmeasured
 from posecal.report import curves
 from posecal.report.summary import remarks, summarize
 from posecal.report.table import (

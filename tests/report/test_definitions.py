@@ -13,7 +13,8 @@ import numpy.typing as npt
 import pytest
 
 from posecal.engine.protocol import Protocol
-from posecal.registry import known_metrics, occlusion_metrics_of
+from posecal.metrics.occlusion import occlusion_metrics_of
+from posecal.registry import known_metrics
 from tests.helpers.naive_registry import Twin
 from tests.helpers.random_worlds import World, world
 from tests.helpers.sums import accumulate
