@@ -19,6 +19,10 @@ NEEDS: dict[Need, str] = {
 
 _AS_MANY = "as many hypotheses of every pose"
 
+_OF_ANGLES = (
+    "; angles: the hypotheses unwrapped about their circular mean, distances from the truth the shorter way round"
+)
+
 _SHOWN = 5
 """How many metrics of one need a remark names."""
 
@@ -47,6 +51,8 @@ def in_unit(metric: Metric, spec: DataSpec) -> Metric:
         return metric
     texts = {name: getattr(metric, name) for name in ("label", "brief", "definition", "range", "reading")}
     texts = {name: text.replace(" mm", f" {spec.unit}".rstrip()) for name, text in texts.items()}
+    if spec.period is not None:
+        texts["definition"] += _OF_ANGLES
     return replace(metric, **texts, unit=metric.unit.replace("mm", spec.unit or "1" * ("/" in metric.unit)))
 
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from posecal.data.arrays import BoolArray, FloatArray
+from posecal.data.frames import sample_rows
 from posecal.data.pose_data import PoseData
 from posecal.engine.block import Block
 from posecal.engine.chunks import Chunk, Indices, read_chunks
@@ -48,7 +49,7 @@ def present(hypotheses: FloatArray, scores: FloatArray | None) -> BoolArray:
 
 def has_absent(data: PoseData) -> bool:
     """Whether hypotheses of some poses, evenly chosen, are absent, while each pose has one."""
-    rows = np.unique(np.linspace(0, len(data.truth) - 1, min(_SAMPLE, len(data.truth))).astype(np.intp))
+    rows = sample_rows(len(data.truth), _SAMPLE)
     scores = data.scores
     if scores is not None and (scores >= 0).all() and (scores == 0).any():
         if (scores > 0).sum(axis=0).max() == 1:

@@ -317,7 +317,7 @@ def pck_metrics(scope: Scope) -> Iterator[Metric]:
             statistic=Statistic(f"{prefix}auc", over),
             headline=not prefix,
             needs=more if own_unit[0] or own_unit[2] else (*in_lengths, *more),
-            range="0 to 30/31 with strict thresholds (none is below 0 mm), else 1",
+            range="0 to 1; below it where a first threshold of 0 is strict (30/31 of the thresholds 0, 5, … 150 mm)",
             reading="PCK without the choice of one threshold.",
         )
 
