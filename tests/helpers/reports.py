@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from posecal.evaluation import evaluate
 from posecal.report.report import Report
 
 N, SEQUENCES, FRAMES = 12, 12, 3
+HOW: dict[str, Any] = {"axes": "NMKD", "unit": "mm"}
 
 
 @cache
@@ -35,6 +37,11 @@ def report_of(spread: float = 1.0, *, metrics: str = "default", by: tuple[str, .
         unit="mm",
         threads=1,
     )
+
+
+def grouped_report() -> Report:
+    """The report of an honest sampler, by action and occlusion."""
+    return report_of(by=("action", "occlusion"))
 
 
 def unlabelled(n: int = 3, poses: int = 5) -> Report:

@@ -21,6 +21,9 @@ Array = npt.NDArray[Any]
 N, M, K = 5, 7, 17
 JOINTS = JOINT_SETS["h36m-17"]
 FRAMES = [f"S9/walk/{frame:03d}" for frame in (5, 3, 9, 1, 0, 12, 7)]
+OCCLUDED = np.arange(M * K).reshape(M, K) % 5 == 0
+SCORES = np.arange(N * M, dtype=float).reshape(N, M)
+WORDS = np.array([*"tuvwxyz"])
 
 
 def truth() -> Array:
@@ -93,3 +96,11 @@ def gt(array: Any = None, **declared: Any) -> StoredPoses:
 def ids(*names: object) -> Any:
     """Frame ids."""
     return np.array([str(name) for name in names])
+
+
+def same(data: PoseData, other: PoseData, *, but: tuple[str, ...] = ("names", "remarks")) -> None:
+    """Check that everything in two is alike."""
+    np.testing.assert_array_equal(coordinates(data), coordinates(other))
+    for name, value in vars(data).items():
+        if name not in ("hypotheses", "reference", *but):
+            np.testing.assert_equal(value, vars(other)[name], err_msg=name)

@@ -1,4 +1,4 @@
-"""A report: its numbers, rows, remarks and signature, computed when asked for, and what is not in it."""
+"""A report: its numbers, remarks and signature, computed when asked for, and what is not in it."""
 
 import copy
 import math
@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy import stats
 
 import posecal
 from posecal.calibration import perfect_sampler
@@ -16,18 +15,12 @@ from posecal.demo import sample
 from posecal.engine.metric import Statistic
 from posecal.engine.protocol import Protocol
 from posecal.engine.totals import difference_of_signatures
-from posecal.errors import PoseDataError, for_command_line
+from posecal.errors import PoseDataError
 from posecal.report import report as report_module
 from posecal.report.report import Report
 from posecal.stats.resampling import holm
 from posecal.stats.uncertainty import effective_sample_size, joint_p_values, unbiased_squared_error
-from tests.helpers.reports import FRAMES, SEQUENCES, N, report_of, unlabelled, world
-
-HOW: dict[str, Any] = {"axes": "NMKD", "unit": "mm"}
-
-
-def some() -> Report:
-    return report_of(by=("action", "occlusion"))
+from tests.helpers.reports import HOW, N, grouped_report, report_of, unlabelled, world
 
 
 def fresh(report: Report) -> Report:
@@ -39,17 +32,17 @@ def fresh(report: Report) -> Report:
 
 
 def test_a_report_is_of_sums() -> None:
-    for what in (5, some()):
+    for what in (5, grouped_report()):
         with pytest.raises(PoseDataError, match=rf"^totals: {type(what).__name__}; expected Totals\.$"):
             Report(what)  # type: ignore[arg-type]
 
 
 def test_a_form_and_a_width_are_checked() -> None:
     with pytest.raises(PoseDataError, match=r"^format: 5 is not known\. Known: text, "):
-        some().render(5)  # type: ignore[arg-type]
+        grouped_report().render(5)  # type: ignore[arg-type]
     for width in ("a", 0, 2.0):
         with pytest.raises(PoseDataError, match=rf"^width: {width!r}; expected a whole number, at least 1\.$"):
-            some().render(width=width)  # type: ignore[arg-type]
+            grouped_report().render(width=width)  # type: ignore[arg-type]
 
 
 # --- computed when asked for ----------------------------------------------------------------------------------
@@ -75,7 +68,7 @@ def computed(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 def test_a_number_costs_only_itself(computed: list[str]) -> None:
-    report = fresh(some())
+    report = fresh(grouped_report())
     assert report["min_mpjpe"] > 0
     assert computed == ["value min_mpjpe"]
 
@@ -93,7 +86,7 @@ def test_a_number_costs_only_itself(computed: list[str]) -> None:
     ],
 )
 def test_what_is_asked_for_twice_is_computed_once(ask: Any, expected: list[str], computed: list[str]) -> None:
-    report = fresh(some())
+    report = fresh(grouped_report())
     ask(report)
     assert computed == expected
     ask(report)
@@ -101,7 +94,7 @@ def test_what_is_asked_for_twice_is_computed_once(ask: Any, expected: list[str],
 
 
 def test_printing_computes_what_it_prints_and_no_more(computed: list[str]) -> None:
-    report = fresh(some())
+    report = fresh(grouped_report())
     str(report)
     assert "interval min_mpjpe" in computed
     assert "value min_mpjpe" in computed
@@ -125,8 +118,8 @@ def test_a_report_pickles_and_copies_with_nothing_but_its_sums_and_groups() -> N
 
 
 def test_a_label_to_group_by_may_be_given_by_itself_and_twice() -> None:
-    assert Report(some().totals, "action").by == ("action",)
-    assert list(Report(some().totals, ["action", "action"]).groups) == [
+    assert Report(grouped_report().totals, "action").by == ("action",)
+    assert list(Report(grouped_report().totals, ["action", "action"]).groups) == [
         None,
         "action=sitting",
         "action=standing",
@@ -135,7 +128,7 @@ def test_a_label_to_group_by_may_be_given_by_itself_and_twice() -> None:
 
 
 def test_groups_give_the_cells_of_their_poses() -> None:
-    report = some()
+    report = grouped_report()
     for group, cells in report.groups.items():
         if group is None or group.startswith("occlusion="):
             assert cells is None
@@ -144,11 +137,11 @@ def test_groups_give_the_cells_of_their_poses() -> None:
 
 
 def test_scalars_are_the_headline_metrics_as_plain_floats() -> None:
-    scalars = some().scalars()
+    scalars = grouped_report().scalars()
     assert {"min_mpjpe", "mpjpe", "ece", "signed_area", "coverage_90", "diversity"} <= set(scalars)
     assert "ece_worst" not in scalars
     assert {type(value) for value in scalars.values()} == {float}
-    assert scalars == {name: some()[name] for name in scalars}
+    assert scalars == {name: grouped_report()[name] for name in scalars}
     assert list(report_of(metrics="ece_worst").scalars()) == ["ece_worst"]
 
 
@@ -156,24 +149,24 @@ def test_a_number_of_a_group_at_a_joint_is_that_of_its_poses() -> None:
     here = world()
     sitting = here.action == "sitting"
     errors = np.linalg.norm(sample(here, N)[:, sitting, 10] - here.truth[sitting, 10], axis=-1)
-    np.testing.assert_allclose(some().value("mpjpe", "action=sitting", "Head"), errors.mean(), rtol=1e-5)
-    low, high = some().interval("mpjpe", "action=sitting", "Head")
-    assert low < some().value("mpjpe", "action=sitting", "Head") < high
-    assert (low, high) != some().interval("mpjpe", joint="Head")
+    np.testing.assert_allclose(grouped_report().value("mpjpe", "action=sitting", "Head"), errors.mean(), rtol=1e-5)
+    low, high = grouped_report().interval("mpjpe", "action=sitting", "Head")
+    assert low < grouped_report().value("mpjpe", "action=sitting", "Head") < high
+    assert (low, high) != grouped_report().interval("mpjpe", joint="Head")
 
 
 def test_a_joint_that_does_not_count_has_no_number() -> None:
-    assert math.isnan(some().value("ece", joint="Hip"))
-    assert "Hip" not in {row.joint for row in some().rows if row.metric == "ece"}
+    assert math.isnan(grouped_report().value("ece", joint="Hip"))
+    assert "Hip" not in {row.joint for row in grouped_report().rows if row.metric == "ece"}
 
 
 @pytest.mark.parametrize("name", ["ece_null", "ece_null_95", "ece_p", "ece_floor", "effective_poses", "squared_error"])
 def test_numbers_beside_metrics_are_numbers_without_intervals(name: str) -> None:
-    assert math.isfinite(some()[name])
-    assert np.isnan(some().interval(name)).all()
-    assert some().count(name) == 36
-    (row,) = (row for row in some().rows if (row.metric, row.group) == (name, None))
-    assert (row.value, row.definition) == (some()[name], some().definition(name))
+    assert math.isfinite(grouped_report()[name])
+    assert np.isnan(grouped_report().interval(name)).all()
+    assert grouped_report().count(name) == 36
+    (row,) = (row for row in grouped_report().rows if (row.metric, row.group) == (name, None))
+    assert (row.value, row.definition) == (grouped_report()[name], grouped_report().definition(name))
 
 
 def test_a_joint_s_number_of_a_statistic_that_counts_poses_is_over_all_of_them() -> None:
@@ -237,8 +230,9 @@ def test_without_a_pose_that_counts_there_is_nothing_but_nan() -> None:
 
 
 def test_the_null_is_that_of_the_test() -> None:
-    test = some().test("ece")
-    assert (some()["ece_null"], some()["ece_null_95"], some()["ece_p"]) == (test.mean, test.high, test.p)
+    report = grouped_report()
+    test = report.test("ece")
+    assert (report["ece_null"], report["ece_null_95"], report["ece_p"]) == (test.mean, test.high, test.p)
     assert test.mean < test.high
 
 
@@ -251,166 +245,6 @@ def test_its_repr_says_what_it_is_and_the_numbers_of_the_model() -> None:
     accuracy = report_of(metrics="mpjpe, pck, auc, cps")
     assert [word in repr(accuracy) for word in ("MPJPE", "PCK", "AUC", "CPS")] == [True, True, True, False]
     assert repr(report_of(metrics="pck")).endswith(f": PCK 150 mm {report['pck']:.3f}>")
-
-
-# --- rows -----------------------------------------------------------------------------------------------------
-
-
-def test_a_group_s_rows_are_those_of_its_poses_alone() -> None:
-    here = world()
-    sitting = here.action == "sitting"
-    alone = posecal.evaluate(
-        sample(here, N)[:, sitting],
-        here.truth[sitting],
-        joints="h36m-17",
-        labels={"sequence": here.sequence[sitting], "action": here.action[sitting]},
-        axes="NMKD",
-        unit="mm",
-    )
-    for metric in ("min_mpjpe", "pck", "ece", "ece_paper", "coverage_90", "cps"):
-        np.testing.assert_allclose(some().value(metric, "action=sitting"), alone.value(metric), rtol=1e-9)
-
-
-def test_groups_add_to_the_whole() -> None:
-    rows = [row for row in some().rows if row.metric == "mpjpe" and row.joint is None]
-    whole = next(row for row in rows if row.group is None)
-    parts = [row for row in rows if (row.group or "").startswith("action=")]
-    assert sum(row.poses for row in parts) == whole.poses == SEQUENCES * FRAMES
-    np.testing.assert_allclose(sum(row.value * row.poses for row in parts), whole.value * whole.poses)
-
-
-def test_each_number_s_interval_holds_it() -> None:
-    held = [row for row in some().rows if not math.isnan(row.low)]
-    assert {row.metric for row in held} >= {"min_mpjpe", "coverage_90", "pck"}
-    assert all(row.low <= row.value <= row.high for row in held)
-
-
-def test_a_joint_s_signed_area_has_the_t_interval_of_its_sequences_areas() -> None:
-    """Sequences are equally long: the areas are means of the sequences' areas, and their interval is Student's."""
-    here, report = world(), report_of(0.5, by=("sequence",))
-    groups = [f"sequence={name}" for name in np.unique(here.sequence)]
-    areas = np.array([report.calibration(group=group).joint_signed_area() for group in groups])
-    for k, joint in enumerate(posecal.JOINT_SETS["h36m-17"]):
-        if k:
-            low, high = stats.t(len(groups) - 1).interval(0.95)
-            middle, error = areas[:, k].mean(), stats.sem(areas[:, k])
-            interval = report.interval("signed_area", joint=joint)
-            np.testing.assert_allclose(interval, [middle + error * low, middle + error * high], rtol=1e-9)
-
-
-def test_a_joint_s_ece_has_no_interval() -> None:
-    assert all(math.isnan(row.low) for row in some().rows if row.metric == "ece" and row.joint is not None)
-
-
-def test_a_joint_s_interval_is_over_the_sequences_in_which_it_counts() -> None:
-    """The head is masked but in three sequences: Student's t has two degrees of freedom."""
-    here = world()
-    where = np.ones(here.truth.shape[:2], dtype=bool)
-    where[3 * FRAMES :, 10] = False
-    names = posecal.JOINT_SETS["h36m-17"]
-    report = posecal.evaluate(
-        sample(here, 3), here.truth, joints="h36m-17", labels={"sequence": here.sequence}, where=where, **HOW
-    )
-    shown = slice(0, 3 * FRAMES)
-    labels = {"sequence": here.sequence[shown]}
-    alone = posecal.evaluate(sample(here, 3)[:, shown], here.truth[shown], joints="h36m-17", labels=labels, **HOW)
-    low, high = report.interval("mpjpe", joint=names[10])
-    np.testing.assert_allclose((low, high), alone.interval("mpjpe", joint=names[10]), rtol=1e-9)
-    assert low < report.value("mpjpe", joint=names[10]) < high
-
-
-def test_a_joint_s_pose_count_is_that_of_the_poses_in_which_the_joint_counts() -> None:
-    """The head is masked but in nine poses, the left knee in five of which the head is in two."""
-    here = world()
-    where = np.ones(here.truth.shape[:2], dtype=bool)
-    where[9:, 10] = False
-    where[7:12, 5] = False
-    labels = {"sequence": here.sequence, "action": here.action}
-    report = posecal.evaluate(
-        sample(here, 3), here.truth, joints="h36m-17", labels=labels, where=where, by="action", **HOW
-    )
-    names = posecal.JOINT_SETS["h36m-17"]
-    expected = {name: int(count) for name, count in zip(names, where.sum(axis=0), strict=True)}
-    for metric in ("mpjpe", "ece", "coverage_90", "radius_50"):
-        poses = {row.joint: row.poses for row in report.rows if row.metric == metric and row.joint is not None}
-        assert poses == {name: expected[name] for name in poses}
-        assert {poses[names[10]], poses[names[5]], poses["RWrist"]} == {9, 31, 36}
-    for action in np.unique(here.action):
-        chosen = here.action == action
-        assert report.count("mpjpe", f"action={action}", "Head") == where[chosen, 10].sum()
-        assert report.count("mpjpe", f"action={action}") == chosen.sum()
-
-
-def test_the_rank_tests_rows_have_the_p_values_of_their_table() -> None:
-    """Holm: the smallest of n p-values is multiplied by n."""
-    report = report_of(0.8, metrics="rank_tests")
-    tests = list(report.rank_tests())
-    raw = [report.value(f"{name}_p") for name in tests]
-    least = tests[int(np.argmin(raw))]
-    assert report.value(f"{least}_p_adjusted") == min(1.0, len(tests) * min(raw))
-    assert [report.value(f"{name}_p_adjusted") for name in tests] == holm(raw)
-    (row,) = (row for row in report.rows if row.metric == f"{least}_p_adjusted")
-    assert f"adjusted for all tests (Holm); {len(tests)} tests" in row.definition
-    assert row.label.endswith(", adjusted p-value")
-
-
-def test_groups_of_enough_sequences_have_what_a_calibrated_sampler_would_show() -> None:
-    here = world()
-    half = np.where(np.isin(here.sequence, np.unique(here.sequence)[:6]), "one", "other")
-    labels = {"sequence": here.sequence, "half": half, "action": here.action}
-    report = posecal.evaluate(
-        sample(here, N, 0.5),
-        here.truth,
-        joints="h36m-17",
-        labels=labels,
-        by=["half", "action", "occlusion"],
-        occluded=here.occluded,
-        **HOW,
-    )
-    one = half == "one"
-    alone = posecal.evaluate(
-        sample(here, N, 0.5)[:, one], here.truth[one], joints="h36m-17", labels={"sequence": here.sequence[one]}, **HOW
-    )
-    for ending in ("null", "null_95", "p"):
-        np.testing.assert_allclose(report.value(f"ece_{ending}", "half=one"), alone.value(f"ece_{ending}"), rtol=1e-5)
-    groups = {row.group for row in report.rows if row.metric == "ece_p"}
-    assert groups == {None, "half=one", "half=other", "occlusion=occluded", "occlusion=visible"}
-
-
-def test_a_wide_and_a_narrow_sampler_lie_on_either_side() -> None:
-    assert report_of(0.5).value("signed_area") < -0.1
-    assert report_of(1.5).value("signed_area") > 0.1
-
-
-def test_the_floors_say_n_and_that_they_are_of_a_perfect_sampler() -> None:
-    (floor,) = (row for row in some().rows if row.metric == "ece_floor")
-    assert 0 < floor.value < next(row for row in some().rows if row.metric == "ece_floor_95").value
-    assert floor.definition.startswith("expected ECE of a perfect sampler: N=12, 36 independent poses and 16 ")
-
-
-def test_the_poses_by_occlusion_are_those_with_such_a_joint() -> None:
-    """Every third pose has nothing hidden, and all have something to see."""
-    here = world()
-    occluded = here.occluded & (np.arange(36) % 3 > 0)[:, None]
-    occluded[np.arange(36) % 3 > 0, 2] = True
-    report = posecal.evaluate(sample(here, 3), here.truth, joints="h36m-17", occluded=occluded, by="occlusion", **HOW)
-    poses = {(row.group, row.poses) for row in report.rows if (row.group or "").startswith("occlusion=")}
-    assert poses == {("occlusion=occluded", 24), ("occlusion=visible", 36)}
-
-
-def test_a_result_without_numbers_by_occlusion_says_how_to_get_them() -> None:
-    with pytest.raises(PoseDataError, match=r"^by: this result holds no numbers by occlusion\. ") as refused:
-        Report(report_of().totals, ["occlusion"])
-    assert str(refused.value).endswith('Evaluate with by="occlusion".')
-    assert for_command_line(refused.value.message).endswith("Evaluate with --by occlusion.")
-
-
-def test_a_cut_of_the_spread_that_the_result_lacks_is_refused() -> None:
-    totals = report_of(by=("predicted_spread",)).totals
-    assert Report(totals, ["predicted_spread"]).by == ("predicted_spread",)
-    for other in ("predicted_spread:5", "predicted_spread=40,60"):
-        with pytest.raises(PoseDataError, match=r"^by: 'predicted_spread:.*' is not a label of these poses"):
-            Report(totals, [other])
 
 
 # --- what is refused ------------------------------------------------------------------------------------------
@@ -480,7 +314,7 @@ def test_a_cut_of_the_spread_that_the_result_lacks_is_refused() -> None:
 )
 def test_what_is_not_in_a_report_is_refused_with_the_nearest(call: Any, words: str) -> None:
     with pytest.raises(PoseDataError, match=words):
-        call(some())
+        call(grouped_report())
 
 
 def test_a_report_without_calibration_has_no_curves_and_says_so() -> None:
@@ -497,7 +331,7 @@ def test_a_report_without_calibration_has_no_curves_and_says_so() -> None:
 
 
 def test_the_same_measurement_has_the_same_signature_whatever_the_hypotheses_and_the_grouping() -> None:
-    assert report_of(0.5).signature == report_of(1.5).signature == some().signature
+    assert report_of(0.5).signature == report_of(1.5).signature == grouped_report().signature
 
 
 @pytest.mark.parametrize(

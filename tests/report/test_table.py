@@ -21,7 +21,7 @@ from posecal.engine.storage import load_totals, save_totals
 from posecal.errors import for_command_line
 from posecal.report.report import Report
 from posecal.report.table import AUXILIARY, Row, auxiliary_rows
-from tests.helpers.reports import FRAMES, SEQUENCES, N, report_of, unlabelled, world
+from tests.helpers.reports import FRAMES, SEQUENCES, N, grouped_report, report_of, unlabelled, world
 
 ROW = ["metric", "label", "group", "joint", "value", "unit", "direction", "definition", "poses", "low", "high"]
 CURVE = ["definition", "group", "joint", "levels", "coverage"]
@@ -36,15 +36,11 @@ def as_json(report: Report) -> dict[str, Any]:
     return cast(dict[str, Any], json.loads(report.render("json"), parse_constant=refuse))
 
 
-def some() -> Report:
-    return report_of(by=("action", "occlusion"))
-
-
 # --- JSON -----------------------------------------------------------------------------------------------------
 
 
 def test_json_has_the_documented_keys_and_no_others() -> None:
-    found = as_json(some())
+    found = as_json(grouped_report())
     assert list(found) == [
         "schema",
         "posecal",
@@ -92,7 +88,7 @@ def test_json_keeps_to_its_published_schema(report: Any) -> None:
     ],
 )
 def test_the_schema_refuses_what_is_no_report(change: Any, words: str) -> None:
-    found = as_json(some())
+    found = as_json(grouped_report())
     change(found)
     with pytest.raises(jsonschema.ValidationError, match=words):
         jsonschema.Draft202012Validator(SCHEMA).validate(found)
@@ -108,9 +104,9 @@ def test_remarks_and_summary_are_in_the_json_as_the_report_gives_them() -> None:
 
 
 def test_json_says_what_was_measured() -> None:
-    found = as_json(some())
+    found = as_json(grouped_report())
     assert found["posecal"] == posecal.__version__
-    assert found["signature"] == some().signature
+    assert found["signature"] == grouped_report().signature
     assert (found["hypotheses"], found["poses"]) == (N, SEQUENCES * FRAMES)
     assert found["joints"] == list(posecal.JOINT_SETS["h36m-17"])
 
@@ -129,7 +125,7 @@ def test_rows_are_named_in_snake_case_and_have_known_directions_and_units() -> N
 
 
 def test_every_number_is_in_the_json_once() -> None:
-    keys = [(row["metric"], row["group"], row["joint"]) for row in as_json(some())["rows"]]
+    keys = [(row["metric"], row["group"], row["joint"]) for row in as_json(grouped_report())["rows"]]
     assert len(keys) == len(set(keys))
 
 
@@ -143,7 +139,7 @@ def test_json_gives_nothing_where_nothing_is_known() -> None:
 
 def test_the_curves_of_the_json_make_the_reported_ece() -> None:
     """The exchangeable ECE is the mean gap between the median joint's curve and the diagonal."""
-    found = as_json(some())
+    found = as_json(grouped_report())
     joints = [
         curve["coverage"]
         for curve in found["curves"]
@@ -179,35 +175,35 @@ def test_letters_of_other_alphabets_stay_as_they_are() -> None:
 
 
 def test_csv_reads_back_as_the_table_and_the_remarks() -> None:
-    frame = some().table
+    frame = grouped_report().table
     assert list(frame.columns) == ROW
-    assert len(frame) == len(some().rows)
-    assert frame.attrs == {"remarks": list(some().remarks), "signature": some().signature}
+    assert len(frame) == len(grouped_report().rows)
+    assert frame.attrs == {"remarks": list(grouped_report().remarks), "signature": grouped_report().signature}
     words = {"group": object, "joint": object, "unit": object}
-    back = pd.read_csv(io.StringIO(some().render("csv")), dtype=words)
+    back = pd.read_csv(io.StringIO(grouped_report().render("csv")), dtype=words)
     back["unit"] = back["unit"].fillna("")
     for column in ("group", "joint", "unit"):
         back[column] = back[column].astype(object).mask(back[column].isna(), None)
         frame[column] = frame[column].astype(object).mask(frame[column].isna(), None)
     remarks = back[back["metric"] == "remark"]
-    assert list(remarks["definition"]) == list(some().remarks) != []
+    assert list(remarks["definition"]) == list(grouped_report().remarks) != []
     assert remarks["value"].isna().all()
     assert (remarks["poses"] == 0).all()
     pd.testing.assert_frame_equal(back[back["metric"] != "remark"], frame, check_dtype=False)
     assert frame["poses"].dtype.kind == "i"
-    assert ",36,," in some().render("csv")
+    assert ",36,," in grouped_report().render("csv")
 
 
 def test_a_table_that_the_user_changes_is_not_the_report_s() -> None:
-    table = some().table
+    table = grouped_report().table
     table["value"] = 0.0
-    assert (some().table["value"] != 0).any()
+    assert (grouped_report().table["value"] != 0).any()
 
 
 def test_csv_has_one_line_per_row_under_its_heading() -> None:
-    lines = list(csv.reader(io.StringIO(some().render("csv"))))
+    lines = list(csv.reader(io.StringIO(grouped_report().render("csv"))))
     assert lines[0] == ROW == [field.name for field in fields(Row)]
-    assert len(lines) == 1 + len(some().rows) + len(some().remarks)
+    assert len(lines) == 1 + len(grouped_report().rows) + len(grouped_report().remarks)
 
 
 def test_remarks_in_files_name_flags_where_they_are_asked_to() -> None:
@@ -266,11 +262,11 @@ def test_a_saved_result_reads_the_same_later(form: Any, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("form", ["csv", "json"])
 def test_a_saved_result_holds_the_same_numbers_later(form: Any, tmp_path: Path) -> None:
-    assert read_again(some(), tmp_path).render(form) == some().render(form)
+    assert read_again(grouped_report(), tmp_path).render(form) == grouped_report().render(form)
 
 
 def test_a_result_read_twice_and_saved_again_is_the_same_file(tmp_path: Path) -> None:
-    some().save(tmp_path / "one.npz")
+    grouped_report().save(tmp_path / "one.npz")
     save_totals(load_totals(tmp_path / "one.npz"), tmp_path / "two.npz")
     assert (tmp_path / "one.npz").read_bytes() == (tmp_path / "two.npz").read_bytes()
 

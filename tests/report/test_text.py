@@ -18,11 +18,7 @@ from posecal.report import text as text_module
 from posecal.report.report import Report
 from posecal.report.text import comparison_sheet, presets_sheet, radius_sheet, report_sheet, spread_sheet
 from posecal.stats.comparison import compare_totals
-from tests.helpers.reports import report_of, unlabelled, world
-
-
-def some() -> Report:
-    return report_of(by=("action", "occlusion"))
+from tests.helpers.reports import grouped_report, report_of, unlabelled, world
 
 
 def squeezed(text: str) -> str:
@@ -148,22 +144,22 @@ def test_remarks_stand_under_the_title_in_every_form() -> None:
 
 
 def test_the_table_of_a_label_has_a_row_per_group_with_its_numbers() -> None:
-    (table,) = (table for table in report_sheet(some()).tables if table.title == "By action")
-    names = [name for name, metric in some().metrics.items() if metric.in_group_table]
-    assert list(table.headings) == ["action", "poses", *(some().metrics[n].label for n in names)]
+    (table,) = (table for table in report_sheet(grouped_report()).tables if table.title == "By action")
+    names = [name for name, metric in grouped_report().metrics.items() if metric.in_group_table]
+    assert list(table.headings) == ["action", "poses", *(grouped_report().metrics[n].label for n in names)]
     for row in table.rows:
         group = f"action={row[0]}"
-        assert row[1] == str(some().count("mpjpe", group)) == "12"
+        assert row[1] == str(grouped_report().count("mpjpe", group)) == "12"
         for name, cell in zip(names, row[2:], strict=True):
-            assert cell == f"{some().value(name, group):.{1 if some().metrics[name].unit else 3}f}"
+            assert cell == f"{grouped_report().value(name, group):.{1 if grouped_report().metrics[name].unit else 3}f}"
 
 
 def test_the_table_of_occlusion_has_the_numbers_of_occluded_and_visible_joints() -> None:
-    (table,) = (table for table in report_sheet(some()).tables if table.title == "By occlusion")
+    (table,) = (table for table in report_sheet(grouped_report()).tables if table.title == "By occlusion")
     assert [row[0] for row in table.rows] == ["occluded", "visible"]
-    assert table.rows[0][2] == f"{some().value('min_mpjpe', 'occlusion=occluded'):.1f}"
-    assert table.rows[1][2] == f"{some().value('min_mpjpe', 'occlusion=visible'):.1f}"
-    assert table.rows[0][1] == str(some().count("mpjpe", "occlusion=occluded"))
+    assert table.rows[0][2] == f"{grouped_report().value('min_mpjpe', 'occlusion=occluded'):.1f}"
+    assert table.rows[1][2] == f"{grouped_report().value('min_mpjpe', 'occlusion=visible'):.1f}"
+    assert table.rows[0][1] == str(grouped_report().count("mpjpe", "occlusion=occluded"))
 
 
 def test_the_table_of_joints_has_a_row_per_joint_and_no_number_where_none_counts() -> None:
@@ -184,7 +180,7 @@ def test_latex_has_every_table_and_is_ascii_but_for_words() -> None:
 
 
 def test_markdown_has_a_table_for_each_family_label_and_joint() -> None:
-    text = some().render("markdown", joints=True, definitions=True)
+    text = grouped_report().render("markdown", joints=True, definitions=True)
     headings = [line.removeprefix("### ") for line in text.splitlines() if line.startswith("### ")]
     assert headings == [
         "Accuracy",
