@@ -135,6 +135,7 @@ class Matcher:
             "parents": parents_among(parents, true_columns.tolist()) if parents else (),
             "root": root,
             "frame_id": true_rows.astype(str) if truth.frame_id is None else truth.frame_id[true_rows],
+            "has_frame_id": truth.frame_id is not None,
             "order": self._order(true_rows, labels),
             "labels": labels,
             "occluded": _part(marks, rows, columns) if occluded is None else occluded,

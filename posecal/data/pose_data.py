@@ -88,6 +88,8 @@ class PoseData:
         The joint to subtract from every pose; see :mod:`posecal.data.root` for midpoints and parts.
     frame_id : array of str (M,)
         Name of each frame.
+    has_frame_id : bool
+        Whether these are names that the user gave; else they are the rows of the truth.
     order : array of int (M,)
         The index of each pose among the truth's frames as stored: two poses are consecutive where these are.
     labels : mapping of arrays of str (M,)
@@ -137,6 +139,7 @@ class PoseData:
     parents: tuple[int, ...]
     root: AnyRoot
     frame_id: npt.NDArray[np.str_]
+    has_frame_id: bool
     order: Rows
     labels: Labels
     occluded: BoolArray | None

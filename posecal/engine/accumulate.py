@@ -23,6 +23,7 @@ from posecal.engine.cells import CellIndex
 from posecal.engine.chunks import Chunk, Indices, join_chunks, read_chunks
 from posecal.engine.coinciding import Coinciding
 from posecal.engine.metric import Metric, Statistic
+from posecal.engine.pose_hashes import PoseHashes, pose_hashes, repeated_poses, smallest_hashes
 from posecal.engine.prepare import Prepared, refuse_non_finite
 from posecal.engine.protocol import Protocol
 from posecal.engine.ragged import RaggedBlock, lay_out, measure
@@ -33,6 +34,9 @@ from posecal.errors import PoseDataError, first_few, option
 
 Progress = Callable[[int], object]
 Pending = Literal["rest", "none", "all"]
+
+MOST_BLOCKS = 1000
+"""After so many blocks their hashes are put together."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +118,9 @@ class Accumulator:
         self._poses = np.zeros(0, dtype=np.int64)
         self._per_pose: dict[str, list[FloatArray]] = {}
         self._cell_of: list[Indices] = []
+        self._hashes: list[PoseHashes] = []
         self._remarks: dict[str, None] = {}
+        self._truth_name = ""
         self._pending: list[Chunk] = []  # poses that wait for the next ones, in memory of their own
         self._length = self._measured = self._given = 0
         self._before: Chunk | None = None  # the pose before the pending ones
@@ -181,6 +187,7 @@ class Accumulator:
             if places:
                 refuse_non_finite(data, name, np.concatenate(places) - np.array([first, 0]))
         self._remarks |= dict.fromkeys(data.remarks)
+        self._truth_name = data.names[1]
 
     def totals(self) -> Totals:
         """Give the sums of all poses so far; more may be added afterwards.
@@ -195,7 +202,7 @@ class Accumulator:
         final._sums = {name: (sums.copy(), counts.copy()) for name, (sums, counts) in self._sums.items()}
         final._poses = self._poses.copy()
         final._per_pose = {name: list(parts) for name, parts in self._per_pose.items()}
-        final._cell_of, final._pending = list(self._cell_of), list(self._pending)
+        final._cell_of, final._hashes, final._pending = list(self._cell_of), list(self._hashes), list(self._pending)
         for _ in final._measure(final._last_block()):
             pass
         cells = self._index.cells
@@ -203,20 +210,32 @@ class Accumulator:
         final._grow(n)
         used = np.flatnonzero(final._poses[:n])  # none of a cell's poses may be left after select_pending
         number = np.cumsum(final._poses[:n] > 0) - 1
+        hashes = smallest_hashes(final._hashes)
         return Totals(
             spec=self.spec,
             protocol=self.protocol,
             version=posecal.__version__,
             cells={name: values[used] for name, values in cells.items()},
             poses=final._poses[used],
-            remarks=(*self._remarks, *self._coinciding.remarks()),
+            remarks=(*self._remarks, *self._coinciding.remarks(), *self._remark_on_repeated(hashes)),
             has_sequences=self._index.has_sequences,
             sums={name: sums[used] for name, (sums, _) in final._sums.items()},
             counts={name: counts[used] for name, (_, counts) in final._sums.items()},
             per_pose={name: np.concatenate(parts) for name, parts in final._per_pose.items()},
             cell_of=number[np.concatenate(final._cell_of)] if final._per_pose else np.zeros(0, dtype=np.intp),
+            pose_hashes=hashes,
             own_metrics=self.own_metrics,
         )
+
+    def _remark_on_repeated(self, hashes: PoseHashes) -> list[str]:
+        """Remark on poses that equal others, unless most do, as where cameras without a label see one moment."""
+        repeated, number = repeated_poses(hashes), len(hashes)
+        if not 0 < repeated < number / 2:
+            return []
+        return [
+            f"{self._truth_name}: {repeated:,} of {number:,} frames equal another in truth and labels, and so count "
+            "twice. Were they repeated to fill a batch? Leave them out, or give all frames a frame_id."
+        ]
 
     def select_pending(self, chosen: BoolArray) -> None:
         """Keep some of the pending poses; the one after a pose that is dropped follows none."""
@@ -276,12 +295,19 @@ class Accumulator:
         """Read the poses with their cells, and with the numbers of their sequences in the coordinate range."""
         sequence, start = data.labels.get("sequence"), 0
         continues = sequence is not None and str(sequence[0]) == self._last_sequence and int(data.order[0]) == 0
+        hashes = pose_hashes(data)
         for chunk in read_chunks(data, self._length):
             stop = start + len(chunk)
             follows = chunk.follows.copy()
             follows[0] |= continues and start == 0
             self._coinciding.add(data.names[0], chunk.hypotheses, chunk.where, data.frame_id[start:stop])
-            yield replace(chunk, cells=cells[start:stop], sequence=numbers[start:stop], follows=follows)
+            yield replace(
+                chunk,
+                cells=cells[start:stop],
+                sequence=numbers[start:stop],
+                hashes=hashes[start:stop],
+                follows=follows,
+            )
             start = stop
 
     def _measure(self, tasks: Iterable[Callable[[], _Measured]]) -> Iterator[_Measured]:
@@ -350,6 +376,9 @@ class Accumulator:
         task = partial(_measure_block, self._given, make, chunk.cells[start:stop], self.statistics)
         self._before = replace(chunk.select(slice(stop - 1, stop)), reference=None).copy()
         self._given += stop - start
+        self._hashes.append(chunk.hashes[start:stop])
+        if len(self._hashes) > MOST_BLOCKS:
+            self._hashes = [smallest_hashes(self._hashes)]
         return task
 
     # --- cells

@@ -16,6 +16,7 @@ from posecal.data.root import AnyRoot
 from posecal.data.units import PERIODS
 from posecal.engine.block import Block, block_length
 from posecal.engine.coordinate_range import CoordinateRange
+from posecal.engine.pose_hashes import PoseHashes
 from posecal.engine.threads import run_in_order
 
 WINDOW_BYTES = 32 * 1024 * 1024
@@ -34,6 +35,7 @@ class Chunk:
     follows: BoolArray
     cells: Indices
     sequence: Indices
+    hashes: PoseHashes
     where: BoolArray | None
     usable: BoolArray | None
     occluded: BoolArray | None
@@ -109,7 +111,7 @@ def read_chunks(data: PoseData, multiple: int = 1) -> Iterator[Chunk]:
     window = max(1, window // multiple) * multiple
     sequence = data.labels.get("sequence", np.zeros(m, dtype=np.str_))
     follows = np.concatenate([[False], (sequence[1:] == sequence[:-1]) & (np.diff(data.order) == 1)])
-    nothing = np.zeros(m, dtype=np.intp)
+    nothing, no_hashes = np.zeros(m, dtype=np.intp), np.zeros((m, 2), dtype=np.uint64)
     others = {"truth": data.truth, "where": data.where, "usable": data.usable, "occluded": data.occluded}
     # laid out alike, whoever made them, because rounding depends on it
     rows = {name: values if values is None else np.ascontiguousarray(values) for name, values in others.items()}
@@ -121,6 +123,7 @@ def read_chunks(data: PoseData, multiple: int = 1) -> Iterator[Chunk]:
             follows=follows[start:stop],
             cells=nothing[start:stop],
             sequence=nothing[start:stop],
+            hashes=no_hashes[start:stop],
             scores=None if data.scores is None else data.scores[:, start:stop],
             reference=None if data.reference is None else data.reference.hypotheses.read(start, stop),
             **part,

@@ -6,13 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from posecal.engine.pose_hashes import shared_poses, smallest_hashes
 from posecal.engine.totals import Totals, difference_of_signatures, different_metrics
 from posecal.errors import PoseDataError, first_few, option, raise_all
 
 Cell = tuple[str, ...]
-
-NOT_COMPARED = ("paired_", "tarp_box")
-"""Statistics that depend on which poses are evaluated together: the same poses may have other sums in two shards."""
 
 
 def merge_totals(parts: Sequence[Totals], names: Sequence[str] | None = None) -> Totals:
@@ -45,7 +43,7 @@ def merge_totals(parts: Sequence[Totals], names: Sequence[str] | None = None) ->
         raise PoseDataError(f"names: {len(names)} for {len(parts)} results; expected one each.")
     labels = [name for name in parts[0].cells if all(name in part.cells for part in parts)]
     _refuse_unlike(parts, names)
-    _refuse_repeated(parts, names, labels)
+    _refuse_shared(parts, names)
     first, has_sequences = parts[0], all(part.has_sequences for part in parts)
     rows: dict[Cell, int] = {}
     numbers = [
@@ -64,6 +62,7 @@ def merge_totals(parts: Sequence[Totals], names: Sequence[str] | None = None) ->
         poses=np.zeros(len(rows), dtype=np.int64),
         remarks=tuple(dict.fromkeys(remark for part in parts for remark in part.remarks)),
         has_sequences=has_sequences,
+        pose_hashes=smallest_hashes([part.pose_hashes for part in parts]),
         own_metrics=first.own_metrics,
     )
     for part, cells in zip(parts, numbers, strict=True):
@@ -112,17 +111,12 @@ def _refuse_unlike(parts: Sequence[Totals], names: Sequence[str]) -> None:
     raise_all(problems)
 
 
-def _refuse_repeated(parts: Sequence[Totals], names: Sequence[str], labels: Sequence[str]) -> None:
-    """Refuse a cell that two shards hold with the same labels, number of poses and sums."""
-    seen: dict[tuple[object, ...], str] = {}
-    for name, part in zip(names, parts, strict=True):
-        compared = [values for key, values in part.sums.items() if not key.startswith(NOT_COMPARED)]
-        sums = [values.reshape(len(values), -1).sum(axis=1) for values in compared]
-        for row, cell in enumerate(_cells(part, labels)):
-            trace = (cell, int(part.poses[row]), *(float(values[row]) for values in sums))
-            if trace in seen:
-                shared = ", ".join(f"{label} {value}" for label, value in zip(labels, cell, strict=True))
-                raise PoseDataError(
-                    f"{seen[trace]} and {name} hold the same poses ({shared}); expected every pose in one only."
-                )
-            seen[trace] = name
+def _refuse_shared(parts: Sequence[Totals], names: Sequence[str]) -> None:
+    """Refuse poses that two shards have in common."""
+    first, second, number = shared_poses([part.pose_hashes for part in parts])
+    if number:
+        raise PoseDataError(
+            f"{names[first]} and {names[second]} hold the same poses: {number:,} with the same truth and labels; "
+            "expected every pose in one only. Leave them out of one, or give both a frame_id where they are different "
+            "frames."
+        )

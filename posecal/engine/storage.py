@@ -21,7 +21,7 @@ from posecal.engine.scope import DataSpec
 from posecal.engine.totals import Totals
 from posecal.errors import PoseDataError, PoseFileError, checked_type, refuse_unreadable
 
-FORMAT = 3
+FORMAT = 4
 """The version of the file format."""
 
 
@@ -60,6 +60,7 @@ def save_totals(totals: Totals, path: str | os.PathLike[str]) -> None:
         members[f"sum/{name}"], members[f"count/{name}"] = totals.sums[name], totals.counts[name]
     members |= {f"per_pose/{name}": values for name, values in totals.per_pose.items()}
     members["cell_of"] = totals.cell_of.astype(np.int32)
+    members["pose_hashes"] = totals.pose_hashes
     members["digest"] = np.array(_digest(members))
     write_file(path, lambda file: write_members(file, members, compressed=True))
 
@@ -104,6 +105,7 @@ def load_totals(path: str | os.PathLike[str]) -> Totals:
             counts=_part(members, "count/"),
             per_pose=_part(members, "per_pose/"),
             cell_of=members["cell_of"],
+            pose_hashes=members["pose_hashes"],
             own_metrics=tuple(Metric.from_description(texts) for texts in about["own_metrics"]),
         )
         _check_members(totals, about)
@@ -152,6 +154,8 @@ def _check_members(totals: Totals, about: dict[str, Any]) -> None:
     outside = totals.cell_of.max(initial=-1) >= len(totals.poses) or totals.cell_of.min(initial=0) < 0
     if len(lengths[0]) > 1 or not lengths[1] <= {len(totals.cell_of)} or outside:
         raise ValueError("members of other lengths")
+    if totals.pose_hashes.dtype != np.uint64 or totals.pose_hashes.shape[1:] != (2,):
+        raise ValueError("pose_hashes of another type or shape")
     if (totals.poses < 0).any() or len({*totals.spec.joints}) < len(totals.spec.joints):
         raise ValueError("negative numbers of poses, or repeated joints")
     for key, counts in totals.counts.items():

@@ -20,6 +20,7 @@ from posecal.data.arrays import FloatArray
 from posecal.data.joint_names import canonical_names
 from posecal.data.root import root_name
 from posecal.engine.metric import Metric, ReadOff, Statistic
+from posecal.engine.pose_hashes import PoseHashes
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec
 from posecal.engine.sums import Cells, Counts, Indices, compact, mean_of, mean_of_known, split_by, sum_by
@@ -57,6 +58,8 @@ class Totals:
         By statistic: the values of every pose, of the few that no sums replace.
     cell_of : array of int (M,)
         With them: the cell of each pose.
+    pose_hashes : array of int (H, 2)
+        Of the true poses; see :func:`posecal.engine.pose_hashes.pose_hashes`.
     own_metrics : tuple of Metric
         The user's metrics that the sums are of.
     """
@@ -72,6 +75,7 @@ class Totals:
     counts: dict[str, npt.NDArray[np.int64]] = field(default_factory=dict)
     per_pose: dict[str, FloatArray] = field(default_factory=dict)
     cell_of: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    pose_hashes: PoseHashes = field(default_factory=lambda: np.zeros((0, 2), dtype=np.uint64))
     own_metrics: tuple[Metric, ...] = ()
     _shared: dict[Hashable, tuple[Cells, FloatArray]] = field(default_factory=dict, init=False, compare=False)
 

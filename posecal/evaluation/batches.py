@@ -196,7 +196,7 @@ class Evaluation:
         known = self._frames.keys() | self._frames_of_others if self._frames_of_others else self._frames
         first = {name: row for row, name in reversed(list(enumerate(names.tolist()))) if name not in known}
         rows = np.sort(np.array(list(first.values()), dtype=np.intp))
-        return data.replace(frame_id=names).select(rows)
+        return data.replace(frame_id=names, has_frame_id=True).select(rows)
 
     def add(
         self,
@@ -331,8 +331,7 @@ class Evaluation:
         PoseDataError
             For what is no Evaluation; where both have poses and differ in options, metrics, N, joints or in having
             sequence labels; where a frame of both, by ``frame_id``, is in the last batch of neither; and, with or
-            without ``frame_id``, where a group of equal labels has the same number of poses and the same sums in both.
-            Nothing is changed then.
+            without ``frame_id``, where poses of equal truth and labels are in both. Nothing is changed then.
         """
         if not isinstance(other, Evaluation):
             raise PoseDataError(f"merge: {type(other).__name__}; expected an Evaluation.")

@@ -139,7 +139,7 @@ def test_velocities_per_second_need_frames_per_second() -> None:
         (["report", "nothing.npz"], "nothing.npz: no such file."),
         (["report", "result.npz", "--by", "acton"], "by: 'acton' is not a label of these poses. Did you mean action?"),
         (["merge", "result.npz", "gt.npz", "-o", "x.npz"], "gt.npz: no result of posecal evaluate --save, or not a "),
-        (["merge", "result.npz", "result.npz", "-o", "x.npz"], "result.npz and result.npz hold the same poses ("),
+        (["merge", "result.npz", "result.npz", "-o", "x.npz"], "result.npz and result.npz hold the same poses: 36 "),
         (["plot", "joints", "gt.npz", "-o", "x.svg"], "gt.npz: no result of posecal evaluate --save, or not a whole "),
         (["plot", "poses", "hyps.npz", "gt.npz", "-o", "x.svg", "--joint=Tail"], "joint: 'Tail' is not among the joi"),
         (["plot", "poses", "hyps.npz", "gt.npz", "-o", "x.svg", "--frames=99"], "frames: '99' is neither a frame id "),

@@ -173,9 +173,9 @@ def test_a_result_of_another_format_is_to_be_made_anew(tmp_path: Path) -> None:
     save_totals(totals(), tmp_path / "result.npz")
     with np.load(tmp_path / "result.npz") as stored:
         members: dict[str, npt.NDArray[np.generic]] = dict(stored)
-    members["about"] = np.array(str(members["about"]).replace('"format": 3', '"format": 99'))
+    members["about"] = np.array(str(members["about"]).replace('"format": 4', '"format": 99'))
     np.savez(tmp_path / "later.npz", **members)
-    with pytest.raises(PoseFileError, match=r"later\.npz: format 99 of posecal 1\.0; expected 3\. Evaluate again\."):
+    with pytest.raises(PoseFileError, match=r"later\.npz: format 99 of posecal 1\.0; expected 4\. Evaluate again\."):
         load_totals(tmp_path / "later.npz")
 
 

@@ -36,6 +36,7 @@ def totals(protocol: Protocol | None = None, **changes: object) -> Totals:
         version="1.0",
         cells={"sequence": np.array(["a", "b", "b", "c"]), "action": np.array(["sit", "sit", "walk", "walk"])},
         poses=np.array([3, 1, 2, 4]),
+        pose_hashes=np.stack([np.arange(10), np.zeros(10)], axis=1).astype(np.uint64),
     )
     sums.add("height", np.arange(4), np.array([30.0, 8, 14, 0]), np.array([3, 1, 2, 4]))
     columns = np.array([[30.0, 3], [8, 0], [14, 1], [0, 0]])

@@ -1,0 +1,91 @@
+"""Hashes of true poses, by which shards of one test set find the poses that they share."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from posecal.data.pose_data import PoseData
+from posecal.engine.cells import SPREAD
+
+PoseHashes = npt.NDArray[np.uint64]
+
+MOST_HASHES = 65_536
+"""Of more poses the smallest hashes are kept: what two sets share is then found by a sample of it."""
+
+
+def pose_hashes(data: PoseData) -> PoseHashes:
+    """Hash the poses, (M, 2): truth and labels of each, and the name of its frame, 0 where it has none."""
+    hashes = np.zeros((len(data.truth), 2), dtype=np.uint64)
+    hashes[:, 0] = _hash(data.truth.astype(np.float32) + np.float32(0))  # -0 as 0
+    for name, values in data.labels.items():
+        if not SPREAD.match(name):  # of the hypotheses
+            hashes[:, 0] += _hash(values) * np.uint64(2 * zlib.crc32(name.encode(errors="surrogatepass")) + 1)
+    if data.has_frame_id:
+        hashes[:, 1] = _hash(data.frame_id)
+    return hashes
+
+
+def smallest_hashes(parts: Sequence[PoseHashes]) -> PoseHashes:
+    """Put hashes together, in ascending order; of more than :data:`MOST_HASHES` the smallest."""
+    hashes = np.concatenate([np.zeros((0, 2), dtype=np.uint64), *parts])
+    return hashes[np.lexsort(hashes.T[::-1])][:MOST_HASHES]
+
+
+def repeated_poses(hashes: PoseHashes) -> int:
+    """Count poses, by their sorted hashes, that another equals in truth, labels and name of the frame."""
+    return int((hashes[1:] == hashes[:-1]).all(axis=1).sum())
+
+
+def shared_poses(parts: Sequence[PoseHashes]) -> tuple[int, int, int]:
+    """Find the first two sets that share poses.
+
+    Poses that equal others of their own set, as those of cameras that see one moment do, are not looked at.
+
+    Parameters
+    ----------
+    parts : sequence of array (H, 2)
+        The sorted hashes of each set.
+
+    Returns
+    -------
+    first, second, number : int
+        The two sets and how many poses they share; 0 where no two do.
+    """
+    alone = [_without_repeated(part) for part in parts]
+    hashes, part = np.concatenate(alone), np.repeat(np.arange(len(alone)), [len(some) for some in alone])
+    order = np.lexsort((part, hashes[:, 1], hashes[:, 0]))
+    hashes, part = hashes[order], part[order]
+    (pose, frame), (next_pose, next_frame) = hashes[:-1].T, hashes[1:].T
+    same = (pose == next_pose) & (part[1:] != part[:-1]) & ((frame == next_frame) | (frame == 0))
+    pairs = np.sort(np.stack([part[:-1][same], part[1:][same]]), axis=0)
+    if not pairs.size:
+        return 0, 0, 0
+    first, second = min(zip(*pairs.tolist(), strict=True))
+    return first, second, int(((pairs[0] == first) & (pairs[1] == second)).sum())
+
+
+def _without_repeated(hashes: PoseHashes) -> PoseHashes:
+    equal = (hashes[1:] == hashes[:-1]).all(axis=1)
+    is_alone = np.ones(len(hashes), dtype=bool)
+    is_alone[1:][equal] = is_alone[:-1][equal] = False
+    return hashes[is_alone]
+
+
+def _hash(values: npt.NDArray[np.float32] | npt.NDArray[np.str_]) -> npt.NDArray[np.uint64]:
+    """Hash each row, (M,). Zeros at its end change nothing, so that text of any width has one hash."""
+    words = np.ascontiguousarray(values).view(np.uint32).reshape(len(values), -1).astype(np.uint64)
+    once, again = _factors(words.shape[1])
+    words *= once
+    words ^= words >> np.uint64(32)
+    return np.asarray((words * again).sum(axis=1, dtype=np.uint64))
+
+
+@lru_cache(maxsize=16)
+def _factors(number: int) -> PoseHashes:
+    """Give odd random numbers, (2, number), the same ones on each machine."""
+    return np.random.PCG64(0).random_raw(2 * number).reshape(number, 2).T | np.uint64(1)
