@@ -288,7 +288,7 @@ def calibration_curve(
         True poses, the same unit.
     definition : str
         ``exchangeable``, ``paper`` or ``reference``; see :mod:`posecal.calibration.ranks`.
-    where : bool array (M, K), optional
+    where : bool array (M, K) or (M,), optional
         The joints that count.
     root : int, optional
         The joint to subtract from every pose first; it carries no information then and is left out.

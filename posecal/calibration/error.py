@@ -51,7 +51,7 @@ def ece(
     over : str
         ``median``: ECE of the median curve (the paper's); ``mean``: mean of the joints' ECEs; ``worst``: the
         largest of them; ``pooled``: ECE of the pooled curve, for occluded joints.
-    where : bool array (M, K), optional
+    where : bool array (M, K) or (M,), optional
         The joints that count.
     root : int, optional
         The joint to subtract from every pose first; it is left out.

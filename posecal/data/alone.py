@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from posecal.data.declarations import Declarations, named_call, quantity_of, resolve
+from posecal.data.declarations import Declarations, joint_names, named_call, quantity_of, resolve
 from posecal.data.layout import HYPOTHESES, Layout
-from posecal.data.match import Names, empty_problem, joint_names, numbered
+from posecal.data.match import Names, empty_problem, numbered
 from posecal.data.root import AnyRoot, choose_root
 from posecal.data.stored_poses import ArrayHypotheses, StoredPoses
 from posecal.errors import PosecalError, attempt, raise_all

@@ -45,7 +45,7 @@ def checked(
         Hypotheses, in another layout if ``axes`` says so.
     truth : array_like (M, K, D)
         True poses, likewise.
-    where : bool array_like (M, K), optional
+    where : bool array_like (M, K) or (M,), optional
         The joints that count.
     axes : str, optional
         The layout of the hypotheses, such as ``MNKD``. Where None, shapes that several layouts fit are refused.

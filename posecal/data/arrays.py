@@ -186,7 +186,7 @@ def as_scores(values: object, name: str) -> FloatArray:
 
 
 def checked_mask(values: object, shape: tuple[int, ...], name: str = "where") -> BoolArray:
-    """Check a mask of joints, (M, K).
+    """Check a mask of joints, (M, K), or of poses, (M,); give it as one of joints.
 
     Raises
     ------
@@ -195,11 +195,12 @@ def checked_mask(values: object, shape: tuple[int, ...], name: str = "where") ->
     """
     array = as_array(values, name)
     is_mask = array.dtype.kind in "bfiu" and ((array == 0) | (array == 1)).all()
-    if not is_mask or array.shape != shape:
+    if not is_mask or array.shape not in {shape, shape[:1]}:
         raise PoseDataError(
-            f"{name}: {array.dtype} {array.shape}; expected bool (M, K) = {shape}, True where a joint counts."
+            f"{name}: {array.dtype} {array.shape}; expected bool (M, K) = {shape} or (M,), True where a joint counts."
         )
-    return as_marks(array, name)
+    marks = as_marks(array, name)
+    return marks if array.ndim == 2 else np.repeat(marks[:, None], shape[1], axis=1)
 
 
 def checked_index(value: Any, name: str, size: int, of: str) -> int:

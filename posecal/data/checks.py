@@ -8,6 +8,7 @@ import numpy as np
 
 from posecal.data.arrays import FloatArray
 from posecal.data.degenerate import distinct_hypotheses
+from posecal.data.remarks import Example, Remark
 from posecal.data.skeleton import Skeleton, known_set
 from posecal.errors import PoseDataError, option
 
@@ -59,8 +60,10 @@ def check_units(data: PoseData, unit: str | None, true_unit: str | None, declare
     size = pose_size(some[:12].reshape(-1, k, d))
     true_size = pose_size(data.truth)
     sides = ("truth_unit", true_name, true_size, is_true_known), ("unit", name, size, is_known)
-    tiny = [(key, metres_message(which, length), known) for key, which, length, known in sides if 0 < length < TINY]
-    undeclared = {key: message for key, message, known in tiny if not known}
+    tiny = [
+        (key, which, metres_message(which, length), known) for key, which, length, known in sides if 0 < length < TINY
+    ]
+    undeclared = {key: message for key, _, message, known in tiny if not known}
     if undeclared:
         key = "unit" if "unit" in undeclared else "truth_unit"
         advice = option(key, "m")
@@ -70,14 +73,14 @@ def check_units(data: PoseData, unit: str | None, true_unit: str | None, declare
             f"{' '.join(undeclared.values())} Pass {advice}, or store unit in the files; {option(key, 'mm')} if it is "
             "right."
         )
-    remarks += [f"{message} Is its unit right?" for _, message, _ in tiny]
+    remarks += [Remark(Example(message), f" Is the unit of {which} right?") for _, which, message, _ in tiny]
     if size > 0 and true_size > 0 and (ratio := ratio_message(name, true_name, size, true_size)):
         if declared.truth_unit is None and not (is_known and true_unit is not None):
             raise PoseDataError(
                 f"{ratio}; expected one unit. Store unit in both, or pass {option('unit')} for the one and "
                 f"{option('truth_unit')} for the other."
             )
-        remarks.append(f"{ratio}. Are their units right?")
+        remarks.append(Remark(Example(ratio), ". Are their units right?"))
     sizes = [size for _, _, size, known in sides if not known and size > 0]
     return remarks or [*_check_bones(data), *_remark_on_centimetres(data, max(sizes, default=0.0))][:1]
 
@@ -116,9 +119,9 @@ def _distinct(name: str, some: FloatArray) -> list[str]:
     """Remark on hypotheses of which some repeat others."""
     distinct, n = distinct_hypotheses(some), len(some)
     if 1 < distinct < n:
+        number = Example(f"{distinct} of N = {n} hypotheses are distinct, by the first {some.shape[1]} frames")
         return [
-            f"{name}: only {distinct} of N = {n} hypotheses are distinct, by the first {some.shape[1]} frames. Spread, "
-            "calibration and scores are then those of fewer hypotheses."
+            Remark(f"{name}: only ", number, ". Spread, calibration and scores are then those of fewer hypotheses.")
         ]
     return []
 
@@ -171,8 +174,12 @@ def _remark_on_centimetres(data: PoseData, size: float) -> list[str]:
     if data.parents or known_set(data.joints) or not CENTIMETRES[0] <= size < CENTIMETRES[1]:
         return []
     return [
-        f"{data.names[1]} may be in centimetres: joints lie {size:.0f} from the middle of the pose, as those of a hand "
-        f"in mm or of a person in cm. Pass {option('unit', 'cm')}, or {option('unit', 'mm')} if it is right."
+        Remark(
+            f"{data.names[1]} may be in centimetres: joints lie ",
+            Example(f"{size:.0f}"),
+            " from the middle of the pose, as those of a hand in mm or of a person in cm. Pass "
+            f"{option('unit', 'cm')}, or {option('unit', 'mm')} if it is right.",
+        )
     ]
 
 
@@ -191,6 +198,9 @@ def _check_bones(data: PoseData) -> list[str]:
     if not lengths.size or BONES[0] <= np.median(lengths) <= BONES[1]:
         return []
     return [
-        f"the median bone of {data.names[1]} is {np.median(lengths):,.1f} mm long; expected {BONES[0]:g} to "
-        f"{BONES[1]:g}. Is its unit right?"
+        Remark(
+            f"the median bone of {data.names[1]} is ",
+            Example(f"{np.median(lengths):,.1f}"),
+            f" mm long; expected {BONES[0]:g} to {BONES[1]:g}. Is its unit right?",
+        )
     ]

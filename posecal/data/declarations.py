@@ -9,12 +9,13 @@ from numbers import Integral
 from typing import Any, Literal, TypeVar
 
 from posecal.data.arrays import checked_choice
+from posecal.data.joint_names import distinguished, repeated_names
 from posecal.data.layout import HYPOTHESES, TRUTH, Layout, plausible_layouts
 from posecal.data.own_skeleton import OwnSkeleton, as_skeleton, checked_parents
 from posecal.data.skeleton import joint_set
 from posecal.data.stored_poses import StoredPoses
 from posecal.data.units import quantity
-from posecal.errors import PosecalError, PoseDataError, attempt, option, raise_all
+from posecal.errors import PosecalError, PoseDataError, attempt, first_few, option, raise_all
 
 T = TypeVar("T")
 
@@ -206,6 +207,24 @@ def quantity_of(poses: StoredPoses, name: str, declared: object, otherwise: str 
         For a unit that is none, or two that differ.
     """
     return named_call(poses, quantity, resolve(poses, name, poses.unit, declared) or otherwise)
+
+
+def joint_names(
+    poses: StoredPoses, size: int, declared: Declarations, problems: list[str | PosecalError]
+) -> tuple[str, ...] | None:
+    """Give the names of K joints, as stored or else as declared; None where there are none."""
+    names = declared.joint_names if poses.joints is None else poses.joints
+    if names is None:
+        return None
+    if len(names) != size:
+        of_set = poses.joints is None and isinstance(declared.joints, str)
+        what = f"{declared.joints} has {len(names)} joints" if of_set else f"{len(names)} joints named"
+        problems.append(f"{poses.name}: {what} for K = {size}; expected one name each.")
+        return None
+    names = distinguished(names)
+    if repeated := repeated_names(names):
+        problems.append(f"{poses.name} names joints more than once: {first_few(repeated)}.")
+    return names
 
 
 def named_call(poses: StoredPoses, function: Callable[..., T], *arguments: Any) -> T:

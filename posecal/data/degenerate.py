@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray
+from posecal.data.remarks import Count, Example, Remark
 from posecal.errors import PoseDataError, first_few, option
 
 LARGEST = 1e7
@@ -99,7 +100,7 @@ def refuse_one_point(truth: FloatArray, where: BoolArray | None, frames: npt.NDA
 def truth_remarks(
     truth: FloatArray, where: BoolArray | None, joints: Sequence[str], root: Sequence[int], name: str
 ) -> list[str]:
-    """Remark on joints that repeat others in every frame, and on joints that are 0 in some frames.
+    """Remark on joints that repeat others in every frame, and on joints that are a fill value in some frames.
 
     Parameters
     ----------
@@ -120,28 +121,79 @@ def truth_remarks(
         Remarks.
     """
     m, k, d = truth.shape
-    if d < 2 or m < 2 or k < FEWEST_JOINTS or where is not None:
+    if d < 2 or m < 2 or k < FEWEST_JOINTS:
         return []
-    remarks = []
+    copies = [] if where is not None else _copies(truth)
+    remarks: list[str] = []
+    if 0 < len(copies) < k - 1:
+        pairs = [f"{joints[j]} = {joints[original]}" for j, original in copies]
+        remarks.append(
+            Remark(
+                f"{name}: {len(copies)} of {k} joints equal others in every frame (",
+                Example(first_few(pairs, 8)),
+                "), which so count twice in means over joints. The protocol's option joints chooses those to score.",
+            )
+        )
+    return remarks + fill_remarks(truth, where, joints, [*root, *(j for j, _ in copies)], name)
+
+
+def _copies(truth: FloatArray) -> list[tuple[int, int]]:
+    """Give joints that equal an earlier one in every frame, each with that one."""
     _, first, group = np.unique(truth[0], axis=0, return_index=True, return_inverse=True)
     original = first[group.reshape(-1)].tolist()  # the first joint that lies where each does in the first frame
-    copies = [j for j in range(k) if original[j] != j and np.array_equal(truth[:, j], truth[:, original[j]])]
-    if 0 < len(copies) < k - 1:
-        pairs = [f"{joints[j]} = {joints[original[j]]}" for j in copies]
-        remarks.append(
-            f"{name}: {len(copies)} of {k} joints equal others in every frame ({first_few(pairs, 8)}), which so count "
-            "twice in means over joints. The protocol's option joints chooses those to score."
-        )
-    zero: BoolArray = np.asarray(~truth.any(axis=2))
-    zero[:, [*root, *copies]] = False
-    zero[~truth.any(axis=(1, 2))] = False
-    frames = zero.sum(axis=0)
-    filled = [f"{joints[j]} in {frames[j]:,}" for j in range(k) if 0 < frames[j] < m]
-    if filled:
-        remarks.append(
-            f"{name}: joints are exactly 0 in some of {m:,} frames ({first_few(filled)}). Where 0 stands for a joint "
-            "that is not known, mark it in a member valid (M, K)."
-        )
+    return [
+        (j, original[j])
+        for j in range(len(original))
+        if original[j] != j and np.array_equal(truth[:, j], truth[:, original[j]])
+    ]
+
+
+def fill_remarks(
+    poses: FloatArray, where: BoolArray | None, joints: Sequence[str], resting: Sequence[int], name: str
+) -> list[str]:
+    """Remark on joints whose coordinates are all one number in some poses, such as 0 or -1000: it may be a fill value.
+
+    Parameters
+    ----------
+    poses : array (M, K, D)
+        True poses, or hypotheses one after another.
+    where : bool array (M, K) or None
+        The joints that count.
+    joints : sequence of str
+        K names.
+    resting : sequence of int
+        Joints that may be 0.
+    name : str
+        What messages call the poses.
+
+    Returns
+    -------
+    list of str
+        A remark for each such number. Other than 0 it is found at two joints or more and, of two coordinates, as the
+        least or the largest of all, since whole pixels may be equal by chance.
+    """
+    equal = (poses == poses[..., :1]).all(axis=2)
+    equal &= True if where is None else where
+    equal &= ~equal.all(axis=1, keepdims=True)  # a pose in one point is another fault
+    values, numbers = np.unique(poses[..., 0][equal], return_counts=True)
+    if poses.shape[2] == 2 and values.size:
+        numbers *= np.isin(values, np.array([0, np.nanmin(poses), np.nanmax(poses)]))
+    remarks: list[str] = []
+    for value in values[(values == 0) | (numbers > 1)]:
+        found = equal & (poses[..., 0] == value)
+        if value == 0:
+            found[:, [*resting, *np.flatnonzero(found.all(axis=0))]] = False
+        if found.any():
+            places = [f"{joints[j]} in {number:,}" for j, number in enumerate(found.sum(axis=0)) if number]
+            remarks.append(
+                Remark(
+                    f"{name}: joints are exactly {value:g} in ",
+                    Count(int(found.any(axis=1).sum()), "pose", of=len(poses)),
+                    " (",
+                    Example(first_few(places)),
+                    "). Where that stands for a joint that is not known, mark it in a member valid (M, K).",
+                )
+            )
     return remarks
 
 

@@ -11,7 +11,7 @@ from posecal.data.arrays import FloatArray
 from posecal.data.joint_names import letters, side_of
 from posecal.data.pose_data import PoseData
 from posecal.data.root import origin
-from posecal.data.stored_poses import Rows
+from posecal.data.stored_poses import sample_rows
 from posecal.data.units import PERIODS
 
 DIFFERENT_FRAMES = "coordinate frames differ"
@@ -19,9 +19,6 @@ DIFFERENT_FRAMES = "coordinate frames differ"
 
 _POSES, _HYPOTHESES, _JOINTS = 64, 32, 4096
 """How many are looked at, joints of all poses together."""
-
-_RUN = 8
-"""Poses that are read together."""
 
 _LARGE, _REMOVES, _AGREE, _FEWEST = 0.3, 0.6, 0.9, 5
 """A mean error above this share of the size of the poses, of which one change removes this share, in this share of at
@@ -86,15 +83,6 @@ def frame_remark(data: PoseData) -> str:
         f"{errors.mean():,.0f} into {left:,.0f} {data.unit or 'units'} ({len(x)} frames looked at). Check axes, "
         "sides and units before reading anything else; no sentence about calibration is given."
     )
-
-
-def sample_rows(m: int, number: int) -> Rows:
-    """Choose about so many of m poses, in runs of eight that lie evenly: what is stored in chunks is read in few."""
-    if number >= m:
-        return np.arange(m)
-    runs = max(1, number // _RUN)
-    starts = np.linspace(0, m - min(_RUN, number), runs).astype(np.intp)
-    return np.unique(starts[:, None] + np.arange(min(_RUN, number)))
 
 
 def _errors(x: FloatArray, y: FloatArray) -> FloatArray:

@@ -15,11 +15,12 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, checked_mask, checked_number
-from posecal.data.declarations import Declarations, choose_layouts, quantity_of
+from posecal.data.declarations import Declarations, choose_layouts, joint_names, quantity_of
 from posecal.data.degenerate import column_problem
-from posecal.data.joint_names import distinguished, match_joints, remarks_on_names, repeated_names
+from posecal.data.joint_names import match_joints, remarks_on_names
 from posecal.data.layout import plausible_layouts
 from posecal.data.own_skeleton import parents_among
+from posecal.data.remarks import Count, Example, Remark
 from posecal.data.root import choose_root, origin, part_of_root, root_name
 from posecal.data.skeleton import ALL_NAMES
 from posecal.data.stored_poses import ArrayHypotheses, Labels, Rows, StoredPoses, in_millimetres
@@ -99,7 +100,7 @@ class Matcher:
         known = _both(_part(valid, rows, columns), _part(true_valid, true_rows, true_columns))
         if known is not None:
             counts = np.asarray(known.any(axis=1))
-            self._remark_invalid(known, counts)
+            self._remark_invalid(known, counts, true_rows)
             rows, true_rows, known = rows[counts], true_rows[counts], known[counts]
         y = in_millimetres(stored, true_factor)
         in_order = len(true_names) == k and np.array_equal(columns, np.arange(k))
@@ -183,15 +184,24 @@ class Matcher:
             return None
         return None if valid is None else np.broadcast_to(valid if valid.ndim == 2 else valid[:, None], shape)
 
-    def _remark_invalid(self, known: BoolArray, counts: BoolArray) -> None:
+    def _remark_invalid(self, known: BoolArray, counts: BoolArray, rows: Rows) -> None:
         """Say how many joints and poses are not valid."""
         poses, joints = int((~counts).sum()), int((~known[counts]).sum())
         if not counts.any():
             raise PoseDataError(f"valid: no joint of {self.truth.name} is valid; expected some.")
         if poses:
-            self.remarks.append(f"valid: {poses:,} of {len(known):,} frames have no valid joint; left out.")
+            names = self._frame_names(rows[~counts])
+            first = Example(first_few(names))
+            self.remarks.append(
+                Remark("valid: ", Count(poses, "frame"), " without a valid joint (first: ", first, "); left out.")
+            )
         if joints:
-            self.remarks.append(f"valid: {joints:,} of {known[counts].size:,} joints are not valid; left out.")
+            self.remarks.append(Remark("valid: ", Count(joints, "joint is", "joints are"), " not valid; left out."))
+
+    def _frame_names(self, rows: Rows) -> list[str]:
+        """Give the names of some frames of the truth, or their numbers where they have none."""
+        names = self.truth.frame_id
+        return [str(name) for name in (rows if names is None else names[rows]).tolist()]
 
     def _quantities(self) -> tuple[str, float, float]:
         """The unit that is measured in, and the factors of both; ``unit`` is for what declares none, or must agree."""
@@ -332,24 +342,6 @@ class Matcher:
                 self.problems.append(f"{poses.name}: {name} {marks.shape}; expected (M, K) = {shape}.")
             return ~marks if name == "visible" else marks
         return None
-
-
-def joint_names(
-    poses: StoredPoses, size: int, declared: Declarations, problems: list[str | PosecalError]
-) -> Names | None:
-    """Give the names of K joints, as stored or else as declared; None where there are none."""
-    names = declared.joint_names if poses.joints is None else poses.joints
-    if names is None:
-        return None
-    if len(names) != size:
-        of_set = poses.joints is None and isinstance(declared.joints, str)
-        what = f"{declared.joints} has {len(names)} joints" if of_set else f"{len(names)} joints named"
-        problems.append(f"{poses.name}: {what} for K = {size}; expected one name each.")
-        return None
-    names = distinguished(names)
-    if repeated := repeated_names(names):
-        problems.append(f"{poses.name} names joints more than once: {first_few(repeated)}.")
-    return names
 
 
 def empty_problem(poses: StoredPoses) -> str:

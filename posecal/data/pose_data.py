@@ -13,16 +13,19 @@ import numpy.typing as npt
 from posecal.data.arrays import BoolArray, FloatArray, as_array, as_label_arrays, as_labels, as_marks, as_scores
 from posecal.data.checks import check_units
 from posecal.data.declarations import Declarations
-from posecal.data.degenerate import truth_remarks
+from posecal.data.degenerate import FEWEST_JOINTS, fill_remarks, truth_remarks
 from posecal.data.layout import HYPOTHESES
 from posecal.data.match import Matcher
 from posecal.data.read import read_poses
 from posecal.data.root import AnyRoot, root_joints
-from posecal.data.stored_poses import Hypotheses, Labels, Rows, StoredPoses
+from posecal.data.stored_poses import Hypotheses, Labels, Rows, StoredPoses, sample_rows
 from posecal.errors import PosecalError, PoseDataError, attempt, raise_all
 
 T = TypeVar("T")
 Source = npt.ArrayLike | str | os.PathLike[str]
+
+_FRAMES, _HYPOTHESES = 16, 32
+"""How many hypotheses are looked at for fill values."""
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -36,7 +39,7 @@ class PoseData:
         ``.npy`` file, which is read some poses at a time.
     truth : array_like (M, K, D) or path
         True poses, likewise.
-    where : bool array (M, K), optional
+    where : bool array (M, K) or (M,), optional
         The joints that count, of the truth.
     joints : str or sequence of str, optional
         K names, or a joint set, where the data name none; skeleton and root follow from them.
@@ -292,4 +295,17 @@ def match_poses(hypotheses: StoredPoses, truth: StoredPoses, declarations: Decla
     data = _with_attributes(PoseData, **Matcher(hypotheses, truth, declared).attributes())
     remarks = check_units(data, hypotheses.unit, truth.unit, declared)
     remarks += truth_remarks(data.truth, data.where, data.joints, root_joints(data.root), truth.name)
+    remarks += _hypotheses_remarks(data)
     return data.replace(remarks=(*data.remarks, *remarks))
+
+
+def _hypotheses_remarks(data: PoseData) -> list[str]:
+    """Remark on joints of hypotheses that are a fill value, in some frames that lie evenly."""
+    n, m, k, d = data.shape
+    if d < 2 or k < FEWEST_JOINTS:
+        return []
+    rows = sample_rows(m, _FRAMES)
+    some = data.hypotheses.select(rows).read(0, len(rows))[:_HYPOTHESES]
+    where = None if data.where is None else np.tile(data.where[rows], (len(some), 1))
+    name = data.names[0] if len(rows) == m and len(some) == n else f"{data.names[0]} ({len(rows)} frames looked at)"
+    return fill_remarks(some.reshape(-1, k, d), where, data.joints, root_joints(data.root), name)

@@ -18,6 +18,9 @@ COMMON_LABELS = frozenset(("sequence", "subject", "action", "camera"))
 Labels = Mapping[str, npt.NDArray[np.str_]]
 Rows = npt.NDArray[np.intp]
 
+RUN = 8
+"""Poses of a sample that are read together."""
+
 
 @dataclass(frozen=True)
 class StoredPoses:
@@ -140,3 +143,12 @@ def in_millimetres(stored: npt.NDArray[np.generic], factor: float) -> FloatArray
     single = stored.dtype.kind == "f" and stored.dtype.itemsize <= 4
     lengths: FloatArray = stored.astype(np.float32 if single else np.float64, copy=False)
     return lengths if factor == 1 else lengths * lengths.dtype.type(factor)
+
+
+def sample_rows(m: int, number: int) -> Rows:
+    """Choose about so many of m poses, in runs of eight that lie evenly: what is stored in chunks is read in few."""
+    if number >= m:
+        return np.arange(m)
+    runs = max(1, number // RUN)
+    starts = np.linspace(0, m - min(RUN, number), runs).astype(np.intp)
+    return np.unique(starts[:, None] + np.arange(min(RUN, number)))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any, Literal
 
@@ -18,7 +18,9 @@ import numpy.typing as npt
 import posecal
 from posecal.data.arrays import BoolArray, FloatArray
 from posecal.data.pose_data import PoseData
-from posecal.engine.block import Block, block_length
+from posecal.data.remarks import Count, Remark
+from posecal.engine.block import block_length
+from posecal.engine.block_sums import BlockSums, sum_block
 from posecal.engine.cells import CellIndex
 from posecal.engine.chunks import Chunk, Indices, join_chunks, read_chunks
 from posecal.engine.coinciding import Coinciding
@@ -26,7 +28,7 @@ from posecal.engine.metric import Metric, Statistic
 from posecal.engine.pose_hashes import PoseHashes, pose_hashes, repeated_poses, smallest_hashes
 from posecal.engine.prepare import Prepared, refuse_non_finite
 from posecal.engine.protocol import Protocol
-from posecal.engine.ragged import RaggedBlock, lay_out, measure
+from posecal.engine.ragged import lay_out
 from posecal.engine.scope import DataSpec
 from posecal.engine.threads import run_in_order
 from posecal.engine.totals import Totals
@@ -37,46 +39,6 @@ Pending = Literal["rest", "none", "all"]
 
 MOST_BLOCKS = 1000
 """After so many blocks their hashes are put together."""
-
-
-@dataclass(frozen=True)
-class _Measured:
-    """The sums of one block: a row for each run of poses of one cell."""
-
-    poses: int
-    cells: Indices
-    poses_of_cells: Indices
-    sums: dict[str, tuple[FloatArray, npt.NDArray[np.int64]]]
-    per_pose: dict[str, FloatArray]
-    cell_of: Indices
-    non_finite: Indices
-    non_finite_of_reference: Indices
-
-
-def _measure_block(
-    first: int, make: Callable[[], Block | RaggedBlock], cells: Indices, statistics: Sequence[Statistic]
-) -> _Measured:
-    block = make()
-    finite = np.zeros_like(block.where)
-    masks = block.non_finite, finite if block.reference is None else block.reference.non_finite
-    bad, bad_of_reference = (np.argwhere(mask) + np.array([first, 0]) for mask in masks)
-    runs = np.flatnonzero(np.concatenate([[True], cells[1:] != cells[:-1]]))
-    poses = np.diff(np.append(runs, len(cells)))
-    sums: dict[str, tuple[FloatArray, npt.NDArray[np.int64]]] = {}
-    per_pose: dict[str, FloatArray] = {}
-    for statistic in () if len(bad) or len(bad_of_reference) else statistics:
-        values = measure(block, statistic)
-        if statistic.per_pose:
-            per_pose[statistic.name] = np.asarray(values, dtype=np.float64)
-            continue
-        values = np.asarray(values, dtype=np.float64)
-        axes = 2 if statistic.per_joint else 1
-        counted = ~np.isnan(values.reshape(*values.shape[:axes], -1)[..., 0])
-        if not counted.all():
-            values = np.where(counted.reshape(*counted.shape, *[1] * (values.ndim - axes)), values, 0)
-        total = np.add.reduceat(values, runs, axis=0)
-        sums[statistic.name] = total, np.add.reduceat(counted, runs, axis=0, dtype=np.int64)
-    return _Measured(len(cells), cells[runs], poses, sums, per_pose, cells, bad, bad_of_reference)
 
 
 class Accumulator:
@@ -119,7 +81,6 @@ class Accumulator:
         self._per_pose: dict[str, list[FloatArray]] = {}
         self._cell_of: list[Indices] = []
         self._hashes: list[PoseHashes] = []
-        self._remarks: dict[str, None] = {}
         self._truth_name = ""
         self._pending: list[Chunk] = []  # poses that wait for the next ones, in memory of their own
         self._length = self._measured = self._given = 0
@@ -186,7 +147,6 @@ class Accumulator:
         for name, places in zip(names, (bad, bad_of_reference), strict=True):
             if places:
                 refuse_non_finite(data, name, np.concatenate(places) - np.array([first, 0]))
-        self._remarks |= dict.fromkeys(data.remarks)
         self._truth_name = data.names[1]
 
     def totals(self) -> Totals:
@@ -217,7 +177,7 @@ class Accumulator:
             version=posecal.__version__,
             cells={name: values[used] for name, values in cells.items()},
             poses=final._poses[used],
-            remarks=(*self._remarks, *self._coinciding.remarks(), *self._remark_on_repeated(hashes)),
+            remarks=(*self._coinciding.remarks(), *self._remark_on_repeated(hashes)),
             has_sequences=self._index.has_sequences,
             sums={name: sums[used] for name, (sums, _) in final._sums.items()},
             counts={name: counts[used] for name, (_, counts) in final._sums.items()},
@@ -233,8 +193,12 @@ class Accumulator:
         if not 0 < repeated < number / 2:
             return []
         return [
-            f"{self._truth_name}: {repeated:,} of {number:,} frames equal another in truth and labels, and so count "
-            "twice. Were they repeated to fill a batch? Leave them out, or give all frames a frame_id."
+            Remark(
+                f"{self._truth_name}: ",
+                Count(repeated, "frame", of=number),
+                " with truth and labels of another count twice. Were they repeated to fill a batch? Leave them out, or "
+                "give all frames a frame_id.",
+            )
         ]
 
     def select_pending(self, chosen: BoolArray) -> None:
@@ -310,7 +274,7 @@ class Accumulator:
             )
             start = stop
 
-    def _measure(self, tasks: Iterable[Callable[[], _Measured]]) -> Iterator[_Measured]:
+    def _measure(self, tasks: Iterable[Callable[[], BlockSums]]) -> Iterator[BlockSums]:
         """Run tasks and add what they give to the sums."""
         for measured in run_in_order(tasks, self._threads):
             self._measured += measured.poses
@@ -331,7 +295,7 @@ class Accumulator:
                 self._cell_of.append(measured.cell_of)
             yield measured
 
-    def _blocks_of_more(self, chunks: Iterable[Chunk], pending: Pending) -> Iterator[Callable[[], _Measured]]:
+    def _blocks_of_more(self, chunks: Iterable[Chunk], pending: Pending) -> Iterator[Callable[[], BlockSums]]:
         """Give the tasks of whole blocks, as poses come."""
         if pending == "all":
             waiting, self._pending = self._pending, []
@@ -344,7 +308,7 @@ class Accumulator:
         if pending == "none":
             yield from self._last_block()
 
-    def _blocks(self, chunk: Chunk) -> Iterator[Callable[[], _Measured]]:
+    def _blocks(self, chunk: Chunk) -> Iterator[Callable[[], BlockSums]]:
         """Give the tasks of the blocks that pending poses and more of them fill; the rest is pending."""
         number = self.n_pending
         if number:  # the first block begins with them
@@ -361,7 +325,7 @@ class Accumulator:
         if stop < len(chunk):
             self._pending.append(chunk.select(slice(stop, len(chunk))).copy())
 
-    def _last_block(self) -> Iterator[Callable[[], _Measured]]:
+    def _last_block(self) -> Iterator[Callable[[], BlockSums]]:
         """Give the tasks of all pending poses."""
         waiting, self._pending = self._pending, []
         for chunk in waiting:
@@ -370,10 +334,10 @@ class Accumulator:
             yield self._block(chunk, 0, len(chunk))
         self._pending = []
 
-    def _block(self, chunk: Chunk, start: int, stop: int) -> Callable[[], _Measured]:
+    def _block(self, chunk: Chunk, start: int, stop: int) -> Callable[[], BlockSums]:
         limits = None if self._prepared is None else self._prepared.limits
         make = lay_out(chunk, start, stop, self.spec, limits, self._before)
-        task = partial(_measure_block, self._given, make, chunk.cells[start:stop], self.statistics)
+        task = partial(sum_block, self._given, make, chunk.cells[start:stop], self.statistics)
         self._before = replace(chunk.select(slice(stop - 1, stop)), reference=None).copy()
         self._given += stop - start
         self._hashes.append(chunk.hashes[start:stop])

@@ -91,6 +91,11 @@ def spread_labels(cuts: FloatArray, spread: FloatArray) -> npt.NDArray[np.str_]:
     return np.array(names)[np.searchsorted(cuts, spread, side="right")]
 
 
+def natural_key(text: str) -> list[tuple[int, str]]:
+    """Give a key that sorts numbers within text by their size."""
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", text)]
+
+
 class CellIndex:
     """The cell of every pose, for poses that come in one piece or in batches.
 

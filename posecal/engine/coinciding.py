@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray
 from posecal.data.degenerate import FEWEST_JOINTS
+from posecal.data.remarks import Count, Example, Remark
 
 _WORDS = {
     "points": "every hypothesis is one point. Are these frames without a prediction? Leave them out",
@@ -60,8 +61,13 @@ class Coinciding:
     def remarks(self) -> list[str]:
         """Give remarks on them."""
         return [
-            f"{self._name}: in {count:,} of {self._poses:,} frames (first: {', '.join(self._first[kind])}) "
-            f"{_WORDS[kind]}."
+            Remark(
+                f"{self._name}: in ",
+                Count(count, "frame", of=self._poses),
+                " (first: ",
+                Example(", ".join(self._first[kind])),
+                f") {_WORDS[kind]}.",
+            )
             for kind, count in self._counts.items()
             if count
         ]

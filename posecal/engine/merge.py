@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from posecal.data.remarks import join_remarks
 from posecal.engine.pose_hashes import shared_poses, smallest_hashes
 from posecal.engine.totals import Totals, difference_of_signatures, different_metrics
 from posecal.errors import PoseDataError, first_few, option, raise_all
@@ -53,6 +54,7 @@ def merge_totals(parts: Sequence[Totals], names: Sequence[str] | None = None) ->
             for number, part in enumerate(parts, 1)
         )
     ]
+    n_frames = sum(part.n_frames for part in parts)
     values = np.array(list(rows), dtype=np.str_).reshape(len(rows), len(labels))
     total = Totals(
         spec=first.spec,
@@ -60,7 +62,8 @@ def merge_totals(parts: Sequence[Totals], names: Sequence[str] | None = None) ->
         version=first.version,
         cells={label: values[:, column] for column, label in enumerate(labels)},
         poses=np.zeros(len(rows), dtype=np.int64),
-        remarks=tuple(dict.fromkeys(remark for part in parts for remark in part.remarks)),
+        remarks=join_remarks((remark for part in parts for remark in part.remarks), n_frames),
+        n_frames=n_frames,
         has_sequences=has_sequences,
         pose_hashes=smallest_hashes([part.pose_hashes for part in parts]),
         own_metrics=first.own_metrics,

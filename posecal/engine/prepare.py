@@ -11,6 +11,7 @@ import numpy.typing as npt
 from posecal.data.arrays import BoolArray, FloatArray
 from posecal.data.degenerate import LARGEST, is_outside, refuse_one_point
 from posecal.data.pose_data import PoseData
+from posecal.data.remarks import Count, Example, Remark
 from posecal.data.root import root_joints, root_name
 from posecal.engine.block import Block
 from posecal.engine.cells import SPREAD, label_name, spread_cuts, spread_labels
@@ -152,9 +153,10 @@ def _with_trials(data: PoseData, protocol: Protocol) -> PoseData:
     words, counts = np.unique(first, return_counts=True)
     if (counts > 1).any():
         shared = values[first == words[counts > 1][0]].tolist()
-        remark = (
-            f"average: {len(values)} values of {name}, of which some differ after their first word alone "
-            f"({first_few(shared)}). {option('trials', 'together')} takes those as one."
+        remark = Remark(
+            f"average: values of {name} that differ after their first word alone (",
+            Example(first_few(shared)),
+            f"). {option('trials', 'together')} takes those as one.",
         )
         data = data.replace(remarks=(*data.remarks, remark))
     return data
@@ -172,9 +174,12 @@ def _with_counting_root(data: PoseData, *, is_masked: bool) -> PoseData:
         return data
     frames = first_few(data.frame_id[lost].tolist())
     root = root_name(data.root, data.joints)
-    remark = (
-        f"the root {root} does not count in {lost.sum():,} of {len(lost):,} frames (first: "
-        f"{frames}): left out, since their positions are relative to it."
+    remark = Remark(
+        f"the root {root} does not count in ",
+        Count(int(lost.sum()), "frame", of=len(lost)),
+        " (first: ",
+        Example(frames),
+        "): left out, since their positions are relative to it.",
     )
     return data.select(~lost).replace(remarks=(*data.remarks, remark))
 

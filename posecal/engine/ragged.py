@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from posecal.data.arrays import BoolArray, FloatArray
-from posecal.data.frames import sample_rows
 from posecal.data.pose_data import PoseData
+from posecal.data.remarks import Count, Remark
+from posecal.data.stored_poses import sample_rows
 from posecal.engine.block import Block
 from posecal.engine.chunks import Chunk, Indices, read_chunks
 from posecal.engine.coordinate_range import CoordinateRange
@@ -88,9 +89,10 @@ def live_remark(data: PoseData) -> str:
             f"{data.names[0]}: {len(frames):,} of {m:,} frames have no hypothesis (first: {first_few(frames)}); "
             "expected at least one. Leave these frames out."
         )
-    return (
-        f"{data.names[0]}: {n * m - live.sum():,} of {n * m:,} hypotheses are absent (NaN, or of weight 0): N = "
-        f"{live.min()} to {live.max()}."
+    return Remark(
+        f"{data.names[0]}: ",
+        Count(int(n * m - live.sum()), "hypothesis is absent", "hypotheses are absent"),
+        f" (NaN, or of weight 0); a pose has up to N = {n}.",
     )
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from posecal.data.remarks import remark_as_json, remark_of_json
 from posecal.data.write import write_file, write_members
 from posecal.engine.metric import Metric
 from posecal.engine.protocol import Protocol
@@ -47,7 +48,8 @@ def save_totals(totals: Totals, path: str | os.PathLike[str]) -> None:
         "format": FORMAT,
         "spec": asdict(totals.spec),
         "protocol": totals.protocol.options,
-        "remarks": totals.remarks,
+        "remarks": [remark_as_json(remark) for remark in totals.remarks],
+        "n_frames": totals.n_frames,
         "has_sequences": totals.has_sequences,
         "own_metrics": [metric.description for metric in totals.own_metrics],
         "statistics": list(totals.sums),
@@ -99,7 +101,8 @@ def load_totals(path: str | os.PathLike[str]) -> Totals:
             version=about["posecal"],
             cells=_part(members, "cell/"),
             poses=members["poses"],
-            remarks=tuple(about["remarks"]),
+            remarks=tuple(map(remark_of_json, about["remarks"])),
+            n_frames=about["n_frames"],
             has_sequences=about["has_sequences"],
             sums=_part(members, "sum/"),
             counts=_part(members, "count/"),

@@ -6,7 +6,6 @@ shards that were evaluated apart, or of resampled sequences needs nothing but th
 
 from __future__ import annotations
 
-import re
 import zlib
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -19,6 +18,7 @@ import numpy.typing as npt
 from posecal.data.arrays import FloatArray
 from posecal.data.joint_names import canonical_names
 from posecal.data.root import root_name
+from posecal.engine.cells import natural_key
 from posecal.engine.metric import Metric, ReadOff, Statistic
 from posecal.engine.pose_hashes import PoseHashes
 from posecal.engine.protocol import Protocol
@@ -50,6 +50,8 @@ class Totals:
         Poses in each cell.
     remarks : tuple of str
         What a careful reader should know.
+    n_frames : int
+        Frames that were given, counted or not.
     has_sequences : bool
         Whether the sequences were labelled; else they are runs of consecutive frames, treated as independent.
     sums, counts : dicts of arrays (C, …) and (C,) or (C, J)
@@ -70,6 +72,7 @@ class Totals:
     cells: Mapping[str, npt.NDArray[np.str_]]
     poses: npt.NDArray[np.int64]
     remarks: tuple[str, ...] = ()
+    n_frames: int = 0
     has_sequences: bool = True
     sums: dict[str, FloatArray] = field(default_factory=dict)
     counts: dict[str, npt.NDArray[np.int64]] = field(default_factory=dict)
@@ -149,7 +152,7 @@ class Totals:
             raise PoseDataError(f"by: {label!r} is not a label of these poses. {did_you_mean(label, self.labels)}")
         values, codes = np.unique(self.cells[label], return_inverse=True)
         cells = split_by(codes, len(values))
-        for value in sorted(range(len(values)), key=lambda value: _natural(str(values[value]))):
+        for value in sorted(range(len(values)), key=lambda value: natural_key(str(values[value]))):
             yield str(values[value]), cells[value]
 
     @cached_property
@@ -351,11 +354,6 @@ class Totals:
 def _chooses_for_each_sequence(metric: Metric) -> bool:
     """Whether a metric is the smallest of the hypotheses' means over each sequence."""
     return metric.sequences_per_batch == 1 and isinstance(metric.finish, partial) and metric.finish.func is np.min
-
-
-def _natural(text: str) -> list[tuple[int, str]]:
-    """A key that sorts numbers within text by their size."""
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", text)]
 
 
 def batch_sums(metric: Metric, sums: FloatArray, counts: Counts) -> tuple[FloatArray, FloatArray]:

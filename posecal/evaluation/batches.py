@@ -18,6 +18,7 @@ from posecal.data.declarations import Declarations
 from posecal.data.frames import frame_remark
 from posecal.data.layout import HYPOTHESES
 from posecal.data.pose_data import PoseData
+from posecal.data.remarks import Count, Remark, join_remarks
 from posecal.engine.accumulate import Accumulator, Pending
 from posecal.engine.merge import merge_totals
 from posecal.engine.prepare import (
@@ -96,12 +97,7 @@ class Evaluation:
         prepared: Prepared | None = None,
         threads: int | None = None,
     ) -> None:
-        self._options: dict[str, Any] = {
-            "joints": joints,
-            "root_joint": root_joint,
-            "unit": unit,
-            "truth_unit": truth_unit,
-        }
+        self._options: dict[str, Any] = {"joints": joints, "root_joint": root_joint, "unit": unit}
         self._options |= {"axes": axes, "truth_axes": truth_axes, "fps": fps, "shared_joints": shared_joints}
         self._options |= {"truth_unit": truth_unit, "n_hypotheses": n_hypotheses, "skeleton": skeleton}
         Declarations(**{k: v for k, v in self._options.items() if k != "fps"})  # refuses values that no data could have
@@ -126,8 +122,8 @@ class Evaluation:
         self._held: list[str] = []  # those of them that are pending
         self._frames_of_others: set[str] = set()
         self._others: list[Totals] = []
-        self._repeated = 0
-        self._batches = 0
+        self._remarks: tuple[str, ...] = ()
+        self._batches = self._n_frames = 0
 
     def update(
         self,
@@ -172,15 +168,14 @@ class Evaluation:
         if self._axes is not None and not is_stored:
             given["axes"] = self._axes
         data = as_pose_data(hypotheses, truth, {**self._options, **given})
-        n_given, repeated = len(data.truth), 0
+        n_given = len(data.truth)
         if frame_id is not None:
             data = self._new_frames(data, frame_id)
-            repeated = n_given - len(data.truth)
         elif self._has_frames:
             raise PoseDataError("frame_id: missing in this batch; expected one in every batch, or in none.")
         if len(data.truth):
             self.add(data, hold_back=frame_id is not None, n_given=n_given)
-        self._repeated += repeated
+        self._remark_on_repeated(n_given - len(data.truth))
         if self._options["axes"] is None and not is_stored:
             self._axes = HYPOTHESES  # what arrays are read in that declare none
 
@@ -197,6 +192,11 @@ class Evaluation:
         first = {name: row for row, name in reversed(list(enumerate(names.tolist()))) if name not in known}
         rows = np.sort(np.array(list(first.values()), dtype=np.intp))
         return data.replace(frame_id=names, has_frame_id=True).select(rows)
+
+    def _remark_on_repeated(self, number: int) -> None:
+        if number:
+            remark = Remark(Count(number, "pose"), " came more than once, by frame_id; each frame is counted once.")
+            self._remarks = join_remarks([*self._remarks, remark])
 
     def add(
         self,
@@ -238,15 +238,17 @@ class Evaluation:
         if lack and complete:
             raise PoseDataError(lack)
         ragged = len(data.truth) > 0 and is_ragged(data, self._accumulator)
+        remarks = [*data.remarks]
         if not complete and not ragged:  # all poses are checked as they are measured
             refuse_non_finite_hypotheses(data)
         if len(data.truth):
-            remark = live_remark(data) if ragged else frame_remark(data) if self._accumulator is None else ""
-            data = data.replace(remarks=(*data.remarks, *([remark] if remark else [])))
+            remarks.append(live_remark(data) if ragged else frame_remark(data) if self._accumulator is None else "")
             spec = DataSpec.of(data, has_mask=has_mask, preranks=tuple(self._preranks), is_ragged=ragged)
             self._count(data, spec, progress, "all" if hold_back else "none" if complete else "rest", n_given)
         elif self._accumulator is not None:
             self._accumulator.end_run()
+        self._remarks = join_remarks([*self._remarks, *filter(None, remarks)])
+        self._n_frames += n_given
         self._lack = lack if self._lack is None else self._lack and lack
         self._has_frames = hold_back
         self._batches += 1
@@ -291,10 +293,8 @@ class Evaluation:
         if not parts:
             raise PoseDataError("evaluation: no batch so far; expected at least one update before compute.")
         totals = parts[0] if len(parts) == 1 else merge_totals(parts)
-        if self._repeated:
-            many = f"{self._repeated:,} pose{'s' * (self._repeated != 1)}"
-            remark = f"{many} came more than once, by frame_id; each frame is counted once."
-            totals.remarks = (*totals.remarks, remark)
+        totals.n_frames = self._n_frames
+        totals.remarks = join_remarks([*self._remarks, *totals.remarks], self._n_frames if self._batches > 1 else None)
         return totals
 
     def _parts(self) -> list[Totals]:
@@ -352,7 +352,8 @@ class Evaluation:
         self.__dict__.update(kept.__dict__)
         self._others = [*self._others, *other._parts()]
         self._frames_of_others = self._frames_of_others | frames
-        self._repeated += other._repeated
+        self._remarks = join_remarks([*self._remarks, *other._remarks])
+        self._n_frames += other._n_frames
         self._batches += other._batches
         self._has_frames = other._has_frames if self._has_frames is None else self._has_frames
         lacks = [lack for lack in (self._lack, other._lack) if lack is not None]
@@ -369,7 +370,7 @@ class Evaluation:
             self._accumulator.select_pending(np.array([name not in dropped for name in pending]))
             self._frames = dict.fromkeys(name for name in self._frames if name not in dropped)
             self._held = [name for name in pending if name not in dropped]
-            self._repeated += len(dropped)
+            self._remark_on_repeated(len(dropped))
         return [name for name in names if name not in dropped]
 
     def __setstate__(self, state: dict[str, Any]) -> None:

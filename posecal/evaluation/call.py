@@ -56,7 +56,7 @@ def evaluate(
         without ``truth`` and without the options that describe data.
     truth : array (M, K, D) or path
         True poses, likewise.
-    where : bool array (M, K), optional
+    where : bool array (M, K) or (M,), optional
         The joints that count.
     joints : sequence of str, optional
         K names, or a joint set, where the data name none; they give the skeleton, the root and the joint sets.

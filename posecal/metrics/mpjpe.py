@@ -75,7 +75,7 @@ def mpjpe(
     align : str
         ``none``, ``similarity`` (PA-MPJPE), ``rigid``, ``reflection``, ``scale`` (N-MPJPE), ``norm_root`` or
         ``rms_mean``; see :mod:`posecal.geometry.procrustes`.
-    where : bool array (M, K), optional
+    where : bool array (M, K) or (M,), optional
         The joints that count: those that the mean is over and, too, those that the alignment is fitted to.
     root : int, optional
         The joint to subtract from every pose first.

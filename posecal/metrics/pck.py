@@ -128,7 +128,7 @@ def pck(
         or the ``mean`` over all.
     strict : bool
         Whether a joint at the very threshold is wrong.
-    where : bool array (M, K), optional
+    where : bool array (M, K) or (M,), optional
         The joints that count; Human3.6M's PCK has 14 of 17 (:data:`posecal.data.skeleton.JOINT_SETS`).
     root : int, optional
         The joint to subtract from every pose first.

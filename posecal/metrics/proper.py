@@ -165,7 +165,7 @@ def energy_score(
         Hypotheses, mm.
     truth : array (M, K, D)
         True poses, mm.
-    where : bool array (M, K), optional
+    where : bool array (M, K) or (M,), optional
         The joints that count.
     root : int, optional
         The joint to subtract from every pose first.

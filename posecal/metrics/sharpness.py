@@ -82,7 +82,7 @@ def diversity(
         True poses; only their shape matters.
     population : bool
         Divide by N instead of N - 1.
-    where : bool array (M, K), optional
+    where : bool array (M, K) or (M,), optional
         The joints that count.
     root : int, optional
         The joint to subtract from every pose first; its spread of 0 counts unless ``where`` leaves it out.

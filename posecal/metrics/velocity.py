@@ -63,7 +63,7 @@ def mpjve(
         The sequence of each pose; all are one sequence by default.
     fps : float, optional
         Frames per second; with it the result is per second, else per frame.
-    where : bool array (M, K), optional
+    where : bool array (M, K) or (M,), optional
         The joints that count; a step needs the joint in both of its poses.
     root : int, optional
         The joint to subtract from every pose first.

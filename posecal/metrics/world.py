@@ -51,7 +51,7 @@ def world_mpjpe(
         last segment has the frames that are left.
     of : str
         ``mean`` over the hypotheses, or ``min``: of each sequence the hypothesis whose mean error over it is smallest.
-    where : bool array (M, K), optional
+    where : bool array (M, K) or (M,), optional
         The joints that count, in the fit and in the mean.
     axes, unit : str, optional
         Such as ``MNKD`` and ``m``, where the hypotheses are not (N, M, K, D), or both not in mm, or it is not clear.

@@ -76,8 +76,8 @@ def test_an_error_names_parameters_in_python_and_flags_on_the_command_line(
 
 @pytest.mark.parametrize("form", ["text", "markdown", "json", "csv", "latex"])
 def test_a_remark_names_parameters_in_python_and_flags_on_the_command_line(form: Any) -> None:
-    np.save("h.npy", hypotheses() + 100)
-    np.save("g.npy", world().truth + 100)
+    np.save("h.npy", np.add(hypotheses(), (100, 50, 20)))
+    np.save("g.npy", np.add(world().truth, (100, 50, 20)))
     report = posecal.evaluate("h.npy", "g.npy", axes="NMKD", unit="mm", metrics="mpjpe")
     written = report.render(form)
     assert "root_joint names one." in report.remarks[0]

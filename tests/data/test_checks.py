@@ -144,7 +144,7 @@ def test_metres_declared_as_millimetres_are_remarked_on() -> None:
     first, second = joined(0.001, 0.001, "mm", "mm").remarks
     assert first.startswith("gt.npz looks like metres: joints lie 0.")
     assert second.startswith("hyps.npz looks like metres: joints lie 0.")
-    assert second.endswith("Is its unit right?")
+    assert second.endswith("Is the unit of hyps.npz right?")
 
 
 def test_two_units_are_refused_where_one_is_not_declared() -> None:

@@ -106,9 +106,33 @@ def test_joints_that_are_zero_in_some_frames_are_remarked_on_but_the_root() -> N
     assert not y[:, 0].any()
     remarks = truth_remarks(y, None, JOINTS, [0], "gt")
     assert remarks == [
-        "gt: joints are exactly 0 in some of 7 frames (Spine in 3). Where 0 stands for a joint that is not known, mark "
+        "gt: joints are exactly 0 in 3 of 7 poses (Spine in 3). Where that stands for a joint that is not known, mark "
         "it in a member valid (M, K)."
     ]
+
+
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("value", [-1000.0, 9999.0, -1.0])
+def test_joints_that_are_a_fill_value_are_remarked_on_in_truth_and_hypotheses(value: float, d: int) -> None:
+    random = np.random.default_rng(0)
+    y = random.uniform(100, 900, (20, K, d))
+    x = y + random.normal(0, 30, (5, *y.shape))
+    y[[3, 4, 11], 2] = x[:, [6, 18], 5] = value
+    words = f"joints are exactly {value:g} in"
+    found = [remark for remark in posecal.PoseData(x, y, unit="px", axes="NMKD").remarks if "exactly" in remark]
+    assert found[0].startswith(f"truth: {words} 3 of 20 poses (joint 2 in 3).")
+    assert found[1].startswith(f"hypotheses (16 frames looked at): {words} 10 of 80 poses (joint 5 in 10).")
+    assert len(found) == 2
+    where = np.ones(y.shape[:2], dtype=bool)
+    where[[3, 4, 11], 2] = where[[6, 18], 5] = False
+    masked = posecal.PoseData(x, y, where=where, unit="px", axes="NMKD")
+    assert not [remark for remark in masked.remarks if "exactly" in remark]
+
+
+def test_whole_pixels_that_are_equal_by_chance_are_no_fill_values() -> None:
+    y = np.random.default_rng(1).integers(0, 400, (500, K, 2)).astype(float)
+    assert (y[..., 0] == y[..., 1]).sum() > 10
+    assert truth_remarks(y, None, JOINTS, [], "gt") == []
 
 
 # --- what is known --------------------------------------------------------------------------------------------
@@ -125,8 +149,8 @@ def test_joints_that_are_not_valid_do_not_count_whatever_they_hold(dtype: type) 
     assert data.order.tolist() == keep
     np.testing.assert_array_equal(data.where, valid[keep] == 1)
     assert data.remarks[:2] == (
-        "valid: 1 of 7 frames have no valid joint; left out.",
-        "valid: 1 of 102 joints are not valid; left out.",
+        "valid: 1 frame without a valid joint (first: 5); left out.",
+        "valid: 1 joint is not valid; left out.",
     )
     errors = np.linalg.norm(hypotheses() - truth(), axis=-1)
     errors[:, valid == 0] = np.nan

@@ -194,7 +194,7 @@ def test_the_mask_is_of_the_truth_as_it_is_passed(tmp_path: Path) -> None:
 def test_one_frame_id_names_the_frames_of_both() -> None:
     data = PoseData(hypotheses(), truth(), frame_id=FRAMES)
     assert data.frame_id.tolist() == FRAMES
-    same(data, PoseData(hypotheses(), truth()), but=("names", "remarks", "frame_id"))
+    same(data, PoseData(hypotheses(), truth()), but=("names", "remarks", "frame_id", "has_frame_id"))
 
 
 def test_two_frame_ids_match_the_frames() -> None:
@@ -239,9 +239,12 @@ def test_the_first_hypotheses_may_be_kept() -> None:
     [
         (
             {"where": np.full((M, K), 0.5)},
-            "where: float64 (7, 17); expected bool (M, K) = (7, 17), True where a joint count",
+            "where: float64 (7, 17); expected bool (M, K) = (7, 17) or (M,), T",
         ),
-        ({"where": OCCLUDED.T}, "where: bool (17, 7); expected bool (M, K) = (7, 17), True where a joint counts."),
+        (
+            {"where": OCCLUDED.T},
+            "where: bool (17, 7); expected bool (M, K) = (7, 17) or (M,), True where a joint counts.",
+        ),
         ({"where": [[True], []]}, "where: lists of unequal lengths; expected an array."),
         ({"occluded": OCCLUDED * 2}, "occluded: dtype int64; expected bool (M, K), or numbers 0 and 1."),
         ({"occluded": OCCLUDED.T}, "truth: occluded (17, 7); expected (M, K) = (7, 17)."),

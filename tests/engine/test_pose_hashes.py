@@ -76,7 +76,7 @@ def test_repeated_poses_are_remarked_on() -> None:
     for rows in ([*range(10)], [*range(10, 17), 0, 1, 2]):  # three to fill the batch
         evaluation.update(HYPOTHESES[:, rows], TRUTH[rows])
     (remark,) = evaluation.totals().remarks
-    assert remark.startswith("truth: 3 of 20 frames equal another in truth and labels, and so count twice. Were they")
+    assert remark.startswith("truth: 3 of 20 frames with truth and labels of another count twice. Were they repeated")
 
 
 @pytest.mark.parametrize(

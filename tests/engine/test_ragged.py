@@ -59,7 +59,7 @@ def test_the_remark_says_how_many_are_absent_and_the_line_what_is_left_out() -> 
     for fill in ("NaN", "zeros"):
         report = report_of(fill, "default")
         assert (
-            f"hypotheses: {(~LIVE).sum()} of {N * M} hypotheses are absent (NaN, or of weight 0): N = 2 to 7."
+            f"hypotheses: {(~LIVE).sum()} hypotheses are absent (NaN, or of weight 0); a pose has up to N = 7."
         ) in report.remarks
         line = next(remark for remark in report.remarks if remark.startswith("left out: "))
         assert "ece" in line

@@ -38,7 +38,7 @@ def test_trials_that_are_apart_are_remarked_on() -> None:
     apart = report_of(average="action")
     assert apart["min_mpjpe"] == pytest.approx(right(LABELS), rel=1e-9)
     assert (
-        "average: 5 values of action, of which some differ after their first word alone (Jog 1 chunk0, Jog 2). "
+        "average: values of action that differ after their first word alone (Jog 1 chunk0, Jog 2). "
         'trials="together" takes those as one.'
     ) in apart.remarks
 
