@@ -18,14 +18,13 @@ import numpy.typing as npt
 import posecal
 from posecal.data.arrays import BoolArray, FloatArray
 from posecal.data.pose_data import PoseData
-from posecal.data.remarks import Count, Remark
 from posecal.engine.block import block_length
 from posecal.engine.block_sums import BlockSums, sum_block
 from posecal.engine.cells import CellIndex
 from posecal.engine.chunks import Chunk, Indices, join_chunks, read_chunks
 from posecal.engine.coinciding import Coinciding
 from posecal.engine.metric import Metric, Statistic
-from posecal.engine.pose_hashes import PoseHashes, pose_hashes, repeated_poses, smallest_hashes
+from posecal.engine.pose_hashes import PoseHashes, pose_hashes, repeated_remarks, smallest_hashes
 from posecal.engine.prepare import Prepared, refuse_non_finite
 from posecal.engine.protocol import Protocol
 from posecal.engine.ragged import lay_out
@@ -177,7 +176,7 @@ class Accumulator:
             version=posecal.__version__,
             cells={name: values[used] for name, values in cells.items()},
             poses=final._poses[used],
-            remarks=(*self._coinciding.remarks(), *self._remark_on_repeated(hashes)),
+            remarks=(*self._coinciding.remarks(), *repeated_remarks(hashes, self._truth_name)),
             has_sequences=self._index.has_sequences,
             sums={name: sums[used] for name, (sums, _) in final._sums.items()},
             counts={name: counts[used] for name, (_, counts) in final._sums.items()},
@@ -186,20 +185,6 @@ class Accumulator:
             pose_hashes=hashes,
             own_metrics=self.own_metrics,
         )
-
-    def _remark_on_repeated(self, hashes: PoseHashes) -> list[str]:
-        """Remark on poses that equal others, unless most do, as where cameras without a label see one moment."""
-        repeated, number = repeated_poses(hashes), len(hashes)
-        if not 0 < repeated < number / 2:
-            return []
-        return [
-            Remark(
-                f"{self._truth_name}: ",
-                Count(repeated, "frame", of=number),
-                " with truth and labels of another count twice. Were they repeated to fill a batch? Leave them out, or "
-                "give all frames a frame_id.",
-            )
-        ]
 
     def select_pending(self, chosen: BoolArray) -> None:
         """Keep some of the pending poses; the one after a pose that is dropped follows none."""
@@ -210,6 +195,15 @@ class Accumulator:
             self._pending = [poses] if len(poses) else []
             if not chosen[-1]:
                 self._last_sequence = None
+
+    def with_absent(self, statistics: Sequence[Statistic]) -> Accumulator:
+        """Copy the sums of some statistics, those of poses with absent hypotheses, so that such poses can be added."""
+        other, names = copy.deepcopy(self), {statistic.name for statistic in statistics}
+        other.spec, other.statistics = replace(self.spec, is_ragged=True), tuple(statistics)
+        other._sums = {name: sums for name, sums in other._sums.items() if name in names}
+        other._per_pose = {name: values for name, values in other._per_pose.items() if name in names}
+        other._cell_of = other._cell_of if other._per_pose else []
+        return other
 
     def end_run(self) -> None:
         """Let the next pose follow none, because poses came in between that don't count."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -42,6 +43,7 @@ def merge_totals(parts: Sequence[Totals], names: Sequence[str] | None = None) ->
     names = [_ordinal(number) for number in range(1, len(parts) + 1)] if names is None else names
     if len(names) != len(parts):
         raise PoseDataError(f"names: {len(names)} for {len(parts)} results; expected one each.")
+    parts = _with_absent(parts)
     labels = [name for name in parts[0].cells if all(name in part.cells for part in parts)]
     _refuse_unlike(parts, names)
     _refuse_shared(parts, names)
@@ -76,6 +78,23 @@ def merge_totals(parts: Sequence[Totals], names: Sequence[str] | None = None) ->
     if total.per_pose:
         total.cell_of = np.concatenate([cells[part.cell_of] for part, cells in zip(parts, numbers, strict=True)])
     return total
+
+
+def _with_absent(parts: Sequence[Totals]) -> Sequence[Totals]:
+    """Keep what poses with absent hypotheses can have, where some of the shards hold such poses."""
+    ragged = next((part for part in parts if part.spec.is_ragged), None)
+    if ragged is None:
+        return parts
+    return [
+        replace(
+            part,
+            spec=replace(part.spec, is_ragged=True),
+            sums={name: sums for name, sums in part.sums.items() if name in ragged.sums},
+            counts={name: counts for name, counts in part.counts.items() if name in ragged.sums},
+            per_pose={name: values for name, values in part.per_pose.items() if name in ragged.per_pose},
+        )
+        for part in parts
+    ]
 
 
 def _cells(part: Totals, labels: Sequence[str], prefix: str = "") -> list[Cell]:

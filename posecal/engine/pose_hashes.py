@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.pose_data import PoseData
+from posecal.data.remarks import Count, Remark
 from posecal.engine.cells import SPREAD
 
 PoseHashes = npt.NDArray[np.uint64]
@@ -36,9 +37,22 @@ def smallest_hashes(parts: Sequence[PoseHashes]) -> PoseHashes:
     return hashes[np.lexsort(hashes.T[::-1])][:MOST_HASHES]
 
 
-def repeated_poses(hashes: PoseHashes) -> int:
-    """Count poses, by their sorted hashes, that another equals in truth, labels and name of the frame."""
-    return int((hashes[1:] == hashes[:-1]).all(axis=1).sum())
+def repeated_remarks(hashes: PoseHashes, name: str) -> list[str]:
+    """Remark on poses, by their sorted hashes, that equal another in truth, labels and frame.
+
+    Nothing is said where most do, as where cameras without a label see one moment.
+    """
+    number, repeated = len(hashes), int((hashes[1:] == hashes[:-1]).all(axis=1).sum())
+    if not 0 < repeated < number / 2:
+        return []
+    return [
+        Remark(
+            f"{name}: ",
+            Count(repeated, "frame", of=number),
+            " with truth and labels of another count twice. Were they repeated to fill a batch? Leave them out, or "
+            "give all frames a frame_id.",
+        )
+    ]
 
 
 def shared_poses(parts: Sequence[PoseHashes]) -> tuple[int, int, int]:

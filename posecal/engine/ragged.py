@@ -49,7 +49,7 @@ def present(hypotheses: FloatArray, scores: FloatArray | None) -> BoolArray:
 
 
 def has_absent(data: PoseData) -> bool:
-    """Whether hypotheses of some poses, evenly chosen, are absent, while each pose has one."""
+    """Whether some hypotheses of a pose are absent and others not, among some poses that lie evenly."""
     rows = sample_rows(len(data.truth), _SAMPLE)
     scores = data.scores
     if scores is not None and (scores >= 0).all() and (scores == 0).any():
@@ -61,7 +61,7 @@ def has_absent(data: PoseData) -> bool:
     if scores is None and not np.isnan(hypotheses[:, :, 0, 0]).any():
         return False
     there = present(hypotheses, None if scores is None else scores[:, rows])
-    return bool(not there.all() and there.any(axis=0).all())
+    return bool((there.any(axis=0) & ~there.all(axis=0)).any())
 
 
 def is_ragged(data: PoseData, accumulator: Accumulator | None) -> bool:

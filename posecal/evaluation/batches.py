@@ -6,7 +6,6 @@ import copy
 import inspect
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -36,7 +35,7 @@ from posecal.engine.totals import Totals
 from posecal.errors import PoseDataError, checked_type, first_few
 from posecal.evaluation.options import check_callable, check_callables, check_label_names, label_entries
 from posecal.evaluation.sources import Progress, as_pose_data
-from posecal.evaluation.start import start_accumulator
+from posecal.evaluation.start import continue_accumulator, start_accumulator
 from posecal.metrics.sharpness import predicted_spread
 from posecal.registry import check_names, statistics_of, wants_reference
 from posecal.report.report import Report
@@ -257,16 +256,13 @@ class Evaluation:
         """Add poses that count to the sums."""
         complete = pending == "none"
         data = add_spread_labels(data, self.by, predicted_spread, self._threads, is_all=complete)
-        accumulator = self._accumulator or start_accumulator(
-            spec, self.protocol, data, self.by, self._preranks, self._prepared, self._threads, complete=complete
-        )
-        labels = accumulator.spec.labels
-        if sorted(labels) == sorted(spec.labels):  # in any order
-            spec = replace(spec, labels=labels)
-        if spec != accumulator.spec:
-            raise PoseDataError(
-                f"batch {self._batches + 1}: {spec.difference(accumulator.spec)}; expected the same in every batch."
+        if self._accumulator is None:
+            accumulator = start_accumulator(
+                spec, self.protocol, data, self.by, self._preranks, self._prepared, self._threads, complete=complete
             )
+        else:
+            number = self._batches + 1
+            accumulator = continue_accumulator(self._accumulator, spec, self.by, self._preranks, number)
         accumulator.add(data, progress, pending=pending, n_given=n_given)
         self._accumulator = accumulator
         if pending == "all":

@@ -1,8 +1,9 @@
-"""The accumulator that the first batch of an evaluation starts."""
+"""The accumulator that the first batch of an evaluation starts, and that later ones continue."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from posecal.calibration.rank_tests import NEEDS_COORDINATE_RANGE, PreRank
 from posecal.data.pose_data import PoseData
@@ -44,3 +45,23 @@ def start_accumulator(
         prepared = prepare(data)
     index = CellIndex([entry for entry in by if entry != "occlusion"], protocol.average, [*data.labels])
     return Accumulator(spec, protocol, statistics, index, prepared=prepared, own_metrics=own, threads=threads)
+
+
+def continue_accumulator(
+    accumulator: Accumulator, spec: DataSpec, by: Sequence[str], preranks: Mapping[str, PreRank], number: int
+) -> Accumulator:
+    """Give the accumulator that takes a further batch: the same one, or one for absent hypotheses from now on.
+
+    Raises
+    ------
+    PoseDataError
+        Where the data of the batch, by its number, are not described as those before.
+    """
+    labels = accumulator.spec.labels
+    if sorted(labels) == sorted(spec.labels):  # in any order
+        spec = replace(spec, labels=labels)
+    if spec == replace(accumulator.spec, is_ragged=True) != accumulator.spec:
+        return accumulator.with_absent(statistics_of(accumulator.protocol, spec, by, preranks, accumulator.own_metrics))
+    if spec != accumulator.spec:
+        raise PoseDataError(f"batch {number}: {spec.difference(accumulator.spec)}; expected the same in every batch.")
+    return accumulator

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import posecal
+from posecal.engine.merge import merge_totals
 from posecal.errors import PoseDataError
 from posecal.metrics import crps, diversity, energy_score, min_mpjpe, mpjpe, pck, radius
 from tests.helpers.samplers import gaussian
@@ -76,14 +77,47 @@ def test_weights_decide_the_weighted_pose() -> None:
     assert report_of("zeros", "weighted_pose_mpjpe")["weighted_pose_mpjpe"] == pytest.approx(right, rel=1e-6)
 
 
-def test_batches_give_what_one_call_gives() -> None:
+def parts_of(x: Array) -> list[posecal.Evaluation]:
+    """An evaluation of each third of the poses."""
+    parts = []
+    for start in range(0, M, 30):
+        rows = slice(start, start + 30)
+        evaluation = posecal.Evaluation(unit="mm", axes="NMKD", root_joint="none", metrics="default")
+        evaluation.update(x[:, rows], Y[rows], sequence=SEQUENCE[rows])
+        parts.append(evaluation)
+    return parts
+
+
+def assert_one_call(found: posecal.Report, x: Array) -> None:
+    labels = {"sequence": SEQUENCE}
+    whole = posecal.evaluate(x, Y, unit="mm", axes="NMKD", root_joint="none", metrics="default", labels=labels)
+    assert found.metrics.keys() == whole.metrics.keys()
+    assert [remark for remark in found.remarks if "absent" in remark] == [r for r in whole.remarks if "absent" in r]
+    for name, value in whole.scalars().items():
+        assert found.scalars()[name] == pytest.approx(value, rel=1e-9, nan_ok=True), name
+
+
+@pytest.mark.parametrize("full", [[], [0], [0, 1], [1], [2]])
+def test_batches_give_what_one_call_gives(full: list[int]) -> None:
+    """Also where the first ones, or later ones, have all hypotheses."""
     x, _ = padded("NaN")
+    for third in full:
+        x[:, 30 * third : 30 * third + 30] = X[:, 30 * third : 30 * third + 30]
     evaluation = posecal.Evaluation(unit="mm", axes="NMKD", root_joint="none", metrics="default")
     for start in range(0, M, 30):
         rows = slice(start, start + 30)
         evaluation.update(x[:, rows], Y[rows], sequence=SEQUENCE[rows])
-    for name, value in report_of("NaN", "default").scalars().items():
-        assert evaluation.compute().scalars()[name] == pytest.approx(value, rel=1e-9, nan_ok=True), name
+    assert_one_call(evaluation.compute(), x)
+    assert_one_call(posecal.Report(merge_totals([part.totals() for part in parts_of(x)])), x)
+
+
+def test_a_batch_with_absent_hypotheses_that_is_refused_changes_nothing() -> None:
+    x, _ = padded("NaN")
+    evaluation, *_ = parts_of(X)
+    x[:, 3] = np.nan
+    with pytest.raises(PoseDataError, match="have no hypothesis"):
+        evaluation.update(x[:, :30], Y[:30], sequence=SEQUENCE[:30])
+    assert "ece" in evaluation.compute().metrics
 
 
 def test_groups_and_intervals_are_given() -> None:
@@ -98,7 +132,9 @@ def test_groups_and_intervals_are_given() -> None:
 def test_a_pose_without_any_hypothesis_is_refused() -> None:
     x, _ = padded("NaN")
     x[:, 4] = np.nan
-    with pytest.raises(PoseDataError, match=r"^hypotheses( has non-finite|: 1 of 90 frames have no hypothesis)"):
+    with pytest.raises(
+        PoseDataError, match=r"^hypotheses: 1 of 90 frames have no hypothesis \(first: 4\); expected at least one\."
+    ):
         posecal.evaluate(x, Y, unit="mm", axes="NMKD", root_joint="none")
 
 
