@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from posecal.data.arrays import BoolArray, checked_mask, checked_number
 from posecal.data.declarations import Declarations, choose_layouts, joint_names, quantity_of
 from posecal.data.degenerate import column_problem
 from posecal.data.joint_names import match_joints, remarks_on_names
-from posecal.data.layout import plausible_layouts
+from posecal.data.layout import TRUTH, Layout, plausible_layouts
 from posecal.data.own_skeleton import parents_among
 from posecal.data.remarks import Count, Example, Remark
 from posecal.data.root import choose_root, origin, part_of_root, root_name
@@ -50,14 +50,34 @@ class Matcher:
         What does not fit, and what a careful reader should know.
     """
 
-    def __init__(self, hypotheses: StoredPoses, truth: StoredPoses, declared: Declarations) -> None:
+    def __init__(
+        self,
+        hypotheses: StoredPoses,
+        truth: StoredPoses,
+        declared: Declarations,
+        problems: Iterable[str | PosecalError] = (),
+    ) -> None:
         self.hypotheses, self.truth, self.declared = hypotheses, truth, declared
-        self.layouts = choose_layouts(hypotheses, truth, declared.axes, declared.truth_axes)
+        self.problems, self.remarks = [*problems], list[str]()
+        layouts = attempt(self.problems, choose_layouts, hypotheses, truth, declared.axes, declared.truth_axes)
+        if layouts is None:
+            self._look_at_truth_alone()
+            raise_all(self.problems)
+        assert layouts is not None
+        self.layouts = layouts
         self.shape = self.layouts[0].shape(hypotheses.array.shape)
         self.true_shape = self.layouts[1].shape(truth.array.shape)
-        self.problems: list[str | PosecalError] = []
-        self.remarks: list[str] = []
-        raise_all(empty_problem(poses) for poses in (hypotheses, truth) if 0 in poses.array.shape)
+        if 0 in hypotheses.array.shape + truth.array.shape:
+            raise_all(empty_problem(poses) for poses in (hypotheses, truth) if 0 in poses.array.shape)
+
+    def _look_at_truth_alone(self) -> None:
+        """Collect what is wrong beside a layout that is not known, as far as the truth's shape tells."""
+        text = self.truth.axes or self.declared.truth_axes or TRUTH
+        shape = attempt([], Layout(text, TRUTH).shape, self.truth.array.shape)
+        if shape is not None:
+            self._described(self.truth, shape[:2])
+            joint_names(self.truth, shape[1], self.declared, self.problems)
+            self._rate()
 
     def attributes(self) -> dict[str, Any]:
         """Give the attributes of :class:`posecal.data.pose_data.PoseData`, in the truth's order of frames and joints.
@@ -78,24 +98,22 @@ class Matcher:
             problems += beside
         elif columns_differ:
             problems.append(f"{hypotheses.name} has D = {d} and {truth.name} {self.true_shape[2]}; expected as many.")
-        labels, true_labels = self._labels_of(hypotheses, m), self._labels_of(truth, self.true_shape[0])
-        marks, true_marks = self._occluded(hypotheses, (m, k)), self._occluded(truth, self.true_shape[:2])
-        where = None if truth.where is None else attempt(problems, checked_mask, truth.where, self.true_shape[:2])
-        valid, true_valid = self._valid(hypotheses, (m, k)), self._valid(truth, self.true_shape[:2])
-        scores = hypotheses.scores
+        is_matched = not problems
+        labels, marks, valid, _ = self._described(hypotheses, (m, k))
+        true_labels, true_marks, true_valid, where = self._described(truth, self.true_shape[:2])
+        scores, fps = hypotheses.scores, self._rate()
         if scores is not None:
             text = self.layouts[0].text
             poses_first = text.index("M") < text.index("N") and scores.shape == (m, n)
             scores = scores.T if poses_first else scores
             if scores.shape != (n, m):
                 problems.append(f"{hypotheses.name}: scores {scores.shape}; expected (N, M) = {(n, m)}.")
-        fps = hypotheses.fps if truth.fps is None else truth.fps
-        if fps is not None:
-            fps = attempt(problems, checked_number, fps, "fps", _is_rate, "frames per second, above 0")
+                scores = None
         if (count := self.declared.n_hypotheses) is not None:
             which, expected = option("n_hypotheses"), f"1 to N = {n}, the hypotheses of {hypotheses.name}"
-            n = int(attempt(problems, checked_number, count, which, range(1, n + 1).__contains__, expected) or 0)
-        raise_all(problems)
+            n = int(attempt(problems, checked_number, count, which, range(1, n + 1).__contains__, expected) or n)
+        if not is_matched:
+            raise_all(problems)
 
         known = _both(_part(valid, rows, columns), _part(true_valid, true_rows, true_columns))
         if known is not None:
@@ -113,7 +131,8 @@ class Matcher:
         chosen = attempt(problems, choose_root, declared_root, true_names, y, parents, own_root)
         labels = {name: values[rows] for name, values in labels.items()}
         labels = self._merged(labels, {name: values[true_rows] for name, values in true_labels.items()}, true_rows)
-        raise_all(problems)
+        if chosen is None:
+            raise_all(problems)
         assert chosen is not None
         (of_all, remark), root = chosen, part_of_root(chosen[0], true_columns.tolist())
         predicted = ArrayHypotheses(hypotheses.array, self.layouts[0], rows, columns, factor, n)
@@ -175,6 +194,19 @@ class Matcher:
         hypotheses = layout.read(self.hypotheses.array, first)
         found = column_problem(self.hypotheses.name, hypotheses, "axes", layout.text), of_truth
         return [problem for problem in found if problem]
+
+    def _described(
+        self, poses: StoredPoses, shape: tuple[int, ...]
+    ) -> tuple[Labels, BoolArray | None, BoolArray | None, BoolArray | None]:
+        """Give what is declared of M poses of K joints: labels, and where joints are occluded, known and count."""
+        where = None if poses.where is None else attempt(self.problems, checked_mask, poses.where, shape)
+        return self._labels_of(poses, shape[0]), self._occluded(poses, shape), self._valid(poses, shape), where
+
+    def _rate(self) -> float | None:
+        """Give the frames per second."""
+        fps = self.hypotheses.fps if self.truth.fps is None else self.truth.fps
+        expected = "frames per second, above 0"
+        return None if fps is None else attempt(self.problems, checked_number, fps, "fps", _is_rate, expected)
 
     def _valid(self, poses: StoredPoses, shape: tuple[int, ...]) -> BoolArray | None:
         """Give the joints that are known, (M, K), of a mask of joints or of poses; None without one."""
@@ -340,6 +372,7 @@ class Matcher:
         for name, marks in poses.marks.items():
             if marks.shape != shape:
                 self.problems.append(f"{poses.name}: {name} {marks.shape}; expected (M, K) = {shape}.")
+                return None
             return ~marks if name == "visible" else marks
         return None
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Any, Literal, Self, TypeVar
 
 import numpy as np
@@ -179,19 +180,10 @@ class PoseData:
         skeleton: object = None,
     ) -> None:
         problems: list[str | PosecalError] = []
-        declared = (
-            axes,
-            truth_axes,
-            unit,
-            truth_unit,
-            joints,
-            root_joint,
-            missing,
-            shared_joints,
-            n_hypotheses,
-            skeleton,
-        )
-        declarations = attempt(problems, Declarations, *declared)
+        declared: dict[str, Any] = {"axes": axes, "truth_axes": truth_axes, "unit": unit, "truth_unit": truth_unit}
+        declared |= {"joints": joints, "root_joint": root_joint, "missing": missing, "shared_joints": shared_joints}
+        declared |= {"n_hypotheses": n_hypotheses, "skeleton": skeleton}
+        possible = {k: v for k, v in declared.items() if attempt(problems, partial(Declarations, **{k: v})) is not None}
         predicted = attempt(problems, read_poses, hypotheses, "hypotheses")
         true = attempt(problems, read_poses, truth, "truth")
         arguments: dict[str, tuple[Callable[..., Any], object]] = {
@@ -206,10 +198,12 @@ class PoseData:
         for name, (convert, value) in arguments.items():
             if value is not None:
                 arrays[name] = attempt(problems, convert, value, name)
-        raise_all(problems)
+        if predicted is None or true is None or not possible.keys() >= {"axes", "truth_axes"}:
+            raise_all(problems)
+        possible |= {name: "mm" for name in ("unit", "truth_unit") if name not in possible}
         assert predicted is not None
         assert true is not None
-        ids, own_labels = arrays.get("frame_id"), arrays.get("labels", {})
+        ids, own_labels = arrays.get("frame_id"), arrays.get("labels") or {}
         predicted = replace(
             predicted,
             frame_id=predicted.frame_id if ids is None else ids,
@@ -220,11 +214,11 @@ class PoseData:
             frame_id=arrays.get("truth_frame_id", ids if true.frame_id is None else true.frame_id),
             labels={**true.labels, **own_labels},
             required_labels=true.required_labels | own_labels.keys(),
-            marks={"occluded": arrays["occluded"]} if "occluded" in arrays else true.marks,
+            marks=true.marks if arrays.get("occluded") is None else {"occluded": arrays["occluded"]},
             where=arrays.get("where"),
             fps=true.fps if fps is None else fps,
         )
-        vars(self).update(vars(match_poses(predicted, true, declarations)))
+        vars(self).update(vars(match_poses(predicted, true, Declarations(**possible), problems)))
 
     def __repr__(self) -> str:
         sizes = ", ".join(f"{letter}={size}" for letter, size in zip(HYPOTHESES, self.shape, strict=True))
@@ -271,7 +265,12 @@ def _with_attributes(kind: type[T], **attributes: Any) -> T:
     return data
 
 
-def match_poses(hypotheses: StoredPoses, truth: StoredPoses, declarations: Declarations | None = None) -> PoseData:
+def match_poses(
+    hypotheses: StoredPoses,
+    truth: StoredPoses,
+    declarations: Declarations | None = None,
+    problems: Iterable[str | PosecalError] = (),
+) -> PoseData:
     """Match hypotheses with the truth.
 
     Parameters
@@ -280,6 +279,8 @@ def match_poses(hypotheses: StoredPoses, truth: StoredPoses, declarations: Decla
         As stored or passed.
     declarations : Declarations, optional
         What the user declares about them.
+    problems : iterable, optional
+        What is known to be wrong, to be raised with the rest.
 
     Returns
     -------
@@ -292,8 +293,10 @@ def match_poses(hypotheses: StoredPoses, truth: StoredPoses, declarations: Decla
         For everything that does not fit, all at once.
     """
     declared = declarations or Declarations()
-    data = _with_attributes(PoseData, **Matcher(hypotheses, truth, declared).attributes())
-    remarks = check_units(data, hypotheses.unit, truth.unit, declared)
+    matcher = Matcher(hypotheses, truth, declared, problems)
+    data = _with_attributes(PoseData, **matcher.attributes())
+    remarks = attempt(matcher.problems, check_units, data, hypotheses.unit, truth.unit, declared) or []
+    raise_all(matcher.problems)
     remarks += truth_remarks(data.truth, data.where, data.joints, root_joints(data.root), truth.name)
     remarks += _hypotheses_remarks(data)
     return data.replace(remarks=(*data.remarks, *remarks))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any, Literal
 
 import numpy.typing as npt
@@ -10,7 +11,7 @@ import numpy.typing as npt
 from posecal.calibration.rank_tests import PreRank
 from posecal.data.pose_data import PoseData
 from posecal.engine.protocol import Protocol
-from posecal.errors import PoseDataError
+from posecal.errors import PosecalError, PoseDataError, attempt, raise_all
 from posecal.evaluation.batches import Evaluation
 from posecal.evaluation.sources import Progress, Source, as_pose_data
 from posecal.report.report import Report
@@ -150,8 +151,13 @@ def evaluate(
         "n_hypotheses": n_hypotheses,
         "skeleton": skeleton,
     }
-    evaluation = Evaluation(by=by, metrics=metrics, preranks=preranks, protocol=protocol, threads=threads)
-    data = as_pose_data(hypotheses, truth, described)
+    problems: list[str | PosecalError] = []
+    options: dict[str, Any] = {"by": by, "metrics": metrics, "preranks": preranks, "protocol": protocol}
+    evaluation = attempt(problems, partial(Evaluation, **options, threads=threads))
+    data = attempt(problems, as_pose_data, hypotheses, truth, described)
+    raise_all(problems)
+    assert evaluation is not None
+    assert data is not None
     if reference is not None:
         data = with_reference(data, _reference(reference, data, truth, described))
     evaluation.add(data, progress=progress, complete=True)
