@@ -86,7 +86,9 @@ class Declarations:
             return None if self.skeleton is None else as_skeleton(self.skeleton).names
         return _joint_names(self.joints)
 
-    def skeleton_of(self, names: tuple[str, ...], *stored: tuple[str, Sequence[int] | None]) -> OwnSkeleton | None:
+    def skeleton_of(
+        self, names: tuple[str, ...], *stored: tuple[str, Sequence[int | str] | None]
+    ) -> OwnSkeleton | None:
         """Give the user's own skeleton of some joints: as declared, or the first that is stored with a file's name."""
         if self.skeleton is not None:
             return as_skeleton(self.skeleton).of(names)

@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from difflib import get_close_matches
 from functools import cache
+from itertools import permutations
 
 from posecal.errors import first_few
 
@@ -24,8 +25,8 @@ _SPELLINGS: dict[str, tuple[str, ...]] = {
     "Spine": ("spine",),
     "Thorax": ("thorax", "neck"),
     "UpperNeck": ("upperneck",),
-    "Neck/Nose": ("necknose", "nose"),
-    "Head": ("headtop", "head"),
+    "Neck/Nose": ("necknose",),
+    "Head": ("headtop", "head", "headbase"),
     **{f"{s.upper()}Foot": (f"{s}ankle", f"{s}foot") for s in "lr"},
     **{f"{s.upper()}{part}": (f"{s}{part.lower()}",) for s in "lr" for part in ("Hip", "Knee")},
     **{f"{s.upper()}{part}": (f"{s}{part.lower()}",) for s in "lr" for part in ("Shoulder", "Elbow", "Wrist")},
@@ -36,16 +37,30 @@ _OF_SITES = {"neck": "thorax", "head": "necknose", "site": "headtop", "siteofhea
 _BONES = {"upleg": "hip", "leg": "knee", "shoulder": "clavicle", "arm": "shoulder", "forearm": "elbow", "hand": "wrist"}
 _OF_BONES = {f"{s}{bone}": f"{s}{joint}" for s in "lr" for bone, joint in _BONES.items()}
 # Words that a list must have, words that it must not have, and what its words mean then. In Human3.6M's own lists, and
-# in those of motion capture, a bone gives its name to the joint where it begins.
+# in those of motion capture, a bone gives its name to the joint where it begins: without a top, the head is its base,
+# as SMPL's is. A nose beside eyes is a nose; between neck and head it is Human3.6M's neck/nose.
 _CONVENTIONS: tuple[tuple[set[str], set[str], Mapping[str, str]], ...] = (
     ({"neck", "head", "site"}, {"thorax"}, {**_OF_SITES, "spine": "spine0"}),
     ({"neck", "head", "siteofhead"}, {"thorax"}, {**_OF_SITES, "spine": "spine0"}),
     ({"rupleg", "lupleg"}, set(), _OF_BONES),
     ({"spine", "thorax", "neck", "head"}, {"upperneck", "necknose", "nose", "headtop"}, {"neck": "necknose"}),
     ({"spine", "thorax", "neckbase", "head"}, {"upperneck", "necknose", "nose"}, {"neckbase": "necknose"}),
+    *(
+        ({neck, "nose", head}, {other, "upperneck", "necknose", "leye", "lear"}, {"nose": "necknose"})
+        for neck, other in (("neck", "thorax"), ("thorax", "neck"))
+        for head in ("head", "headtop")
+    ),
+    ({"necknose", "head"}, {"headtop"}, {"head": "headtop"}),
+    ({"spine1", "neck", "head"}, {"thorax", "headtop", "necknose"}, {"head": "headbase"}),
 )
 _CLEAR = frozenset(("lankle", "rankle", "headtop", "thorax", "necknose"))
 """Spellings that mean one joint even beside a list that has two of the kind."""
+
+_UNCLEAR: dict[str, tuple[str, ...]] = {"neck": ("upperneck",), "headbase": ("headtop", "head", "necknose")}
+"""Spellings that may mean another joint, or none, where the other list has these and not the spelling itself."""
+
+_LOOSE = ("Thorax", "Head")
+"""Joints that data sets place differently under their several names."""
 
 MOST_NAMED = 200
 """Lists of more joints are meshes: their names are not compared with those of a skeleton."""
@@ -63,32 +78,6 @@ def letters(name: str) -> str:
     plain = re.sub(r"[\W_]", "", name.lower())
     plain = re.sub(r"^(right|left)", lambda side: side[0][0], plain)
     return re.sub(r"^(.+)(right|left)$", lambda word: word[2][0] + word[1], plain)
-
-
-@cache
-def canonical_name(name: str) -> str:
-    """Give Human3.6M's name for a joint, whatever its spelling; a name that is not known stays as it is.
-
-    Parameters
-    ----------
-    name : str
-        A joint's name, in any case, with any separators, sides written out or as a letter.
-
-    Returns
-    -------
-    str
-        The name in :data:`posecal.data.skeleton.REST_POSE`, or ``name``.
-
-    Notes
-    -----
-    Differs from the published code: none.
-
-    Examples
-    --------
-    >>> canonical_name("right_ankle"), canonical_name("Pelvis"), canonical_name("antenna 3")
-    ('RFoot', 'Hip', 'antenna 3')
-    """
-    return _MEANINGS.get(letters(name), name)
 
 
 @cache
@@ -167,7 +156,7 @@ def find_joint(name: str, names: Names) -> int | None:
         return int(name) if int(name) < len(names) else None
     for word, words in (
         (letters(name), [letters(other) for other in names]),
-        (canonical_name(name), joint_keys(names)),
+        (joint_keys((name,))[0], joint_keys(names)),
     ):
         if word and list(words).count(word) == 1:
             return list(words).index(word)
@@ -196,29 +185,43 @@ def match_joints(names: Names, others: Names) -> tuple[dict[int, int], list[str]
     >>> match_joints(("RFoot",), ("right_ankle", "right_foot"))
     ({}, ['RFoot may be right_ankle or right_foot'])
     """
-    ambiguous: list[str] = []
+    own, their = _by_word(names), _by_word(others)
+    ambiguous, unclear = [], set()
+    for (some, few), (many, more) in permutations(((own, names), (their, others))):
+        for word, beside in _UNCLEAR.items():
+            if word in some and word not in many and any(other in many for other in beside):
+                meant = [more[k] for other, k in many.items() if other in beside or _MEANINGS[other] == _MEANINGS[word]]
+                choice = " or ".join(meant if len(meant) > 1 else [*meant, "another point"])
+                ambiguous.append(f"{few[some[word]]} may be {choice}")
+                unclear.add(_MEANINGS[word])
     keys = {key: k for k, key in enumerate(joint_keys(others)) if key not in _SPELLINGS}
     matched = {k: keys[key] for k, key in enumerate(joint_keys(names)) if key in keys}
-    own, their = _by_meaning(names), _by_meaning(others)
-    for name in own.keys() & their.keys():
-        (some, few), (many, more) = sorted([(own[name], names), (their[name], others)], key=lambda pair: len(pair[0]))
-        if len(some) < len(many) and len(some) == 1 and not _CLEAR & some.keys():
+    for name in _SPELLINGS.keys() - unclear:
+        mine, theirs = ({w: k for w, k in words.items() if _MEANINGS[w] == name} for words in (own, their))
+        (some, few), (many, more) = sorted([(mine, names), (theirs, others)], key=lambda side: len(side[0]))
+        if len(some) == 1 < len(many) and not _CLEAR & some.keys():
             choice = " or ".join(more[k] for k in many.values())
             ambiguous.append(f"{few[next(iter(some.values()))]} may be {choice}")
-        elif len(many) == 1:
-            matched[next(iter(own[name].values()))] = next(iter(their[name].values()))
+        elif len(some) == len(many) == 1:
+            matched |= zip(mine.values(), theirs.values(), strict=True)
         else:
-            matched |= {own[name][word]: their[name][word] for word in own[name].keys() & their[name].keys()}
+            matched |= {mine[word]: theirs[word] for word in mine.keys() & theirs.keys()}
     return matched, sorted(ambiguous)
 
 
-def _by_meaning(names: Names) -> dict[str, dict[str, int]]:
-    """Give the numbers of the joints that may have each of Human3.6M's names, by their letters."""
-    found: dict[str, dict[str, int]] = {}
-    for k, word in enumerate(_meanings(names)):
-        if word in _MEANINGS:
-            found.setdefault(_MEANINGS[word], {})[word] = k
-    return found
+def _by_word(names: Names) -> dict[str, int]:
+    """Give the numbers of the joints that may have one of Human3.6M's names, by their letters."""
+    return {word: k for k, word in enumerate(_meanings(names)) if word in _MEANINGS}
+
+
+def remarks_on_matched(names: Names, others: Names, matched: Mapping[int, int]) -> Iterator[str]:
+    """Say which joints of two lists are taken as one though data sets place them differently under these names."""
+    words, other_words = _meanings(names), _meanings(others)
+    pairs = [(k, j) for k, j in sorted(matched.items()) if letters(names[k]) != letters(others[j])]
+    loose = [(k, j) for k, j in pairs if words[k] != other_words[j] and _MEANINGS.get(words[k]) in _LOOSE]
+    if loose:
+        shown = first_few([f"{names[k]} and {others[j]}" for k, j in loose])
+        yield f"joints: {shown} are taken as one; rename them where they are different points."
 
 
 def remarks_on_names(names: Names, known: Iterable[str]) -> Iterator[str]:
@@ -236,7 +239,7 @@ def remarks_on_names(names: Names, known: Iterable[str]) -> Iterator[str]:
     str
         Remarks.
     """
-    alone, together = [canonical_name(name) for name in names], joint_keys(names)
+    alone, together = [joint_keys((name,))[0] for name in names], joint_keys(names)
     read = [
         f"{name} is {key}"
         for name, one, key in zip(names, alone, together, strict=True)

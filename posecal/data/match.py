@@ -17,7 +17,7 @@ import numpy.typing as npt
 from posecal.data.arrays import BoolArray, checked_mask, checked_number
 from posecal.data.declarations import Declarations, choose_layouts, joint_names, quantity_of
 from posecal.data.degenerate import column_problem
-from posecal.data.joint_names import match_joints, remarks_on_names
+from posecal.data.joint_names import match_joints, remarks_on_matched, remarks_on_names
 from posecal.data.layout import TRUTH, Layout, plausible_layouts
 from posecal.data.own_skeleton import parents_among
 from posecal.data.remarks import Count, Example, Remark
@@ -327,6 +327,7 @@ class Matcher:
         beyond = [name for k, name in enumerate(names) if k not in columns]
         for some in dict.fromkeys((true_names, names)):
             self.remarks += remarks_on_names(some, ALL_NAMES)
+        self.remarks += remarks_on_matched(true_names, names, matched)
         for poses, missing in ((self.hypotheses, lacking), (self.truth, beyond)):
             if missing and shared and self.declared.shared_joints == "same":
                 self.problems.append(

@@ -177,7 +177,7 @@ def _declared(
         "axes": read(_word, "axes"),
         "unit": read(_word, "unit"),
         "joints": read(lambda array, name: tuple(as_text(array.ravel(), name).tolist()), "joints"),
-        "parents": read(_whole_numbers, "parents"),
+        "parents": read(_parents, "parents"),
         "frame_id": read(lambda array, name: as_labels(array.ravel(), name), "frame_id"),
         "labels": {key: values for key, values in labels.items() if values is not None},
         "marks": {key: mask for key, mask in marks.items() if mask is not None},
@@ -229,10 +229,10 @@ def _word(array: npt.NDArray[Any], name: str) -> str:
     return str(as_text(array.ravel(), name)[0])
 
 
-def _whole_numbers(array: npt.NDArray[Any], name: str) -> tuple[int, ...]:
-    if array.dtype.kind not in "iu":
-        raise PoseDataError(f"{name}: {array.dtype} {array.shape}; expected int (K,), -1 for a root.")
-    return tuple(array.ravel().tolist())
+def _parents(array: npt.NDArray[Any], name: str) -> tuple[int | str, ...]:
+    if array.dtype.kind not in "iuSU":
+        raise PoseDataError(f"{name}: {array.dtype} {array.shape}; expected (K,), numbers (-1 for a root) or names.")
+    return tuple((array if array.dtype.kind in "iu" else as_text(array, name)).ravel().tolist())
 
 
 def _number(array: npt.NDArray[Any], name: str) -> float:

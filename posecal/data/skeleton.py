@@ -32,7 +32,7 @@ _TREE: dict[str, tuple[str | None, tuple[float, float, float]]] = {
     "Spine": ("Hip", (0, 10, 240)),
     "Thorax": ("Spine", (0, 0, 490)),
     "UpperNeck": ("Thorax", (0, -10, 590)),
-    "Neck/Nose": ("Thorax", (0, -60, 600)),
+    "Neck/Nose": ("UpperNeck", (0, -60, 600)),
     "Head": ("Neck/Nose", (0, -20, 710)),
     "LShoulder": ("Thorax", (150, 0, 460)),
     "LElbow": ("LShoulder", (260, 30, 210)),

@@ -36,8 +36,8 @@ class StoredPoses:
         What is declared.
     joints : tuple of str or None
         Names of the joints.
-    parents : tuple of int or None
-        The number of each joint's parent, -1 for a root.
+    parents : tuple of int or str, or None
+        The number or name of each joint's parent, -1 or an empty name for a root.
     frame_id : array of str (M,) or None
         Name of each frame.
     labels : mapping of arrays of str, (M,) or () for all
@@ -61,7 +61,7 @@ class StoredPoses:
     axes: str | None = None
     unit: str | None = None
     joints: tuple[str, ...] | None = None
-    parents: tuple[int, ...] | None = None
+    parents: tuple[int | str, ...] | None = None
     frame_id: npt.NDArray[np.str_] | None = None
     labels: Labels = field(default_factory=dict)
     required_labels: frozenset[str] = COMMON_LABELS

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 from numbers import Integral, Real
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from posecal.data.joint_names import canonical_name, find_joint, joint_keys
+from posecal.data.joint_names import find_joint, joint_keys
 from posecal.data.skeleton import JOINT_SETS, REST_POSE
 from posecal.errors import PoseDataError, did_you_mean, raise_all
 
@@ -242,7 +242,7 @@ def named_joints(option: str, text: str, joints: tuple[str, ...]) -> tuple[str, 
     if text.startswith("all but "):
         name = text.removeprefix("all but ")
         left_out = find_joint(name, joints)
-        if left_out is None and canonical_name(name) not in REST_POSE:
+        if left_out is None and joint_keys((name,))[0] not in REST_POSE:
             raise PoseDataError(f"{option}: {name!r} is no joint. {did_you_mean(name, joints)}")
         return tuple(joint for k, joint in enumerate(joints) if k != left_out)
     if text in JOINT_SETS:

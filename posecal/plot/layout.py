@@ -10,8 +10,9 @@ from posecal.data.arrays import FloatArray
 from posecal.data.joint_names import joint_keys
 from posecal.data.skeleton import REST_POSE, Skeleton, known_set
 
-_FACE = {"leye": (70, 670), "reye": (-70, 670), "lear": (190, 640), "rear": (-190, 640)}
-"""Where eyes and ears stand on a person's face, broader than they are."""
+_FACE = {"leye": (70, 670), "reye": (-70, 670), "lear": (190, 640), "rear": (-190, 640), "nose": (0, 600)}
+_FACE |= {"lmouth": (50, 550), "rmouth": (-50, 550)}
+"""Where eyes, ears, nose and mouth stand on a person's face, broader than they are."""
 
 TALL = 1600.0
 """The height of a picture, as that of a standing person in mm."""

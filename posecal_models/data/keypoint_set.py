@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.joint_names import canonical_name
+from posecal.data.joint_names import match_joints
 from posecal.errors import PoseDataError, PoseFileError, first_few, raise_all
 from posecal_models.data.npz import Members, boolean_array, joint_names, numeric_array, read_npz, text_array
 
@@ -91,12 +91,12 @@ class KeypointSet:
         elif "occluded" in members and "joints" in members:
             hidden = boolean_array(members["occluded"], f"{path}: occluded")
             hidden_joints = joint_names(members["joints"], f"{path}: joints")
-            column = {canonical_name(name): k for k, name in enumerate(hidden_joints)}
-            if hidden.shape != (len(keypoints), len(column)):
-                raise PoseDataError(f"{path}: occluded {hidden.shape}; expected {(len(keypoints), len(column))}.")
-            for j, name in enumerate(names):
-                if canonical_name(name) in column:
-                    observed[:, j] &= ~hidden[:, column[canonical_name(name)]]
+            if hidden.shape != (len(keypoints), len(hidden_joints)):
+                raise PoseDataError(
+                    f"{path}: occluded {hidden.shape}; expected {(len(keypoints), len(hidden_joints))}."
+                )
+            for j, column in _columns(names, hidden_joints, str(path)).items():
+                observed[:, j] &= ~hidden[:, column]
         sigma = numeric_array(
             members.get("keypoints_sigma", np.zeros(keypoints.shape[:2])), f"{path}: keypoints_sigma"
         ).astype(np.float32)
@@ -130,8 +130,8 @@ class KeypointSet:
         list of str
             Names of those that count as missing in every image.
         """
-        known = {canonical_name(name) for name in self.joints}
-        return [name for name in joints if canonical_name(name) not in known]
+        known = _columns(joints, self.joints, "keypoints")
+        return [name for k, name in enumerate(joints) if k not in known]
 
     def in_order_of(self, joints: Sequence[str]) -> KeypointSet:
         """Reorder the keypoints by name.
@@ -149,10 +149,10 @@ class KeypointSet:
         Raises
         ------
         PoseDataError
-            Where the set has none of them.
+            Where the set has none of them, or names that may mean several.
         """
-        index = {canonical_name(name): i for i, name in enumerate(self.joints)}
-        columns = [index.get(canonical_name(name), -1) for name in joints]
+        known = _columns(joints, self.joints, "keypoints")
+        columns = [known.get(k, -1) for k in range(len(joints))]
         available = np.array(columns) >= 0
         if not available.any():
             raise PoseDataError(f"keypoints: none of {', '.join(joints)} is among {', '.join(self.joints)}.")
@@ -163,3 +163,11 @@ class KeypointSet:
             np.where(available, self.sigma[:, columns], np.float32(np.nan)),
             self.frame_id,
         )
+
+
+def _columns(names: Sequence[str], others: Sequence[str], which: str) -> dict[int, int]:
+    """Give the numbers of the same joints in ``others``, by those in ``names``."""
+    matched, ambiguous = match_joints(tuple(names), tuple(others))
+    if ambiguous:
+        raise PoseDataError(f"{which}: {first_few(ambiguous)}; expected names that mean one joint.")
+    return matched

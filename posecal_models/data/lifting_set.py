@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.joint_names import canonical_name
+from posecal.data.joint_names import match_joints
+from posecal.data.skeleton import Skeleton
 from posecal.data.units import millimetres_per
 from posecal.data.write import write_file
 from posecal.errors import PoseDataError, PoseFileError, raise_all
@@ -210,7 +211,7 @@ class LiftingSet:
         images = KeypointSet.from_members(members, path)
         truth = pose_array(members, name, joints, path) * millimetres_per(text_value(members, "unit", path, "mm"))
         check_millimetres(truth, f"{path}: {name}", "Store unit = 'm' in it.")
-        root = next((k for k, name in enumerate(joints) if canonical_name(name) == "Hip"), None)
+        root = Skeleton(joints).root
         if root is not None:
             truth = np.delete(truth - truth[:, root : root + 1], root, axis=1)
         elif not _is_true(members, "root_relative"):
@@ -247,13 +248,13 @@ class LiftingSet:
 
 
 def _columns(available: Sequence[str], names: Sequence[str], which: str) -> list[int]:
-    index = {canonical_name(name): i for i, name in enumerate(available)}
-    missing = [name for name in names if canonical_name(name) not in index]
+    columns, ambiguous = match_joints(tuple(names), tuple(available))
+    missing = ambiguous or [name for k, name in enumerate(names) if k not in columns]
     if missing:
         raise PoseDataError(
             f"{which}: {', '.join(missing)} missing among {', '.join(available)}; expected {', '.join(names)}."
         )
-    return [index[canonical_name(name)] for name in names]
+    return [columns[k] for k in range(len(names))]
 
 
 def _is_true(members: Members, name: str) -> bool:

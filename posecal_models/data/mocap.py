@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.joint_names import canonical_name
+from posecal.data.joint_names import joint_keys
 from posecal.data.skeleton import Skeleton
 from posecal.data.units import millimetres_per
 from posecal.errors import PoseDataError
@@ -58,7 +58,7 @@ class MocapPoses:
         poses = pose_array(members, "poses", self.joints, path) * millimetres_per(
             text_value(members, "unit", path, "mm")
         )
-        if not any(canonical_name(name) == "Hip" for name in self.joints):
+        if Skeleton(self.joints).root is None:
             raise PoseDataError(f"{path}: no Hip among {', '.join(self.joints)}; expected the root among the joints.")
         if (up := text_value(members, "up", path, "z")) != "z":
             raise PoseDataError(f"{path}: up is {up}; expected z. Rotate the poses.")
@@ -137,7 +137,7 @@ class MocapPoses:
             raise PoseDataError(
                 f"subjects: {', '.join(missing)} not there; expected some of {', '.join(sorted(known))}."
             )
-        root = next(k for k, name in enumerate(self.joints) if canonical_name(name) == "Hip")
+        root = joint_keys(self.joints).index("Hip")
         others = [k for k in range(len(self.joints)) if k != root]
         all_rows: list[npt.NDArray[np.intp]] = []
         poses, keypoints, cameras = [], [], []
@@ -213,7 +213,7 @@ def vary_bone_lengths(
     (False, 900.0)
     """
     skeleton = Skeleton(tuple(joints))
-    kinds = [canonical_name(name).removeprefix("L").removeprefix("R") for name in joints]
+    kinds = [key.removeprefix("L").removeprefix("R") for key in joint_keys(skeleton.joints)]
     names = sorted(set(kinds))
     normal = generator.standard_normal((len(poses), len(names))) + generator.standard_normal((len(poses), 1))
     factor = np.exp(spread * normal / np.sqrt(2))[:, [names.index(kind) for kind in kinds]]

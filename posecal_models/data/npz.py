@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.joint_names import canonical_name
+from posecal.data.joint_names import repeated_names
 from posecal.data.layout import TRUTH, Layout, MemoryArray
 from posecal.data.pickles import READ_ERRORS, describe_error
 from posecal.errors import PoseDataError, PoseFileError, first_few
@@ -190,8 +189,7 @@ def joint_names(value: npt.NDArray[np.generic], which: str) -> tuple[str, ...]:
         Where it is no text, or a joint is named twice, in any spelling.
     """
     names = tuple(text_array(value, which).tolist())
-    repeated = [name for name, count in Counter(map(canonical_name, names)).items() if count > 1]
-    if repeated:
+    if repeated := repeated_names(names):
         raise PoseDataError(f"{which} name {first_few(repeated)} more than once; expected each joint once.")
     return names
 

@@ -63,6 +63,52 @@ def test_a_name_that_may_be_two_joints_of_the_other_list_is_ambiguous() -> None:
     assert match_joints(("Thorax", "Neck"), ("Neck",))[1] == ["Neck may be Thorax or Neck"]
 
 
+# Names of one joint that data sets place apart, and the sets in which each stands.
+APART = ("Hip, RHip, Spine, Thorax, Neck/Nose, Head", "nose, left_eye, right_eye, neck, RHip, Hip")
+
+
+def test_a_nose_is_no_neck_and_joins_noses_alone() -> None:
+    own, their = (tuple(names.split(", ")) for names in APART)
+    assert matched(own, their) == {"Hip": "Hip", "RHip": "RHip", "Thorax": "neck"}
+    assert match_joints(JOINT_SETS["coco-17"], JOINT_SETS["halpe-26"])[0][0] == 0
+    for neck in ("Thorax", "Neck"):  # without eyes it is the joint between neck and head
+        names = ("Hip", "Spine", neck, "Nose", "Head", "LWrist", "RWrist")
+        assert joint_keys(names)[2:5] == ("Thorax", "Neck/Nose", "Head")
+    with pytest.raises(PoseDataError) as refused:
+        files_match("coco-17", "h36m-17")
+    assert "coco-17 lacks 5 of the other's joints (Hip, Spine, Thorax" in str(refused.value)
+    assert "h36m-17 lacks 5 of the other's joints (nose, left_eye, right_eye" in str(refused.value)
+
+
+def test_the_base_of_a_head_is_not_taken_for_its_top() -> None:
+    without_site = tuple(name for name in OWN_H36M if name != "Site")
+    for names in (without_site, JOINT_SETS["smpl-24"]):
+        head = next(name for name in names if name.lower() == "head")
+        assert f"{head} may be Neck/Nose or Head" in match_joints(names, H36M)[1]
+        assert f"{head} may be HeadTop or another point" in match_joints(JOINT_SETS["lsp-14"], names)[1]
+    assert matched(JOINT_SETS["smpl-24"], JOINT_SETS["smplx-22"])["head"] == "head"
+    assert matched(H36M, JOINT_SETS["3dhp-17"]) == {
+        **dict(zip(H36M[:4], ("pelvis", "right_hip", "right_knee", "right_ankle"), strict=True)),
+        **dict(zip(H36M[4:9], ("left_hip", "left_knee", "left_ankle", "spine", "neck"), strict=True)),
+        **dict(zip(H36M[10:14], ("head_top", "left_shoulder", "left_elbow", "left_wrist"), strict=True)),
+        **dict(zip(H36M[14:], ("right_shoulder", "right_elbow", "right_wrist"), strict=True)),
+    }
+
+
+def test_a_neck_beside_two_necks_is_ambiguous() -> None:
+    assert match_joints(JOINT_SETS["lsp-14"], JOINT_SETS["mpii-16"])[1] == ["Neck may be Thorax or UpperNeck"]
+    assert match_joints(("UpperNeck",), ("neck",))[1] == ["neck may be UpperNeck or another point"]
+
+
+def test_joints_that_are_placed_apart_are_joined_with_a_remark() -> None:
+    data = files_match("lsp-14", "h36m-14")
+    assert (
+        "joints: Thorax and Neck, Head and HeadTop are taken as one; rename them where they are different points."
+        in data.remarks
+    )
+    assert not any("taken as one" in remark for remark in files_match("h36m-17", "h36m-17").remarks)
+
+
 def test_ambiguous_names_are_refused_with_all_spellings() -> None:
     x, y = arrays(24)
     truth = posecal.PoseData(x, y, unit="mm", axes="NMKD", joints="smpl-24")
@@ -71,16 +117,16 @@ def test_ambiguous_names_are_refused_with_all_spellings() -> None:
         files_match("smpl-24", "h36m-17")
 
 
-def files_match(hypotheses: str, truth: str) -> None:
+def files_match(hypotheses: str, truth: str) -> posecal.PoseData:
     from posecal.data.layout import MemoryArray
     from posecal.data.pose_data import match_poses
     from posecal.data.stored_poses import StoredPoses
 
     x, _ = arrays(len(JOINT_SETS[hypotheses]))
     _, y = arrays(len(JOINT_SETS[truth]))
-    match_poses(
-        StoredPoses("h.npz", MemoryArray(x), unit="mm", joints=JOINT_SETS[hypotheses]),
-        StoredPoses("t.npz", MemoryArray(y), unit="mm", joints=JOINT_SETS[truth]),
+    return match_poses(
+        StoredPoses(hypotheses, MemoryArray(x), unit="mm", joints=JOINT_SETS[hypotheses]),
+        StoredPoses(truth, MemoryArray(y), unit="mm", joints=JOINT_SETS[truth]),
     )
 
 

@@ -40,6 +40,18 @@ def test_parents_in_the_file_of_the_truth_give_bones_and_root(tmp_path: Path) ->
     assert posecal.load_totals(tmp_path / "r.npz").spec.parents == (1, -1, 1, 1)
 
 
+def test_parents_in_a_file_may_be_names(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    y = rng.normal(0, 200, (6, 4, 3))
+    for parents in (["stem", "", "stem", "stem"], np.array([b"stem", b"", b"stem", b"stem"])):
+        np.savez(tmp_path / "y.npz", truth=y, unit="mm", joints=NAMES, parents=parents)
+        data = posecal.PoseData(y[None] + rng.normal(0, 20, (3, 6, 4, 3)), tmp_path / "y.npz", axes="NMKD", unit="mm")
+        assert (data.parents, data.root) == ((1, -1, 1, 1), 1)
+    np.savez(tmp_path / "y.npz", truth=y, unit="mm", joints=NAMES, parents=["stem", "", "trunk", "stem"])
+    with pytest.raises(PoseDataError, match=r"^y\.npz: parent 'trunk' of leaf 1; expected a name, or -1 to 3"):
+        posecal.PoseData(y[None] + 1, tmp_path / "y.npz", unit="mm")
+
+
 def test_parents_of_unnamed_joints_are_taken_too(tmp_path: Path) -> None:
     x, y = arrays()
     np.savez(tmp_path / "y.npz", truth=y, unit="mm", parents=[-1, 0, -1, 2])
@@ -132,7 +144,8 @@ def test_files_that_are_no_skeletons_are_refused(tmp_path: Path) -> None:
 def test_parents_of_another_type_are_refused(tmp_path: Path) -> None:
     x, y = arrays()
     np.savez(tmp_path / "y.npz", truth=y, unit="mm", parents=[0.5, 0, 1, 1])
-    with pytest.raises(PoseDataError, match=r"^y\.npz: parents: float64 \(4,\); expected int \(K,\), -1 for a root\."):
+    words = r"^y\.npz: parents: float64 \(4,\); expected \(K,\), numbers \(-1 for a root\) or names\."
+    with pytest.raises(PoseDataError, match=words):
         posecal.PoseData(x, tmp_path / "y.npz", unit="mm", axes="NMKD")
 
 

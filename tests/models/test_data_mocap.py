@@ -147,7 +147,7 @@ NOT_FINITE[2, 1, 0] = np.nan
         ({"frame": [0, 1]}, r"frame \(2,\); expected \(4,\)"),
         ({"description": ["walk"]}, r"description \(1,\); expected \(4,\)"),
         ({"frame": [0, 0, 0, 1]}, r"1 frames occur more than once \(first: clip a, frame 0\)"),
-        ({"joints": ["Hip", "pelvis"]}, "joints name Hip more than once"),
+        ({"joints": ["Hip", "hip"]}, "joints name Hip = hip more than once"),
         ({"joints": [1.5, 2.5]}, "no Hip among"),
         ({"joints": np.array([b"Hip", b"\xff"])}, "joints: .*; expected text"),
         ({"unit": ["mm", "mm"]}, "unit has 2 values; expected one word"),

@@ -106,7 +106,7 @@ def test_our_own_pairs_of_motion_hold_the_hip(tmp_path, motion_file):
         ({"truth": numbers(M, 3, 3) / 1000, "unit": None}, "truth looks like metres"),
         ({"subject": ["S1"]}, r"subject \(1,\); expected \(3,\)"),
         ({"frame_id": [1, 2]}, r"frame_id \(2,\); expected \(3,\)"),
-        ({"joints": ["Hip", "RHip", "right_hip"]}, "joints name RHip more than once"),
+        ({"joints": ["Hip", "RHip", "right_hip"]}, "joints name RHip = right_hip more than once"),
         ({"keypoint_joints": ["Hip", "RHip", "RHip"]}, "names of the keypoints name RHip more than once"),
         ({"joints": "Hip"}, r"joints \(\); expected"),
         ({"keypoints_observed": np.full((3, 3), 0.7)}, "keypoints_observed: dtype float64; expected bool"),

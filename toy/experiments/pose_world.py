@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.calibration import calibration_curve
-from posecal.data.joint_names import canonical_name
+from posecal.data.joint_names import joint_keys
 from posecal.data.skeleton import Skeleton
 from posecal.metrics import min_mpjpe
 from toy import pose_figures
@@ -93,7 +93,7 @@ def run(
             rows,
         ),
     ]
-    names = [canonical_name(name) for name in world.joints]
+    names = joint_keys(world.joints)
     joint = names.index("RWrist") if "RWrist" in names else len(names) - 1
     bones = [(parent, child) for child, parent in enumerate(world.parents)]
     return Result("\n".join(text), pose_figures.people(poses, bones, joint, world.joints[joint]))
