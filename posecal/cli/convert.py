@@ -9,6 +9,7 @@ import typer
 
 from posecal.cli import options as opt
 from posecal.cli.running import check_outputs
+from posecal.errors import for_command_line
 
 
 def convert(
@@ -31,13 +32,15 @@ def convert(
     unit: Annotated[str | None, opt.reading("mm, cm, m, px, …, where the file states none.")] = None,
     joints: Annotated[str | None, opt.reading("Names for joints without: h36m-17, ….", "--joint-names")] = None,
     fps: Annotated[float | None, opt.reading("Frames per second, where the file states none.")] = None,
+    person: Annotated[str | None, opt.reading("One of several people of a .json file: an id, or 0, 1, ….")] = None,
 ) -> None:
     """Convert files of other tools into the .npz file that posecal reads, and say what was assumed."""
     check_outputs(*files, output=output)
     from posecal.conversion import convert as convert_files
 
     how = {"like": like, "role": role, "each_file": each_file, "dataset": dataset, "axes": axes, "unit": unit}
-    _, assumed = convert_files(files, output, **how, joints=joints, fps=fps)  # type: ignore[arg-type]
+    more = {"joints": joints, "fps": fps, "person": person, "words": for_command_line}
+    _, assumed = convert_files(files, output, **how, **more)  # type: ignore[arg-type]
     for line in assumed:
         typer.echo(f"assumed: {line}.", err=True)
     typer.echo(f"{output}: written.", err=True)

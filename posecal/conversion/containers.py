@@ -182,7 +182,7 @@ def _tensors(loaded: Any) -> dict[str, Any]:
 
 
 def read_c3d(path: Path, _dataset: str | None) -> Tracks:
-    """Read the markers of a C3D file."""
+    """Read the markers of a C3D file; those of a negative residual, or at the origin, are not known."""
     ezc3d = library("ezc3d")
     try:
         content = ezc3d.c3d(str(path))
@@ -192,8 +192,12 @@ def read_c3d(path: Path, _dataset: str | None) -> Tracks:
     points = content["data"]["points"][:3].transpose(2, 1, 0)
     if not points.size:
         raise PoseDataError(f"{path.name}: holds no markers; expected some.")
+    lost = ~points.any(axis=2)
+    points[lost] = np.nan
     joints = [str(label) for label in point["LABELS"]["value"]][: points.shape[1]]
-    return Tracks(points, joints, first_few(point["UNITS"]["value"], 1), float(point["RATE"]["value"][0]))
+    assumed = ["markers at exactly 0, 0, 0 are not known"] if lost.any() else []
+    unit, rate = first_few(point["UNITS"]["value"], 1), float(point["RATE"]["value"][0])
+    return Tracks(points, joints, unit, rate, assumed=assumed)
 
 
 CONTAINERS: dict[str, Callable[[Path, str | None], Tracks]] = {

@@ -17,14 +17,9 @@ from posecal.data.arrays import FloatArray
 from posecal.data.layout import Layout, MemoryArray
 from posecal.data.units import quantity
 from posecal.data.write import write_file, write_members
-from posecal.errors import PoseDataError, PoseFileError, attempt, did_you_mean, first_few, option, raise_all
+from posecal.errors import PoseDataError, PoseFileError, attempt, did_you_mean, first_few, for_python, option, raise_all
 
-TEXTS: dict[str, Callable[[Path, str], Tracks]] = {
-    ".csv": read_csv,
-    ".tsv": read_csv,
-    ".trc": read_trc,
-    ".json": read_json,
-}
+TEXTS: dict[str, Callable[[Path, str], Tracks]] = {".csv": read_csv, ".tsv": read_csv, ".trc": read_trc}
 
 FORMATS: dict[str, str] = {
     "wide": "CSV, a row per frame, columns Hip_x, Hip_y, Hip_z, …",
@@ -53,6 +48,8 @@ def convert(
     unit: str | float | None = None,
     joints: str | Sequence[str] | None = None,
     fps: float | None = None,
+    person: str | int | None = None,
+    words: Callable[[str], str] = for_python,
 ) -> tuple[dict[str, Any], list[str]]:
     """Convert files of another tool into the members of the file that posecal reads.
 
@@ -75,6 +72,10 @@ def convert(
         The layout of an array of a ``.mat``, ``.h5``, ``.pt``, ``.pkl`` or ``.npz`` file, such as ``MKD`` or ``M(KD)``.
     unit, joints, fps
         What the file does not state.
+    person : str or int, optional
+        One of several people in each frame of a ``.json`` file: an id that the file gives, or the place in its list.
+    words : callable
+        How options are named in what was assumed: ``for_python`` or ``for_command_line`` of :mod:`posecal.errors`.
 
     Returns
     -------
@@ -96,7 +97,7 @@ def convert(
     if not paths:
         raise PoseDataError("files: none; expected at least one.")
     problems: list[Any] = []
-    read = [attempt(problems, _read, path, like or "", dataset, axes) for path in paths]
+    read = [attempt(problems, _read, path, like or "", dataset, axes, person) for path in paths]
     raise_all(problems)
     tracks = [some for some in read if some is not None]
     first = tracks[0]
@@ -125,7 +126,8 @@ def convert(
     what = f"{len(poses)} hypotheses" if is_hypotheses else "the truth"
     assumed.append(f"{poses.shape[-3]:,} frames of {poses.shape[-2]} joints are {what}")
     if unit is None:
-        assumed.append(f"no unit is stated; {option('unit')} declares it")
+        which = option("unit", "px") if poses.shape[-1] == 2 else option("unit")
+        assumed.append(f"no unit is stated: evaluate takes mm, or refuses what can't be mm; {which} declares another")
     else:
         quantity(unit)
     if names is None:
@@ -135,19 +137,23 @@ def convert(
     if output is not None:
         arrays = {name: np.asarray(value) for name, value in members.items()}
         write_file(output, lambda file: write_members(file, arrays))
-    return members, assumed
+    return members, [words(line) for line in assumed]
 
 
-def _read(path: Path, like: str, dataset: str | None, axes: str | None) -> Tracks:
+def _read(path: Path, like: str, dataset: str | None, axes: str | None, person: str | int | None) -> Tracks:
     """Read a file by its ending."""
     ending = path.suffix.lower()
     if not path.is_file():
         raise PoseFileError(f"{path}: no such file.")
+    if person is not None and ending != ".json":
+        raise PoseDataError(f"person: {person} for {path.name}; expected a .json file of several people in a frame.")
     try:
+        if ending == ".json":
+            return _without_unseen(read_json(path, like, person))
         if ending in TEXTS:
             return _without_unseen(TEXTS[ending](path, like))
         if ending not in CONTAINERS:
-            known = ", ".join([*TEXTS, *CONTAINERS])
+            known = ", ".join([*TEXTS, ".json", *CONTAINERS])
             raise PoseDataError(f"{path.name}: a file {ending or 'without an ending'}; expected one of {known}.")
         tracks = CONTAINERS[ending](path, dataset)
     except (OSError, MemoryError, RecursionError, OverflowError) as error:

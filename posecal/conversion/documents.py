@@ -10,17 +10,20 @@ import numpy as np
 
 from posecal.conversion.tracks import Tracks
 from posecal.data.arrays import FloatArray
-from posecal.errors import PoseDataError
+from posecal.data.skeleton import JOINT_SETS
+from posecal.errors import PoseDataError, first_few, option
 
 
-def read_json(path: Path, like: str) -> Tracks:
-    """Read a document of one of the tools above, as its keys say."""
+def read_json(path: Path, like: str, person: str | int | None = None) -> Tracks:
+    """Read a document of one of the tools above, as its keys say; of several people in a frame, the one asked for."""
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
         raise PoseDataError(f"{path.name}: is no JSON ({error}).") from None
     readers = {"openpose": _openpose, "panoptic": _panoptic, "mmpose": _mmpose, "interhand": _interhand}
     found = like if like in readers else _kind(document)
+    if person is not None and found in ("lists", "interhand"):
+        raise PoseDataError(f"person: {person} for {path.name}, which has one in each frame; expected none.")
     if found == "lists":
         return Tracks(_array(document, path.name))
     if found not in readers:
@@ -29,7 +32,7 @@ def read_json(path: Path, like: str) -> Tracks:
             f"{path.name}: holds {keys}; expected people, bodies, instance_info, frames, or nested lists."
         )
     try:
-        return readers[found](document, path.name)
+        return readers[found](document, path.name, person)
     except (KeyError, TypeError, IndexError, AttributeError) as error:
         raise PoseDataError(f"{path.name}: is not as {found} writes it ({type(error).__name__}: {error}).") from None
 
@@ -55,43 +58,64 @@ def _array(values: Any, name: str) -> FloatArray:
         ) from None
 
 
-def _one(people: list[Any], name: str) -> Any:
-    if len(people) != 1:
-        raise PoseDataError(f"{name}: {len(people)} people in a frame; expected one. Keep the person who is evaluated.")
+def _one(people: list[Any], name: str, asked: str | int | None) -> Any:
+    """Give the person of a frame: the only one, or the one asked for, by id or else by place in the list."""
+    known = [str(one.get("id", one.get("track_id", place))) for place, one in enumerate(people)]
+    if asked is not None:
+        if str(asked) not in known:
+            raise PoseDataError(f"{name}: no person {asked} in a frame; it holds {first_few(known) or 'none'}.")
+        return people[known.index(str(asked))]
+    if not people:
+        raise PoseDataError(f"{name}: 0 people in a frame; expected one. Leave the frame out.")
+    if len(people) > 1:
+        raise PoseDataError(
+            f"{name}: {len(people)} people in a frame; expected one. Pass {option('person', known[0])}, or another of "
+            f"{first_few(known, 12)}."
+        )
     return people[0]
 
 
-def _openpose(document: Any, name: str) -> Tracks:
-    person = _one(document["people"], name)
+def _openpose(document: Any, name: str, person: str | int | None) -> Tracks:
+    one = _one(document["people"], name, person)
     for key, size in (("pose_keypoints_3d", 4), ("pose_keypoints_2d", 3)):
-        if person.get(key):
-            values = _array(person[key], name).reshape(1, -1, size)
-            return Tracks(values[..., :-1], unit="px" if size == 3 else "", confidence=values[..., -1])
+        if one.get(key):
+            values = _array(one[key], name).reshape(1, -1, size)
+            joint_set = {25: "body-25", 18: "coco-18"}.get(values.shape[1], "")
+            assumed = [f"joints are those of {joint_set}, by their number"] if joint_set else []
+            joints = JOINT_SETS.get(joint_set, ())
+            unit = "px" if size == 3 else ""
+            return Tracks(values[..., :-1], joints, unit, confidence=values[..., -1], assumed=assumed)
     raise PoseDataError(f"{name}: no pose_keypoints_3d or pose_keypoints_2d; expected keypoints of the person.")
 
 
-def _panoptic(document: Any, name: str) -> Tracks:
-    values = _array(_one(document["bodies"], name)["joints19"], name).reshape(1, 19, 4)
-    joints = _names("panoptic-19")
+def _panoptic(document: Any, name: str, person: str | int | None) -> Tracks:
+    values = _array(_one(document["bodies"], name, person)["joints19"], name).reshape(1, 19, 4)
+    joints = JOINT_SETS["panoptic-19"]
     assumed = ["joints are those of panoptic-19", "lengths are in cm, as the data set has them"]
     frames = [str(document["frame"])] if "frame" in document else []
     return Tracks(values[..., :3], joints, "cm", confidence=values[..., 3], frame_id=frames, assumed=assumed)
 
 
-def _mmpose(document: Any, name: str) -> Tracks:
+def _mmpose(document: Any, name: str, person: str | int | None) -> Tracks:
     frames = document["instance_info"] if isinstance(document, dict) else document
-    instances = [frame.get("instances", frame) if isinstance(frame, dict) else frame for frame in frames]
-    people = [_one(some, name) if isinstance(some, list) else some for some in instances]
+    found = [frame.get("instances", frame) for frame in frames]
+    seen = [m for m, some in enumerate(found) if some]
+    if not seen:
+        raise PoseDataError(f"{name}: no people in {len(frames)} frames; expected one in some.")
+    people = [_one(some if isinstance(some, list) else [some], name, person) for some in found if some]
+    frame_id = [str(frames[m].get("frame_id", m)) for m in seen]
+    assumed = [f"{len(found) - len(seen):,} frames without people are left out"] if len(seen) < len(found) else []
     poses = _array([person["keypoints"] for person in people], name)
     scores = [person.get("keypoint_scores") for person in people]
     meta = document.get("meta_info", {}) if isinstance(document, dict) else {}
     named = meta.get("keypoint_id2name", {})
     joints = [named[key] for key in sorted(named, key=int)] if named else []
     confidence = None if None in scores else _array(scores, name)
-    return Tracks(poses, joints, "px" if poses.shape[-1] == 2 else "", confidence=confidence)
+    unit = "px" if poses.shape[-1] == 2 else ""
+    return Tracks(poses, joints, unit, confidence=confidence, frame_id=frame_id, assumed=assumed)
 
 
-def _interhand(document: Any, name: str) -> Tracks:
+def _interhand(document: Any, name: str, _person: str | int | None) -> Tracks:
     captures = [
         (f"{capture}/{frame}", capture, entry)
         for capture, frames in document.items()
@@ -101,11 +125,5 @@ def _interhand(document: Any, name: str) -> Tracks:
     seen = _array([np.reshape(entry["joint_valid"], -1) for _, _, entry in captures], name) > 0
     poses[~seen] = np.nan
     labels = {"sequence": np.array([capture for _, capture, _ in captures])}
-    joints = _names("interhand-42") if poses.shape[1] == 42 else ()
+    joints = JOINT_SETS["interhand-42"] if poses.shape[1] == 42 else ()
     return Tracks(poses, joints, "mm", frame_id=[key for key, _, _ in captures], labels=labels)
-
-
-def _names(joint_set: str) -> tuple[str, ...]:
-    from posecal.data.skeleton import JOINT_SETS
-
-    return JOINT_SETS[joint_set]

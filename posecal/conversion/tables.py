@@ -46,7 +46,7 @@ def _frame_of(text: str, path: Path, **how: Any) -> Any:
             f"{short[0] + 1}); expected as many in each. Was the file cut off?"
         )
     try:
-        frame: Any = pd.read_csv(io.StringIO(text), **how)
+        frame: Any = pd.read_csv(io.StringIO(text), skipinitialspace=True, **how)
     except (ValueError, pd.errors.ParserError, IndexError) as error:
         raise PoseDataError(f"{path.name}: is no table of numbers ({str(error).splitlines()[0]}).") from None
     if frame.empty:

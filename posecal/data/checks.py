@@ -82,7 +82,10 @@ def check_units(data: PoseData, unit: str | None, true_unit: str | None, declare
             )
         remarks.append(Remark(Example(ratio), ". Are their units right?"))
     sizes = [size for _, _, size, known in sides if not known and size > 0]
-    return remarks or [*_check_bones(data), *_remark_on_centimetres(data, max(sizes, default=0.0))][:1]
+    remarks = remarks or [*_check_bones(data), *_remark_on_centimetres(data, max(sizes, default=0.0))][:1]
+    if d == 2 and not (is_known or is_true_known):
+        remarks.append(f"two coordinates without a unit are taken as mm; {option('unit', 'px')} declares pixels.")
+    return remarks
 
 
 def refuse_tiny(hypotheses: FloatArray, truth: FloatArray) -> None:

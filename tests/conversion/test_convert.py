@@ -49,6 +49,64 @@ def test_panoptic(tmp_path: Path) -> None:
     assert "lengths are in cm, as the data set has them" in assumed
 
 
+@pytest.mark.parametrize(("number", "joint_set"), [(25, "body-25"), (18, "coco-18"), (15, "")])
+def test_joints_of_openpose_are_named_by_their_number(tmp_path: Path, number: int, joint_set: str) -> None:
+    keypoints = np.random.default_rng(0).uniform(1, 500, (number, 3))
+    (tmp_path / "a.json").write_text(json.dumps({"people": [{"pose_keypoints_2d": keypoints.ravel().tolist()}]}))
+    members, assumed = convert(tmp_path / "a.json")
+    np.testing.assert_allclose(members["truth"][0], keypoints[:, :2])
+    assert members.get("joints", np.array([])).tolist() == list(posecal.JOINT_SETS.get(joint_set, ()))
+    assert (f"joints are those of {joint_set}, by their number" in assumed) == bool(joint_set)
+
+
+def people(poses: Array, tool: str) -> dict[str, object]:
+    """Two people in each frame, the second one first, as a tool writes them."""
+    full = np.concatenate([np.stack([poses + 5, poses]), np.ones((2, M, K, 1))], axis=3)
+    if tool == "mmpose":
+        frames = [[{"keypoints": full[p, m, :, :3].tolist()} for p in range(2)] for m in range(M)]
+        return {"instance_info": [{"frame_id": m + 1, "instances": some} for m, some in enumerate(frames)]}
+    if tool == "panoptic":
+        return {"bodies": [{"id": 9 - p, "joints19": np.resize(full[p, 0], 76).tolist()} for p in range(2)]}
+    return {"people": [{"pose_keypoints_3d": full[p, 0].ravel().tolist()} for p in range(2)]}
+
+
+@pytest.mark.parametrize(("tool", "ids"), [("openpose", "01"), ("mmpose", "01"), ("panoptic", "98")])
+def test_one_of_several_people_is_chosen_and_none_is_taken_unasked(
+    poses: Array, tmp_path: Path, tool: str, ids: str
+) -> None:
+    (tmp_path / "a.json").write_text(json.dumps(people(poses, tool)))
+    words = (
+        rf'^a\.json: 2 people in a frame; expected one\. Pass person="{ids[0]}", or another of {ids[0]}, {ids[1]}\.$'
+    )
+    with pytest.raises(PoseDataError, match=words):
+        convert(tmp_path / "a.json", unit="m")
+    members, _ = convert(tmp_path / "a.json", person=ids[1])
+    np.testing.assert_allclose(members["truth"][0, :K], poses[0])
+    assert convert(tmp_path / "a.json", person=int(ids[0]))[0]["truth"][0, 0, 0] == pytest.approx(poses[0, 0, 0] + 5)
+    with pytest.raises(PoseDataError, match=rf"^a\.json: no person 7 in a frame; it holds {ids[0]}, {ids[1]}\.$"):
+        convert(tmp_path / "a.json", person=7)
+    out = str(tmp_path / "out.npz")
+    done = CliRunner().invoke(app, ["convert", str(tmp_path / "a.json"), "-o", out, "--person", ids[1], "--unit", "cm"])
+    assert done.exit_code == 0, done.output
+
+
+def test_a_person_of_a_file_without_people_is_refused(poses: Array, tmp_path: Path) -> None:
+    (tmp_path / "a.json").write_text(json.dumps(poses.tolist()))
+    for path in (tmp_path / "a.json", wide(poses, tmp_path / "a.csv")):
+        with pytest.raises(PoseDataError, match=rf"^person: 0 for {path.name}.*; expected "):
+            convert(path, person=0)
+
+
+def test_frames_of_mmpose_without_people_are_left_out(poses: Array, tmp_path: Path) -> None:
+    frames = [{"frame_id": 3, "instances": []}, {"frame_id": 4, "instances": [{"keypoints": poses[0].tolist()}]}]
+    (tmp_path / "a.json").write_text(json.dumps({"instance_info": frames}))
+    members, assumed = convert(tmp_path / "a.json", unit="m")
+    assert (members["frame_id"].tolist(), assumed[0]) == (["4"], "1 frames without people are left out")
+    (tmp_path / "a.json").write_text(json.dumps({"instance_info": frames[:1]}))
+    with pytest.raises(PoseDataError, match=r"^a\.json: no people in 1 frames; expected one in some\.$"):
+        convert(tmp_path / "a.json", unit="m")
+
+
 def test_interhand(tmp_path: Path) -> None:
     world = np.random.default_rng(2).normal(0, 90, (2, 42, 3))
     seen = np.ones((42, 1))
@@ -77,7 +135,7 @@ def test_nested_lists(poses: Array, tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text(json.dumps(poses.tolist()))
     members, assumed = convert(tmp_path / "a.json", joints=JOINTS)
     np.testing.assert_allclose(members["truth"], poses)
-    assert "no unit is stated; unit declares it" in [posecal.errors.for_python(line) for line in assumed]
+    assert "no unit is stated: evaluate takes mm, or refuses what can't be mm; unit declares another" in assumed
 
 
 # --- containers -----------------------------------------------------------------------------------------------
@@ -162,6 +220,23 @@ def test_c3d(poses: Array, tmp_path: Path) -> None:
     np.testing.assert_allclose(members["truth"], poses, rtol=1e-5)
     assert (members["unit"], members["fps"]) == ("mm", 100.0)
     assert members["joints"].tolist() == JOINTS
+
+
+def test_markers_that_c3d_lost_are_not_known(poses: Array, tmp_path: Path) -> None:
+    ezc3d = pytest.importorskip("ezc3d")
+    content = ezc3d.c3d()
+    content["parameters"]["POINT"]["RATE"]["value"] = [100]
+    content["parameters"]["POINT"]["LABELS"]["value"] = JOINTS
+    content["parameters"]["POINT"]["UNITS"]["value"] = ["mm"]
+    points = np.concatenate([poses, np.ones((M, K, 1))], axis=2).transpose(2, 1, 0)
+    points[:3, 1, 2] = 0
+    residuals = np.zeros((1, K, M))
+    residuals[0, 3, 4] = -1
+    content["data"]["points"], content["data"]["meta_points"]["residuals"] = points, residuals
+    content.write(str(tmp_path / "a.c3d"))
+    members, assumed = convert(tmp_path / "a.c3d")
+    assert np.argwhere(~members["valid"]).tolist() == [[2, 1], [4, 3]]
+    assert "markers at exactly 0, 0, 0 are not known" in assumed
 
 
 # --- several files, the command, and what is refused ----------------------------------------------------------

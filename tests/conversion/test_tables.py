@@ -199,6 +199,20 @@ def test_mediapipe(poses: Array, tmp_path: Path) -> None:
     assert members["confidence"].shape == (M, K)
 
 
+def test_empty_cells_of_trc_and_csv_are_not_known(poses: Array, tmp_path: Path) -> None:
+    path = trc(poses, tmp_path / "a.trc")
+    lines = path.read_text().splitlines()
+    cells = lines[8].split("\t")  # of the third frame
+    cells[5:8] = ["", "", ""]
+    path.write_text("\n".join([*lines[:8], "\t".join(cells), *lines[9:]]))
+    assert np.argwhere(~convert(path)[0]["valid"]).tolist() == [[2, 1]]
+    rows = wide(poses, tmp_path / "a.csv").read_text().splitlines()
+    cells = rows[3].split(",")
+    cells[5] = " "
+    (tmp_path / "a.csv").write_text("\n".join([*rows[:3], ",".join(cells), *rows[4:]]))
+    assert np.argwhere(~convert(tmp_path / "a.csv", unit="mm")[0]["valid"]).tolist() == [[2, 1]]
+
+
 @pytest.mark.parametrize("unit", ["mm", "m"])
 def test_trc(poses: Array, tmp_path: Path, unit: str) -> None:
     path = trc(poses, tmp_path / "a.trc", unit)

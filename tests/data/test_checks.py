@@ -35,6 +35,13 @@ def test_millimetres_are_taken_without_a_word() -> None:
     assert joined().remarks == ()
 
 
+def test_two_coordinates_without_a_unit_are_remarked_on() -> None:
+    words = "two coordinates without a unit are taken as mm"
+    for unit, expected in ((None, [words]), ("mm", []), ("px", [])):
+        data = PoseData(hypotheses()[..., :2], truth()[..., :2], joints=JOINTS, unit=unit, axes="NMKD")
+        assert [remark.split(";")[0] for remark in data.remarks if words in remark] == expected
+
+
 LOOKS = "looks like metres: joints lie 0.53 from the middle of the pose; expected some 400 (mm)."
 TRUTH_LOOKS = LOOKS.replace("0.53", "0.51")
 
