@@ -98,7 +98,10 @@ class Protocol:
         "thresholds", "AUC as the mean over thresholds, as an exact integral, or by the trapezoid rule"
     )
     auc_range: str = _option(
-        "0:150:31", "the thresholds of AUC, mm", "first:last:number, such as 0:50:100", lambda text: _is_range(text)
+        "0:150:31",
+        "the thresholds of AUC, mm",
+        "first:last:how many (no step), such as 0:50:100",
+        lambda text: _is_range(text),
     )
     cps_joints: str = _option("all but Spine", "the joints of CPS", "as for joints, or all but NAME")
     cps_align: Literal["similarity", "none"] = _option("similarity", "how poses are aligned for CPS")

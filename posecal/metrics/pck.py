@@ -281,9 +281,8 @@ def pck_metrics(scope: Scope) -> Iterator[Metric]:
     is_right = partial(correct_share, threshold=p.pck_threshold, strict=strict)
     share = partial(auc_share, thresholds=thresholds, area=p.auc, strict=strict)
     first, last, number = thresholds
-    grid = f"{number} thresholds from {first:g} to {last:g} {unit}"
-    if p.auc_range == Protocol().auc_range and length is None:
-        grid = "the thresholds 0, 5, … 150 mm"
+    second = f", {first + (last - first) / (number - 1):.3g}, …" if number > 2 else ","
+    grid = f"the {number} thresholds {first:g}{second} {last:g} {unit}"
     if p.auc == "integral":
         grid = f"its integral over {first:g} … {last:g} {unit}"
     elif p.auc == "trapezoid":

@@ -49,6 +49,14 @@ def test_an_auc_is_over_the_thresholds_that_are_asked_for(first: float, last: fl
     assert 0 <= integral <= 1
 
 
+def test_the_thresholds_of_an_auc_are_written_out() -> None:
+    x, y = model()
+    for text, shown in (("0:150:5", "the 5 thresholds 0, 37.5, … 150 mm"), ("10:20:2", "the 2 thresholds 10, 20 mm")):
+        report = report_of(x, y, "auc", auc_range=text)
+        assert f"mean over {shown} of PCK" in report.definition("auc")
+        assert f"mean of PCK over {shown}" in str(report)
+
+
 def test_an_aligned_pck_and_auc_are_of_aligned_distances() -> None:
     x, y = model()
     moved = joint_errors(aligned(x, y, np.ones(y.shape[:2], dtype=bool), "similarity"), y)[..., 1:]
@@ -101,5 +109,7 @@ def test_what_a_length_needs_is_said() -> None:
     with pytest.raises(PoseDataError, match=r"^pck_relative: 'bbox'; expected none, torso, head, or two joints as L"):
         report_of(x, y, "pck", pck_relative="bbox", pck_threshold=0.5)
     for text in ("50", "0:50", "50:0:10", "0:50:1", "0:inf:3", "a:b:c"):
-        with pytest.raises(PoseDataError, match=r"^auc_range: .*; expected first:last:number, such as 0:50:100\.$"):
+        with pytest.raises(
+            PoseDataError, match=r"^auc_range: .*; expected first:last:how many \(no step\), such as 0:50:100\.$"
+        ):
             posecal.Protocol(auc_range=text)
