@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.arrays import BoolArray, checked_mask, checked_number
+from posecal.data.arrays import BoolArray, checked_number
 from posecal.data.declarations import Declarations, choose_layouts, joint_names, quantity_of
 from posecal.data.degenerate import column_problem
 from posecal.data.joint_names import match_joints, remarks_on_matched, remarks_on_names
 from posecal.data.layout import TRUTH, Layout, plausible_layouts
+from posecal.data.members import both, read_members
 from posecal.data.own_skeleton import parents_among
 from posecal.data.remarks import Count, Example, Remark
 from posecal.data.root import choose_root, origin, part_of_root, root_name
@@ -75,7 +76,7 @@ class Matcher:
         text = self.truth.axes or self.declared.truth_axes or TRUTH
         shape = attempt([], Layout(text, TRUTH).shape, self.truth.array.shape)
         if shape is not None:
-            self._described(self.truth, shape[:2])
+            read_members(self.truth, shape[:2], self.problems)
             joint_names(self.truth, shape[1], self.declared, self.problems)
             self._rate()
 
@@ -99,8 +100,8 @@ class Matcher:
         elif columns_differ:
             problems.append(f"{hypotheses.name} has D = {d} and {truth.name} {self.true_shape[2]}; expected as many.")
         is_matched = not problems
-        labels, marks, valid, _ = self._described(hypotheses, (m, k))
-        true_labels, true_marks, true_valid, where = self._described(truth, self.true_shape[:2])
+        own_members = read_members(hypotheses, (m, k), problems)
+        true_members = read_members(truth, self.true_shape[:2], problems)
         scores, fps = hypotheses.scores, self._rate()
         if scores is not None:
             text = self.layouts[0].text
@@ -115,11 +116,13 @@ class Matcher:
         if not is_matched:
             raise_all(problems)
 
-        known = _both(_part(valid, rows, columns), _part(true_valid, true_rows, true_columns))
+        members, others = own_members.select(rows, columns), true_members.select(true_rows, true_columns)
+        known = both(members.valid, others.valid)
         if known is not None:
             counts = np.asarray(known.any(axis=1))
             self._remark_invalid(known, counts, true_rows)
             rows, true_rows, known = rows[counts], true_rows[counts], known[counts]
+            members, others = own_members.select(rows, columns), true_members.select(true_rows, true_columns)
         y = in_millimetres(stored, true_factor)
         in_order = len(true_names) == k and np.array_equal(columns, np.arange(k))
         stored_parents = (truth.name, truth.parents), (hypotheses.name, hypotheses.parents if in_order else None)
@@ -129,8 +132,7 @@ class Matcher:
         if declared_root is None and own_root is None and unit != "mm":
             declared_root = "none"  # of positions alone is the root a joint's by itself
         chosen = attempt(problems, choose_root, declared_root, true_names, y, parents, own_root)
-        labels = {name: values[rows] for name, values in labels.items()}
-        labels = self._merged(labels, {name: values[true_rows] for name, values in true_labels.items()}, true_rows)
+        labels = self._merged(members.labels, others.labels, true_rows)
         if chosen is None:
             raise_all(problems)
         assert chosen is not None
@@ -146,7 +148,6 @@ class Matcher:
                 y = y - origin(y, of_all)
             remark = f"{hypotheses.name} lacks the root {lost}; its positions are taken as relative to it."
         self.remarks += [remark] if remark else []
-        occluded = _part(true_marks, true_rows, true_columns)
         return {
             "hypotheses": predicted,
             "truth": np.ascontiguousarray(y[true_rows][:, true_columns]),
@@ -158,11 +159,11 @@ class Matcher:
             "has_frame_id": truth.frame_id is not None,
             "order": self._order(true_rows, labels),
             "labels": labels,
-            "occluded": _part(marks, rows, columns) if occluded is None else occluded,
+            "occluded": members.occluded if others.occluded is None else others.occluded,
             "scores": None if scores is None else scores[:n, rows],
             "fps": fps,
             "names": (hypotheses.name, truth.name),
-            "where": _both(known, _part(where, true_rows, true_columns)),
+            "where": both(known, others.where),
             "usable": None,
             "remarks": tuple(self.remarks),
             "reference": None,
@@ -195,26 +196,11 @@ class Matcher:
         found = column_problem(self.hypotheses.name, hypotheses, "axes", layout.text), of_truth
         return [problem for problem in found if problem]
 
-    def _described(
-        self, poses: StoredPoses, shape: tuple[int, ...]
-    ) -> tuple[Labels, BoolArray | None, BoolArray | None, BoolArray | None]:
-        """Give what is declared of M poses of K joints: labels, and where joints are occluded, known and count."""
-        where = None if poses.where is None else attempt(self.problems, checked_mask, poses.where, shape)
-        return self._labels_of(poses, shape[0]), self._occluded(poses, shape), self._valid(poses, shape), where
-
     def _rate(self) -> float | None:
         """Give the frames per second."""
         fps = self.hypotheses.fps if self.truth.fps is None else self.truth.fps
         expected = "frames per second, above 0"
         return None if fps is None else attempt(self.problems, checked_number, fps, "fps", _is_rate, expected)
-
-    def _valid(self, poses: StoredPoses, shape: tuple[int, ...]) -> BoolArray | None:
-        """Give the joints that are known, (M, K), of a mask of joints or of poses; None without one."""
-        valid = poses.valid
-        if valid is not None and valid.shape not in {shape, shape[:1]}:
-            self.problems.append(f"{poses.name}: valid {valid.shape}; expected (M, K) = {shape} or (M,).")
-            return None
-        return None if valid is None else np.broadcast_to(valid if valid.ndim == 2 else valid[:, None], shape)
 
     def _remark_invalid(self, known: BoolArray, counts: BoolArray, rows: Rows) -> None:
         """Say how many joints and poses are not valid."""
@@ -340,16 +326,6 @@ class Matcher:
             self.remarks.append(f"{len(shared)} joints are in both; left out: {first_few([*lacking, *beyond], 5)}.")
         return true_names, np.array(columns, dtype=np.intp), np.array(shared, dtype=np.intp)
 
-    def _labels_of(self, poses: StoredPoses, number: int) -> Labels:
-        """Give the labels that have a value for each of so many poses; all of those must that can only be labels."""
-        labels = {name: values if values.ndim else np.full(number, values) for name, values in poses.labels.items()}
-        self.problems += [
-            f"{poses.name}: {name} has {len(values):,} values for {number:,} poses; expected one each."
-            for name, values in labels.items()
-            if len(values) != number and name in poses.required_labels
-        ]
-        return {name: values for name, values in labels.items() if len(values) == number}
-
     def _merged(self, labels: Labels, true_labels: Labels, true_rows: Rows) -> Labels:
         """Put the labels of matched frames together; clips of a layout are sequences."""
         for name in true_labels:
@@ -366,17 +342,6 @@ class Matcher:
             labels = {"sequence": (true_rows // clip).astype(str), **labels}
         return labels
 
-    def _occluded(self, poses: StoredPoses, shape: tuple[int, ...]) -> BoolArray | None:
-        """Give the joints, (M, K), that are marked as occluded, or not as visible; None without marks."""
-        if len(poses.marks) > 1:
-            self.problems.append(f"{poses.name} has both occluded and visible; expected one of them.")
-        for name, marks in poses.marks.items():
-            if marks.shape != shape:
-                self.problems.append(f"{poses.name}: {name} {marks.shape}; expected (M, K) = {shape}.")
-                return None
-            return ~marks if name == "visible" else marks
-        return None
-
 
 def empty_problem(poses: StoredPoses) -> str:
     """Say that poses have an axis of length 0."""
@@ -390,15 +355,6 @@ def numbered(size: int) -> Names:
 
 def _repeated(names: Sequence[str]) -> list[str]:
     return [name for name, count in Counter(names).items() if count > 1]
-
-
-def _part(mask: BoolArray | None, rows: Rows, columns: Rows) -> BoolArray | None:
-    return None if mask is None else mask[rows][:, columns]
-
-
-def _both(first: BoolArray | None, second: BoolArray | None) -> BoolArray | None:
-    """Give the joints that both masks hold; None is one that holds all."""
-    return second if first is None else first if second is None else first & second
 
 
 def _is_rate(fps: float) -> bool:

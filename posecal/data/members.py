@@ -1,0 +1,81 @@
+"""What is declared of poses beside their coordinates: labels, and the joints that are occluded, known and count."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from posecal.data.arrays import BoolArray, checked_mask
+from posecal.data.stored_poses import Labels, Rows, StoredPoses
+from posecal.errors import PosecalError, attempt
+
+
+@dataclass(frozen=True)
+class Members:
+    """What is declared of M poses of K joints.
+
+    Attributes
+    ----------
+    labels : mapping of arrays of str (M,)
+        Those that have a value for each pose.
+    occluded, valid, where : bool array (M, K) or None
+        The joints that are occluded, known, and count.
+    """
+
+    labels: Labels
+    occluded: BoolArray | None
+    valid: BoolArray | None
+    where: BoolArray | None
+
+    def select(self, rows: Rows, columns: Rows) -> Members:
+        """Keep some poses and joints, by their numbers."""
+        masks = (None if mask is None else mask[rows][:, columns] for mask in (self.occluded, self.valid, self.where))
+        return Members({name: values[rows] for name, values in self.labels.items()}, *masks)
+
+
+def read_members(poses: StoredPoses, shape: tuple[int, ...], problems: list[str | PosecalError]) -> Members:
+    """Give what is declared of (M, K) joints; what does not fit is added to the problems."""
+    return Members(
+        _labels(poses, shape[0], problems),
+        _occluded(poses, shape, problems),
+        _valid(poses, shape, problems),
+        None if poses.where is None else attempt(problems, checked_mask, poses.where, shape),
+    )
+
+
+def both(first: BoolArray | None, second: BoolArray | None) -> BoolArray | None:
+    """Give the joints that both masks hold; None is one that holds all."""
+    return second if first is None else first if second is None else first & second
+
+
+def _labels(poses: StoredPoses, number: int, problems: list[str | PosecalError]) -> Labels:
+    """Give the labels that have a value for each of so many poses; all of those must that can only be labels."""
+    labels = {name: values if values.ndim else np.full(number, values) for name, values in poses.labels.items()}
+    problems += [
+        f"{poses.name}: {name} has {len(values):,} values for {number:,} poses; expected one each."
+        for name, values in labels.items()
+        if len(values) != number and name in poses.required_labels
+    ]
+    return {name: values for name, values in labels.items() if len(values) == number}
+
+
+def _occluded(poses: StoredPoses, shape: tuple[int, ...], problems: list[str | PosecalError]) -> BoolArray | None:
+    """Give the joints that are marked as occluded, or not as visible; None without marks."""
+    if len(poses.marks) > 1:
+        problems.append(f"{poses.name} has both occluded and visible; expected one of them.")
+    for name, marks in poses.marks.items():
+        if marks.shape != shape:
+            problems.append(f"{poses.name}: {name} {marks.shape}; expected (M, K) = {shape}.")
+            return None
+        return ~marks if name == "visible" else marks
+    return None
+
+
+def _valid(poses: StoredPoses, shape: tuple[int, ...], problems: list[str | PosecalError]) -> BoolArray | None:
+    """Give the joints that are known, of a mask of joints or of poses; None without one."""
+    valid = poses.valid
+    if valid is not None and valid.shape not in {shape, shape[:1]}:
+        problems.append(f"{poses.name}: valid {valid.shape}; expected (M, K) = {shape} or (M,).")
+        return None
+    return None if valid is None else np.broadcast_to(valid if valid.ndim == 2 else valid[:, None], shape)
