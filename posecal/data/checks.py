@@ -26,13 +26,17 @@ TINY = 10.0
 """Poses of this size, in what should be mm, look like metres: a person's joints lie some 400 mm from their centre."""
 
 
-def check_units(data: PoseData, unit: str | None, true_unit: str | None, declared: Declarations) -> list[str]:
+def check_units(
+    data: PoseData, some: FloatArray, unit: str | None, true_unit: str | None, declared: Declarations
+) -> list[str]:
     """Check that hypotheses and truth have the size of a person, and of each other.
 
     Parameters
     ----------
     data : PoseData
         Hypotheses and truth.
+    some : array (N, m, K, D)
+        Hypotheses of some frames.
     unit, true_unit : str or None
         Units that hypotheses and truth declare themselves.
     declared : Declarations
@@ -49,7 +53,7 @@ def check_units(data: PoseData, unit: str | None, true_unit: str | None, declare
         Where an undeclared unit can't be millimetres, or the two are in different units.
     """
     *_, k, d = data.shape
-    some = data.hypotheses.read(0, 8)
+    some = some[:, :8]
     has_weights = data.scores is not None and not data.scores.all()  # of which 0 is that of an absent hypothesis
     remarks = [] if has_weights else _distinct(data.names[0], some)
     if data.unit != "mm":

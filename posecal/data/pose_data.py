@@ -26,7 +26,7 @@ T = TypeVar("T")
 Source = npt.ArrayLike | str | os.PathLike[str]
 
 _FRAMES, _HYPOTHESES = 16, 32
-"""How many hypotheses are looked at for fill values."""
+"""How many frames are looked at, and of how many hypotheses for fill values."""
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -183,7 +183,9 @@ class PoseData:
         declared: dict[str, Any] = {"axes": axes, "truth_axes": truth_axes, "unit": unit, "truth_unit": truth_unit}
         declared |= {"joints": joints, "root_joint": root_joint, "missing": missing, "shared_joints": shared_joints}
         declared |= {"n_hypotheses": n_hypotheses, "skeleton": skeleton}
-        possible = {k: v for k, v in declared.items() if attempt(problems, partial(Declarations, **{k: v})) is not None}
+        declared = {name: value for name, value in declared.items() if value is not None}
+        possible = {k: v for k, v in declared.items() if attempt(problems, partial(Declarations, **{k: v}))}
+        wrong = declared.keys() - possible.keys()
         predicted = attempt(problems, read_poses, hypotheses, "hypotheses")
         true = attempt(problems, read_poses, truth, "truth")
         arguments: dict[str, tuple[Callable[..., Any], object]] = {
@@ -198,9 +200,9 @@ class PoseData:
         for name, (convert, value) in arguments.items():
             if value is not None:
                 arrays[name] = attempt(problems, convert, value, name)
-        if predicted is None or true is None or not possible.keys() >= {"axes", "truth_axes"}:
+        if predicted is None or true is None or wrong & {"axes", "truth_axes"}:
             raise_all(problems)
-        possible |= {name: "mm" for name in ("unit", "truth_unit") if name not in possible}
+        possible |= dict.fromkeys(wrong & {"unit", "truth_unit"}, "mm")
         assert predicted is not None
         assert true is not None
         ids, own_labels = arrays.get("frame_id"), arrays.get("labels") or {}
@@ -295,20 +297,21 @@ def match_poses(
     declared = declarations or Declarations()
     matcher = Matcher(hypotheses, truth, declared, problems)
     data = _with_attributes(PoseData, **matcher.attributes())
-    remarks = attempt(matcher.problems, check_units, data, hypotheses.unit, truth.unit, declared) or []
+    rows = sample_rows(len(data.truth), _FRAMES)
+    some = data.hypotheses.select(rows).read(0, len(rows))
+    remarks = attempt(matcher.problems, check_units, data, some, hypotheses.unit, truth.unit, declared) or []
     raise_all(matcher.problems)
     remarks += truth_remarks(data.truth, data.where, data.joints, root_joints(data.root), truth.name)
-    remarks += _hypotheses_remarks(data)
+    remarks += _hypotheses_remarks(data, some, rows)
     return data.replace(remarks=(*data.remarks, *remarks))
 
 
-def _hypotheses_remarks(data: PoseData) -> list[str]:
-    """Remark on joints of hypotheses that are a fill value, in some frames that lie evenly."""
+def _hypotheses_remarks(data: PoseData, some: FloatArray, rows: Rows) -> list[str]:
+    """Remark on joints of hypotheses that are a fill value, in some frames."""
     n, m, k, d = data.shape
     if d < 2 or k < FEWEST_JOINTS:
         return []
-    rows = sample_rows(m, _FRAMES)
-    some = data.hypotheses.select(rows).read(0, len(rows))[:_HYPOTHESES]
+    some = some[:_HYPOTHESES]
     where = None if data.where is None else np.tile(data.where[rows], (len(some), 1))
     name = data.names[0] if len(rows) == m and len(some) == n else f"{data.names[0]} ({len(rows)} frames looked at)"
     return fill_remarks(some.reshape(-1, k, d), where, data.joints, root_joints(data.root), name)
