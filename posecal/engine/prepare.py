@@ -216,7 +216,7 @@ def refuse_non_finite(data: PoseData, name: str, bad: Indices) -> None:
         raise PoseDataError(
             f"{name} has {what} in {frames:,} of {len(data.truth):,} frames (first: frame "
             f"{data.frame_id[frame]}, joint {data.joints[joint].removeprefix('joint ')}). Mask those joints with "
-            "where, or leave those frames out."
+            "where (in a file, a member valid (M, K)), or leave those frames out."
         )
 
 
