@@ -252,6 +252,69 @@ def horizons(folder: Path) -> Values:
     }
 
 
+def open_layout(folder: Path) -> Values:
+    """As many hypotheses as poses, in a layout that nobody declares."""
+    random = np.random.default_rng(16)
+    truth = people(random, 20)
+    _save(folder, about(random, truth, 20).swapaxes(0, 1), truth, NAMED)
+    return {}
+
+
+def undeclared_metres(folder: Path) -> Values:
+    """Poses in metres that declare no unit."""
+    random = np.random.default_rng(17)
+    truth = people(random, 40)
+    _save(folder, about(random, truth, 10) / 1000, truth / 1000, {"joints": np.array(JOINTS)})
+    return {}
+
+
+def fill_values(folder: Path) -> Values:
+    """Joints that a detector did not find, as -1000, in truth and hypotheses."""
+    random = np.random.default_rng(18)
+    truth = people(random, 40)
+    hypotheses = about(random, truth, 10)
+    truth[[7, 8, 30], 13] = hypotheses[:, 2:6, 9] = -1000
+    _save(folder, hypotheses, truth, NAMED)
+    return best_and_mean(errors(hypotheses, truth))
+
+
+def overflow(folder: Path) -> Values:
+    """One hypothesis that overflowed."""
+    random = np.random.default_rng(19)
+    truth = people(random, 40)
+    hypotheses = about(random, truth, 10)
+    hypotheses[4, 11, 6] = 1e20
+    _save(folder, hypotheses, truth, NAMED)
+    return {}
+
+
+def lost_truth(folder: Path) -> Values:
+    """Frames whose true pose was lost, as zeros."""
+    random = np.random.default_rng(20)
+    truth = people(random, 40)
+    hypotheses = about(random, truth, 10)
+    truth[[5, 17]] = 0
+    _save(folder, hypotheses, truth, NAMED)
+    return {}
+
+
+def several_faults(folder: Path) -> Values:
+    """Layout, names, labels and frame rate wrong at once."""
+    random = np.random.default_rng(21)
+    truth = people(random, 20)
+    _save(folder, about(random, truth, 20), truth, {"joints": np.array(JOINTS[:9])}, sequence=["walk"] * 3, fps=-25.0)
+    return {}
+
+
+def repeated_frames(folder: Path) -> Values:
+    """Frames that a sampler for several processes repeated to fill its last batch."""
+    random = np.random.default_rng(22)
+    truth = people(random, 37)[[*range(37), 0, 1, 2]]
+    hypotheses = about(random, truth, 10)
+    _save(folder, hypotheses, truth, NAMED)
+    return best_and_mean(errors(hypotheses, truth))
+
+
 SITUATIONS = (
     Situation(
         "Action labels with trials",
@@ -373,5 +436,59 @@ SITUATIONS = (
         padded_with_nan,
         {"metrics": "mpjpe, min_mpjpe"},
         says=("absent",),
+    ),
+    Situation(
+        "As many hypotheses as poses, batch first",
+        "loaders that give (M, N, K, D)",
+        "in Python read as (N, M, K, D): 75.6 for 60.0 mm",
+        open_layout,
+        says=("N = M = 20", "MNKD", "NMKD"),
+        is_refused=True,
+    ),
+    Situation(
+        "Metres that declare no unit",
+        "most loaders of Human3.6M and 3DPW",
+        'in Python PCK 1.0 and minMPJPE 0.064 "mm"',
+        undeclared_metres,
+        says=("looks like metres",),
+        is_refused=True,
+    ),
+    Situation(
+        "Joints as a fill value",
+        "detectors that write -1000 or 9999 for what they did not find",
+        "no remark",
+        fill_values,
+        says=("gt.npz: joints are exactly -1000 in 3 of 40 poses", "looked at): joints are exactly -1000 in"),
+    ),
+    Situation(
+        "One hypothesis that overflowed",
+        "flows and diffusion models in half precision",
+        "MPJPE inf, no remark; at 1e19 a perfect sampler is underconfident",
+        overflow,
+        says=("beyond 10 km", "frame 11, joint LFoot"),
+        is_refused=True,
+    ),
+    Situation(
+        "True poses that are one point",
+        "naver/multi-hmr 9, with zeros in the truth",
+        "zeros are scored: PA-minMPJPE from 59.5 to 49.1 mm",
+        lost_truth,
+        says=("in 2 of 40 frames (first: 5, 17) all joints lie in one point",),
+        is_refused=True,
+    ),
+    Situation(
+        "Layout, names, labels and frame rate wrong at once",
+        "first calls",
+        "one error a call, over four calls",
+        several_faults,
+        says=("tell the axes apart", "9 joints named for K = 17", "sequence has 3 values for 20", "fps: -25"),
+        is_refused=True,
+    ),
+    Situation(
+        "Frames that fill the last batch",
+        "PyTorch's DistributedSampler",
+        "counted twice, no remark",
+        repeated_frames,
+        says=("3 of 40 frames with truth and labels of another count twice",),
     ),
 )
