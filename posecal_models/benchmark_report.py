@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from posecal.data.write import write_file
+from posecal.data.write import write_file, written_together
 from posecal.errors import PoseDataError, PoseFileError
 from posecal.plot import save
 from posecal_models import figures
@@ -84,7 +84,6 @@ def run_benchmark(
         with progress_bar(name, seeds * len(test)) as progress:
             rows.append(evaluate_estimator(name, estimator, test, n=n, seeds=range(seeds), progress=progress))
     table = markdown(rows)
-    _write(folder / "table.md", table + "\n")
     about = {
         "poses": len(test),
         "subjects": subjects,
@@ -93,15 +92,17 @@ def run_benchmark(
         "hidden_share": float((~test.observed).mean()),
         "rows": {row.name: {**row.values, "seconds": round(row.seconds, 1)} for row in rows},
     }
-    _write(folder / "benchmark.json", json.dumps(about, indent=1) + "\n")
     reports = {row.name: row.report for row in rows if row.report is not None}
-    if reports:
-        save(figures.reliability_grid(reports), folder / "reliability.png")
-    for name, report in reports.items():
-        report.save(folder / f"{_stem(name)}.npz")
-    for name, estimator in estimators.items():
-        if isinstance(estimator, CGNF):
-            _save_figures(estimator, test, folder, _stem(name))
+    with written_together():
+        _write(folder / "table.md", table + "\n")
+        _write(folder / "benchmark.json", json.dumps(about, indent=1) + "\n")
+        if reports:
+            save(figures.reliability_grid(reports), folder / "reliability.png")
+        for name, report in reports.items():
+            report.save(folder / f"{_stem(name)}.npz")
+        for name, estimator in estimators.items():
+            if isinstance(estimator, CGNF):
+                _save_figures(estimator, test, folder, _stem(name))
     return table
 
 

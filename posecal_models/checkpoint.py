@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -79,7 +78,7 @@ def resolve_device(name: str) -> torch.device:
 
 
 def write_tensors(path: str | Path, tensors: Mapping[str, Tensor], about: dict[str, Any]) -> None:
-    """Write a safetensors file atomically.
+    """Write a safetensors file atomically; the same tensors and values give the same bytes.
 
     Parameters
     ----------
@@ -97,13 +96,12 @@ def write_tensors(path: str | Path, tensors: Mapping[str, Tensor], about: dict[s
     """
     on_cpu = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     content = save(on_cpu, metadata={_HEADER: json.dumps(about), _DIGEST: _digest(on_cpu)})
-
-    def write(file: BinaryIO) -> None:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-
-    write_file(path, write)
+    end = 8 + int.from_bytes(content[:8], "little")
+    header = json.loads(content[8:end])
+    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))  # in any order, as they are written
+    text = json.dumps(header, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 8)
+    write_file(path, lambda file: file.writelines([len(text).to_bytes(8, "little"), text, memoryview(content)[end:]]))
 
 
 def read_tensors(path: str | Path, *, device: torch.device | str = "cpu") -> tuple[dict[str, Tensor], dict[str, Any]]:

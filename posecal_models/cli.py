@@ -154,13 +154,11 @@ def motion(
 ) -> None:
     """Generate synthetic motion capture data."""
     check_outputs(output=output)
-    import numpy as np
-
-    from posecal.data.write import write_file
+    from posecal.data.write import write_file, write_members
     from posecal_models.data.synthetic import synthetic_motion
 
-    members: dict[str, Any] = {**synthetic_motion(subjects=subjects, clips=clips, frames=frames, seed=seed)}
-    write_file(output, lambda file: np.savez_compressed(file, **members))
+    members = synthetic_motion(subjects=subjects, clips=clips, frames=frames, seed=seed)
+    write_file(output, lambda file: write_members(file, members, compressed=True))
 
 
 @app.command()

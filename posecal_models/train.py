@@ -16,6 +16,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from posecal.data.write import written_together
 from posecal.errors import PoseDataError, PoseFileError
 from posecal_models.checkpoint import read_tensors, save_estimator, write_tensors
 from posecal_models.config import Config
@@ -267,7 +268,7 @@ class Training:
         )
 
     def save(self) -> None:
-        """Write checkpoint, weights and loss curve, each atomically.
+        """Write checkpoint, weights and loss curve, all or none.
 
         Raises
         ------
@@ -283,12 +284,13 @@ class Training:
                 tensors[f"adam.{moment}.{name}"] = tensor
         tensors["losses.steps"] = torch.tensor(self._step_losses, dtype=torch.float64)
         tensors["losses.epochs"] = torch.tensor(self._epochs, dtype=torch.float64).view(-1, 5)
-        write_tensors(self.folder / CHECKPOINT, tensors, self._state())
-        write_losses(self.folder, self._epochs)
         notes = {"config": self.config.table(), "epochs": self.epoch, "steps": self.step, "poses": len(self.data)}
         if self._epochs:
             notes["weights_of_step"] = int(min(self._epochs, key=_selection_loss)[1])
-        save_estimator(self.folder / WEIGHTS, self.estimator, tensors=self.best or None, notes=notes)
+        with written_together():
+            write_tensors(self.folder / CHECKPOINT, tensors, self._state())
+            write_losses(self.folder, self._epochs)
+            save_estimator(self.folder / WEIGHTS, self.estimator, tensors=self.best or None, notes=notes)
 
     def _state(self) -> dict[str, Any]:
         schedule = self.schedule

@@ -160,18 +160,19 @@ class ReportOptions:
     def write(self, report: Report, name: str, save: Path | None = None) -> None:
         """Make all that was asked for, and only then write it: files, and the report to stdout."""
         from posecal import plot
+        from posecal.data.write import write_file, written_together
 
         files: list[Callable[[], object]] = [] if save is None else [partial(report.save, save)]
         if self.plot is not None:
             files.append(partial(plot.save, plot.draw(report, title=name), self.plot))
         if self.html is not None:
-            from posecal.data.write import write_file
             from posecal.report.html import as_html
 
             page = as_html(report, name, for_command_line).encode()
             files.append(partial(write_file, self.html, lambda file: file.write(page)))
         parts = {"joints": self.per_joint, "definitions": self.definitions}
         text = report.render(self.form, **parts, **running.terminal(), words=for_command_line)
-        for write in files:
-            write()
+        with written_together():
+            for write in files:
+                write()
         typer.echo(text)

@@ -6,16 +6,18 @@ import contextlib
 import os
 import secrets
 import shutil
+import stat
 import tempfile
 import zipfile
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 import numpy.typing as npt
 
-from posecal.errors import PoseFileError
+from posecal.errors import PosecalError, PoseFileError
 
 
 def check_writable(path: str | os.PathLike[str]) -> Path:
@@ -57,16 +59,95 @@ def _target(path: Path) -> Path:
     return Path(os.path.realpath(path)) if path.is_symlink() else path
 
 
-def write_file(path: str | os.PathLike[str], write: Callable[[BinaryIO], object]) -> None:
-    """Write a file completely or not at all: under another name or none, then renamed.
+_outputs: ContextVar[list[_Output] | None] = ContextVar("outputs", default=None)
+"""What is written together, within :func:`written_together`."""
 
-    Where the system can, the file has no name until it is complete, and vanishes with a process that is killed; else
-    it has a temporary one in the same folder.
+
+class _Output:
+    """A file under another name or none, until it is complete.
+
+    Where the system can, it has no name and vanishes with a process that is killed; else it has a temporary one in the
+    folder of its target. A file that it replaces gives it its rights.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.target = path, _target(path)
+        self.part = self.target.with_name(f".posecal-{secrets.token_hex(8)}")
+        unnamed = _unnamed(self.target.parent)
+        self.is_named = unnamed is None
+        self.file: BinaryIO = unnamed or self.part.open("xb")
+        self._keep_rights(self.file)
+
+    def _keep_rights(self, file: BinaryIO) -> None:
+        with contextlib.suppress(OSError):  # there is no target, or its disk knows no rights
+            rights = stat.S_IMODE(self.target.stat().st_mode)
+            os.chmod(file.fileno() if os.chmod in os.supports_fd else self.part, rights)
+
+    def store(self) -> None:
+        """Wait until the contents are on the disk."""
+        self.file.flush()
+        os.fsync(self.file.fileno())
+
+    def give_name(self) -> None:
+        """Link a file without a name to the temporary one; where the disk refuses that, copy it."""
+        if not self.is_named:
+            number = self.file.fileno()
+            try:  # any descriptor makes the system follow the link in /proc
+                os.link(f"/proc/self/fd/{number}", self.part, src_dir_fd=number, follow_symlinks=True)
+            except OSError:
+                unnamed = self.file
+                unnamed.seek(0)
+                with unnamed, self.part.open("xb") as self.file:
+                    self._keep_rights(self.file)
+                    shutil.copyfileobj(unnamed, self.file)
+                    self.store()
+        self.file.close()
+
+    def discard(self) -> None:
+        """Close the file, and remove what has not become the target."""
+        with contextlib.suppress(OSError):
+            self.file.close()
+        with contextlib.suppress(OSError):
+            self.part.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def written_together() -> Iterator[list[_Output]]:
+    """Make the files that :func:`write_file` writes within appear together at the end, or none of them.
+
+    Raises
+    ------
+    PoseFileError
+        Where one can't be written. What was there before stays.
+    """
+    if (outer := _outputs.get()) is not None:
+        yield outer
+        return
+    outputs: list[_Output] = []
+    token = _outputs.set(outputs)
+    try:
+        yield outputs
+        for output in outputs:
+            with _refusing(output.path):
+                output.give_name()
+        for output in outputs:
+            with _refusing(output.path):
+                output.part.replace(output.target)
+        for folder in {output.target.parent for output in outputs}:
+            _store_names(folder)
+    finally:
+        _outputs.reset(token)
+        for output in outputs:
+            output.discard()
+
+
+def write_file(path: str | os.PathLike[str], write: Callable[[BinaryIO], object]) -> None:
+    """Write a file completely or not at all, with the rights of the one that it replaces.
 
     Parameters
     ----------
     path : path
-        The file.
+        The file. It is there when this returns, or within :func:`written_together` at the end of that.
     write : callable
         Writes the contents into an open binary file.
 
@@ -76,21 +157,21 @@ def write_file(path: str | os.PathLike[str], write: Callable[[BinaryIO], object]
         Where it can't be written. What was there before stays.
     """
     path = check_writable(path)
-    target = _target(path)
-    part = target.with_name(f".posecal-{secrets.token_hex(8)}")
+    with written_together() as outputs, _refusing(path):
+        output = _Output(path)
+        outputs.append(output)
+        write(output.file)
+        output.store()
+
+
+@contextlib.contextmanager
+def _refusing(path: Path) -> Iterator[None]:
     try:
-        unnamed = _unnamed(target.parent)
-        with unnamed or part.open("xb") as file:
-            write(file)
-            file.flush()
-            if unnamed:
-                _give_name(unnamed, part)
-        part.replace(target)
+        yield
+    except PosecalError:
+        raise
     except OSError as error:
         raise PoseFileError(f"{path}: can't be written ({error.strerror or error}).") from None
-    finally:
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)
 
 
 def _unnamed(folder: Path) -> BinaryIO | None:
@@ -103,15 +184,14 @@ def _unnamed(folder: Path) -> BinaryIO | None:
         return None
 
 
-def _give_name(unnamed: BinaryIO, path: Path) -> None:
-    """Link a file without a name to one; where the disk refuses that, copy it."""
-    number = unnamed.fileno()
-    try:  # any descriptor makes the system follow the link in /proc
-        os.link(f"/proc/self/fd/{number}", path, src_dir_fd=number, follow_symlinks=True)
-    except OSError:
-        unnamed.seek(0)
-        with path.open("xb") as copy:
-            shutil.copyfileobj(unnamed, copy)
+def _store_names(folder: Path) -> None:
+    """Wait until the names in a folder are on the disk, where the system can."""
+    with contextlib.suppress(OSError):
+        number = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(number)
+        finally:
+            os.close(number)
 
 
 # --- archives -------------------------------------------------------------------------------------------------

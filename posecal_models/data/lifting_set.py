@@ -17,7 +17,7 @@ import numpy.typing as npt
 from posecal.data.joint_names import match_joints
 from posecal.data.skeleton import Skeleton
 from posecal.data.units import millimetres_per
-from posecal.data.write import write_file
+from posecal.data.write import write_file, write_members
 from posecal.errors import PoseDataError, PoseFileError, raise_all
 from posecal_models.data.keypoint_set import Flags, Floats, KeypointSet, Text
 from posecal_models.data.npz import Members, boolean_array, joint_names, pose_array, read_npz, text_array, text_value
@@ -180,7 +180,7 @@ class LiftingSet:
             "keypoints_observed": ordered.observed,
             **{name: getattr(self, name) for name in ("frame_id", "sequence", "subject", "action", "camera")},
         }
-        write_file(path, lambda file: np.savez(file, **members))
+        write_file(path, lambda file: write_members(file, members))
 
     @classmethod
     def load(cls, path: str | Path) -> LiftingSet:

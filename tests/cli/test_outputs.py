@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import posecal
+from posecal.data import write
 from posecal.engine.protocol import Protocol
 from posecal.engine.storage import load_totals
 from posecal.report.report import Report
@@ -97,3 +98,24 @@ def test_an_existing_output_is_replaced_whole() -> None:
     Path("s.npz").write_text("old" * 10**6)
     done(*EVALUATE, "--metrics=min_mpjpe", "--save", "s.npz")
     assert b"old" not in Path("s.npz").read_bytes()
+
+
+def test_where_one_output_can_not_be_written_all_stay_as_they_were(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("s.npz", "p.svg", "h.html"):
+        Path(name).write_text("before")
+
+    stored = write._Output.store
+    calls: list[str] = []
+
+    def store(output: write._Output) -> None:
+        calls.append(output.path.name)
+        if len(calls) == 3:
+            raise OSError(28, "No space left on device")
+        stored(output)
+
+    monkeypatch.setattr(write._Output, "store", store)
+    words = ("--metrics=ece", "--save=s.npz", "--plot=p.svg", "--html=h.html")
+    assert refused(*EVALUATE, *words) == "posecal: h.html: can't be written (No space left on device)."
+    assert calls == ["s.npz", "p.svg", "h.html"]
+    assert {Path(name).read_text() for name in calls} == {"before"}
+    assert not list(Path().glob(".posecal-*"))

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from posecal.data.write import check_writable, write_file
+from posecal.data.write import check_writable, write_file, written_together
 from posecal.errors import PoseFileError
 
 ROOT = Path(__file__).parents[1]
@@ -84,6 +84,75 @@ def test_a_written_file_has_the_rights_that_the_user_gives_new_files(tmp_path: P
     finally:
         os.umask(before)
     assert stat.S_IMODE((tmp_path / "a.txt").stat().st_mode) == 0o640
+
+
+@pytest.mark.parametrize("rights", [0o600, 0o664, 0o400])
+def test_a_file_that_is_replaced_keeps_its_rights(tmp_path: Path, rights: int) -> None:
+    (tmp_path / "a.txt").write_bytes(b"before")
+    (tmp_path / "a.txt").chmod(rights)
+    seen = []
+    write_file(tmp_path / "a.txt", lambda file: (file.write(b"words"), seen.append(os.fstat(file.fileno()).st_mode)))
+    assert (tmp_path / "a.txt").read_bytes() == b"words"
+    assert stat.S_IMODE((tmp_path / "a.txt").stat().st_mode) == rights
+    assert stat.S_IMODE(seen[0]) == rights  # before there is anything to read
+
+
+def test_contents_are_on_the_disk_before_the_name_and_the_name_before_the_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    steps: list[str] = []
+    fsync, replace = os.fsync, Path.replace
+
+    def stored(number: int) -> None:
+        is_folder = stat.S_ISDIR(os.fstat(number).st_mode)
+        steps.append("folder" if is_folder else f"{os.fstat(number).st_size} bytes")
+        fsync(number)
+
+    def replaced(part: Path, target: Path) -> Path:
+        steps.append("name")
+        return replace(part, target)
+
+    monkeypatch.setattr(os, "fsync", stored)
+    monkeypatch.setattr(Path, "replace", replaced)
+    write_file(tmp_path / "a.txt", lambda file: file.write(b"words"))
+    assert list(dict.fromkeys(steps)) == ["5 bytes", "name", "folder"]
+
+
+def test_files_that_are_written_together_appear_together(tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_bytes(b"before")
+    with written_together():
+        write_file(tmp_path / "a.txt", lambda file: file.write(b"one"))
+        with written_together():
+            write_file(tmp_path / "b.txt", lambda file: file.write(b"two"))
+        assert (tmp_path / "a.txt").read_bytes() == b"before"
+        assert not (tmp_path / "b.txt").exists()
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"a.txt": b"one", "b.txt": b"two"}
+
+
+def test_where_one_of_several_files_can_not_be_written_all_stay_as_they_were(tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_bytes(b"before")
+
+    def fail(_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    @written_together()
+    def write() -> None:
+        write_file(tmp_path / "a.txt", lambda file: file.write(b"one"))
+        write_file(tmp_path / "b.txt", fail)
+
+    with pytest.raises(PoseFileError, match=r"b\.txt: can't be written \(No space left on device\)\.$"):
+        write()
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"a.txt": b"before"}
+    write_file(tmp_path / "b.txt", lambda file: file.write(b"two"))
+    assert (tmp_path / "b.txt").read_bytes() == b"two"
+
+
+def test_what_can_not_be_read_while_a_file_is_written_is_what_is_said(tmp_path: Path) -> None:
+    def read(_: Any) -> None:
+        raise PoseFileError("hyps.npz: was cut off.")
+
+    with pytest.raises(PoseFileError, match=r"^hyps\.npz: was cut off\.$"):
+        write_file(tmp_path / "a.txt", read)
 
 
 def test_a_link_stays_a_link_and_what_it_points_to_is_written(tmp_path: Path) -> None:

@@ -127,6 +127,18 @@ def test_a_description_of_something_else_is_refused():
         build({"kind": "cgnf"})
 
 
+def test_weights_written_again_are_the_same_file(tmp_path):
+    estimator, path = estimators()[0], tmp_path / "w.safetensors"
+    written = set()
+    for _ in range(12):  # by chance the same in 1 of 2,048 cases
+        save_estimator(path, estimator, notes={"trained by": "Käthe"})
+        written.add(path.read_bytes())
+    assert len(written) == 1
+    content = written.pop()
+    assert int.from_bytes(content[:8], "little") % 8 == 0
+    assert notes_of(path) == {"trained by": "Käthe"}
+
+
 @pytest.mark.slow
 def test_a_full_disk_leaves_what_was_there(tmp_path):
     """In a process of its own whose files may not grow beyond 20 kB, as on a disk without space."""
