@@ -1,4 +1,4 @@
-"""Exceptions and the wording of their messages.
+"""Exceptions, the wording of their messages, and text that a terminal can show.
 
 Every message follows one shape::
 
@@ -15,7 +15,7 @@ import json
 import os
 import re
 import shlex
-from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
 from numbers import Integral
@@ -115,6 +115,48 @@ def printable(text: str) -> str:
     RWrist \x1b[31m
     """
     return _UNPRINTABLE.sub(lambda match: repr(match[0])[1:-1], text)
+
+
+def json_text(value: object, indent: int | None = None) -> str:
+    r"""Write JSON whose characters all can be shown; what can't is escaped, and read back as it was.
+
+    Examples
+    --------
+    >>> print(json_text(["RWrist " + chr(0x9B)]))
+    ["RWrist \u009b"]
+    """
+    text = json.dumps(value, ensure_ascii=False, indent=indent)
+    return _UNPRINTABLE.sub(lambda match: match[0] if match[0] == "\n" else f"\\u{ord(match[0]):04x}", text)
+
+
+def json_lines(about: Mapping[str, object]) -> str:
+    """Write a mapping as JSON, a list or an iterator with a line for each of its items.
+
+    Examples
+    --------
+    >>> print(json_lines({"poses": 2, "rows": iter([{"a": 1}, {"a": 2}]), "none": []}))
+    {
+     "poses": 2,
+     "rows": [
+      {"a": 1},
+      {"a": 2}
+     ],
+     "none": [
+     ]
+    }
+    """
+
+    def pieces() -> Iterator[str]:
+        for number, (key, value) in enumerate(about.items()):
+            yield f"{',' if number else '{'}\n {json_text(key)}: "
+            if isinstance(value, list | Iterator):
+                yield "["
+                yield from (f"{',' * (k > 0)}\n  {json_text(item)}" for k, item in enumerate(value))
+                yield "\n ]"
+            else:
+                yield json_text(value)
+
+    return "".join(pieces()) + "\n}"
 
 
 class PosecalError(Exception):

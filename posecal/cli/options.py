@@ -152,7 +152,7 @@ class ReportOptions:
     """What is written of a report, and how."""
 
     form: Form = "text"
-    per_joint: Annotated[bool, writing("Add a table per joint.", "--per-joint")] = False
+    per_joint: Annotated[bool, writing("Add a table per joint; to JSON, groups' curves.", "--per-joint")] = False
     definitions: Annotated[bool, writing("Add the full definition of every number.", "--definitions")] = False
     plot: Annotated[Path | None, writing("Draw the reliability diagram: .svg, .png or .pdf.")] = None
     html: Annotated[Path | None, writing("Write one self-contained page.")] = None

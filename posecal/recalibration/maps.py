@@ -19,7 +19,7 @@ from posecal.data.read import read_poses
 from posecal.data.root import Root, parse_root, root_name
 from posecal.data.write import Archive, write_file
 from posecal.engine.chunks import WINDOW_BYTES
-from posecal.errors import PoseDataError, PoseFileError
+from posecal.errors import PoseDataError, PoseFileError, json_text
 from posecal.evaluation.sources import Source
 from posecal.recalibration.dispersion import SpreadMap, rescaled
 from posecal.recalibration.folds import values_for_joints
@@ -56,8 +56,7 @@ def write_map(map_: Map, path: str | os.PathLike[str]) -> None:
         about |= {"kind": "radius", "alpha": map_.alpha, "unit": map_.unit, "radii": values}
     about["root"] = None if map_.root is None else root_name(map_.root, map_.joints)
     about["fitted_on"] = {"poses": map_.poses, "sequences": map_.sequences}
-    text = json.dumps(about, indent=1, ensure_ascii=False) + "\n"
-    write_file(path, lambda file: file.write(text.encode()))
+    write_file(path, lambda file: file.write(f"{json_text(about, indent=1)}\n".encode()))
 
 
 def _checked(map_: Map) -> Map:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections.abc import Callable, Hashable, Iterable, Sequence
@@ -27,6 +26,7 @@ from posecal.report.table import (
     as_csv,
     as_dict,
     as_frame,
+    as_json,
     auxiliary_number,
     auxiliary_rows,
     tidy_rows,
@@ -287,9 +287,9 @@ class Report:
 
     # --- written ----------------------------------------------------------------------------------------------
 
-    def to_dict(self) -> dict[str, object]:
-        """Give the report as plain data, by the JSON schema ``posecal/report/schema.json``."""
-        return as_dict(self)
+    def to_dict(self, *, joints: bool = False) -> dict[str, object]:
+        """Give the report as plain data, by the JSON schema ``posecal/report/schema.json``; see :meth:`render`."""
+        return as_dict(self, joints=joints)
 
     def render(
         self,
@@ -306,10 +306,10 @@ class Report:
         Parameters
         ----------
         form : str
-            ``text``, ``markdown``, ``latex`` (tables for a paper), ``csv`` (the rows, and a row per remark) or ``json``
-            (rows and curves).
+            ``text``, ``markdown``, ``latex`` (tables for a paper), ``csv`` (rows, remarks) or ``json`` (rows, curves).
         joints, definitions : bool
-            In text, Markdown and LaTeX, add the table per joint, and the definition of every number.
+            In text, Markdown and LaTeX, add the table per joint, and the definition of every number. In JSON,
+            ``joints`` adds the calibration curves of groups at each joint.
         width, colour : int and bool
             Of text: columns of the terminal, and whether to use its colours.
         words : callable
@@ -321,7 +321,7 @@ class Report:
             Without a final line break.
         """
         if form == "json":
-            return json.dumps(as_dict(self, words), ensure_ascii=False, indent=1)
+            return as_json(self, words, joints=joints)
         if form == "csv":
             return as_csv(self, words)
         if form not in get_args(Format):

@@ -16,7 +16,7 @@ import numpy as np
 
 from posecal.calibration import DEFINITIONS, Definition, perfect_sampler
 from posecal.engine.metric import Direction, Metric
-from posecal.errors import PoseDataError, for_python
+from posecal.errors import PoseDataError, for_python, json_lines
 from posecal.report.format import counted
 from posecal.report.summary import remarks
 from posecal.stats.uncertainty import effective_sample_size, unbiased_squared_error
@@ -70,6 +70,9 @@ class Row:
     poses: int
     low: float = math.nan
     high: float = math.nan
+
+
+_COLUMNS = [field.name for field in fields(Row)]
 
 
 @dataclass(frozen=True)
@@ -258,8 +261,19 @@ def _row(report: Report, entry: Metric | AuxiliaryRow, group: str | None = None,
     return Row(name, entry.label, group, joint, value, *about, *report.interval(name, group, joint))
 
 
-def as_dict(report: Report, words: Callable[[str], str] = for_python) -> dict[str, object]:
+def as_dict(report: Report, *, joints: bool = False) -> dict[str, object]:
     """Give a report as plain data, by the JSON schema ``posecal/report/schema.json``."""
+    parts = _parts(report, for_python, joints=joints)
+    return {key: list(part) if isinstance(part, Iterator) else part for key, part in parts.items()}
+
+
+def as_json(report: Report, words: Callable[[str], str] = for_python, *, joints: bool = False) -> str:
+    """Write :func:`as_dict` as JSON, with a line for each row and each curve."""
+    return json_lines(_parts(report, words, joints=joints))
+
+
+def _parts(report: Report, words: Callable[[str], str], *, joints: bool) -> dict[str, object]:
+    """Give the parts of the JSON; rows and curves one by one, since there may be hundreds of thousands."""
     return {
         "schema": SCHEMA,
         "posecal": report.totals.version,
@@ -269,19 +283,22 @@ def as_dict(report: Report, words: Callable[[str], str] = for_python) -> dict[st
         "joints": list(report.totals.spec.joints),
         "remarks": list(remarks(report, words)),
         "summary": list(report.summary),
-        "rows": [{key: _or_none(value) for key, value in vars(row).items()} for row in report.rows],
-        "curves": list(_curves(report)),
+        "rows": ({name: _or_none(getattr(row, name)) for name in _COLUMNS} for row in report.rows),
+        "curves": _curves(report, joints=joints),
     }
 
 
-def _curves(report: Report) -> Iterator[dict[str, object]]:
+def _curves(report: Report, *, joints: bool) -> Iterator[dict[str, object]]:
+    """Give the summary curves of all poses and of the groups, the joints' of all poses, and where asked of groups."""
     for definition, group in product(DEFINITIONS, report.groups):
         statistics = {s.name for metric in report.metrics_in(group).values() for s in metric.statistics}
         if f"inside_{definition}" in statistics:
             curves = report.calibration(definition, group)
             about = {"definition": definition, "group": group, "levels": curves.levels.tolist()}
-            summary = (None, report.summary_curve(definition, group))
-            for joint, values in (summary, *zip(report.totals.spec.joints, curves.joints, strict=True)):
+            values_of = {None: report.summary_curve(definition, group)}
+            if joints or group is None:
+                values_of |= dict(zip(report.totals.spec.joints, curves.joints, strict=True))
+            for joint, values in values_of.items():
                 if not np.isnan(values).any():
                     yield {**about, "joint": joint, "coverage": values.tolist()}
 
@@ -290,7 +307,7 @@ def as_frame(rows: Iterable[Row]) -> pd.DataFrame:
     """Give rows as a pandas data frame."""
     import pandas as pd
 
-    return pd.DataFrame([vars(row) for row in rows], columns=[field.name for field in fields(Row)])
+    return pd.DataFrame([[getattr(row, name) for name in _COLUMNS] for row in rows], columns=_COLUMNS)
 
 
 def as_csv(report: Report, words: Callable[[str], str] = for_python) -> str:

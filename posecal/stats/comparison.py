@@ -7,7 +7,6 @@ not made alike, or on other poses, are refused.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import asdict, dataclass, field, fields
@@ -21,7 +20,7 @@ from posecal.data.arrays import BoolArray, FloatArray
 from posecal.engine.metric import SUM_OF_TRUE_POSES, Metric
 from posecal.engine.sums import sum_by
 from posecal.engine.totals import Totals, difference_of_signatures, different_metrics
-from posecal.errors import PoseDataError, did_you_mean, option
+from posecal.errors import PoseDataError, did_you_mean, json_lines, option
 from posecal.registry import metrics_of
 from posecal.stats.jackknife import Interval, counting_sequences, jackknife, leave_one_out, paired_p
 from posecal.stats.resampling import LEVEL, MIN_SEQUENCES, Null, holm
@@ -176,7 +175,7 @@ class Comparison:
         ]
         differences = [{key: _plain(value) for key, value in asdict(d).items()} for d in self.differences]
         about = {"signature": self.totals[0].signature, "models": self.names, "values": values}
-        return json.dumps({**about, "differences": differences}, ensure_ascii=False, indent=1)
+        return json_lines({**about, "differences": differences})
 
     def _find(self, metric: str, model: str) -> tuple[Metric, Totals]:
         if metric not in self.metrics:

@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import math
+import tracemalloc
 from dataclasses import fields
 from importlib.resources import files
 from pathlib import Path
@@ -152,15 +153,49 @@ def test_the_curves_of_the_json_make_the_reported_ece() -> None:
     np.testing.assert_allclose(np.abs(median - LEVELS).mean(), ece, atol=1e-12)
 
 
-def test_there_is_a_curve_for_each_definition_group_and_joint() -> None:
-    found = as_json(report_of(metrics="ece, ece_paper", by=("action",)))["curves"]
+@pytest.mark.parametrize("asked", [False, True])
+def test_there_is_a_curve_for_each_definition_group_and_joint(asked: bool) -> None:
+    """At the joints of groups only where they are asked for: of many groups they would be most of the file."""
+    report = report_of(metrics="ece, ece_paper", by=("action",))
+    found = json.loads(report.render("json", joints=asked))["curves"]
+    assert report.to_dict(joints=asked)["curves"] == found
     groups = [None, "action=sitting", "action=standing", "action=walking"]
     joints = [None, *posecal.JOINT_SETS["h36m-17"][1:]]  # the root is always at 0
     keys = {(c["definition"], c["group"], c["joint"]) for c in found}
-    assert keys == {(d, g, j) for d in ("exchangeable", "paper") for g in groups for j in joints}
+    wanted = ((g, j) for g in groups for j in joints if asked or g is None or j is None)
+    assert keys == {(d, *at) for at in wanted for d in ("exchangeable", "paper")}
     assert len(found) == len(keys)
     assert {tuple(c["levels"]) for c in found} == {tuple(LEVELS.tolist())}
     assert {len(c["coverage"]) for c in found} == {LEVELS.size}
+
+
+def test_json_has_a_line_for_each_row_and_each_curve() -> None:
+    report = grouped_report()
+    lines = report.render("json").splitlines()
+    assert [json.loads(line.rstrip(",")) for line in lines if line.startswith('  {"metric"')] == as_json(report)["rows"]
+    assert sum(line.startswith('  {"definition"') for line in lines) == len(as_json(report)["curves"])
+
+
+@pytest.mark.slow
+def test_json_of_many_groups_is_small_and_so_is_the_memory_that_it_takes() -> None:
+    groups = 300
+    random = np.random.default_rng(0)
+    truth = random.normal(0, 300, (2 * groups, 5, 3))
+    report = posecal.evaluate(
+        truth + random.normal(0, 40, (4, 2 * groups, 5, 3)),
+        truth,
+        unit="mm",
+        labels={"action": np.arange(2 * groups) // 2, "sequence": np.arange(2 * groups) % 7},
+        by="action",
+    )
+    tracemalloc.start()
+    try:
+        text = report.render("json")
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert len(text) < 16_000 * groups
+    assert peak < 150_000 * groups
 
 
 def test_letters_of_other_alphabets_stay_as_they_are() -> None:
