@@ -19,6 +19,7 @@ import torch
 import posecal.evaluation
 from posecal.engine.presets import preset
 from posecal.engine.protocol import Protocol
+from posecal.errors import printable
 from posecal.report.report import Report
 from posecal_models.contract import Context, Estimator
 from posecal_models.data.detector import Detector
@@ -231,7 +232,7 @@ def markdown(rows: Sequence[BenchmarkRow]) -> str:
     lines = ["| | " + " | ".join(heads) + " |", "|---|" + "---:|" * len(heads)]
     for row in rows:
         cells = [_cell(row.values, column, digits) for column, (_, _, digits) in COLUMNS.items()]
-        lines.append(f"| {row.name} | " + " | ".join(cells) + " |")
+        lines.append(f"| {printable(row.name)} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 

@@ -16,7 +16,7 @@ import typer
 from rich.console import Console
 
 from posecal.cli.running import check_outputs
-from posecal.errors import PosecalError
+from posecal.errors import PosecalError, printable
 
 __all__ = ["app", "main"]
 
@@ -129,7 +129,7 @@ def sample(
     estimator = load_estimator(weights, device=torch_device)
     images = KeypointSet.load(keypoints)
     if missing := images.missing(estimator.keypoints):
-        _print_note(f"note: {keypoints} has no keypoint {first_few(missing)}: missing in every image.")
+        _print_note(printable(f"note: {keypoints} has no keypoint {first_few(missing)}: missing in every image."))
     with progress_bar("sampling", len(images)) as progress:
         sample_to_file(
             estimator,
@@ -232,7 +232,7 @@ def convert(
     count = sum(tensor.numel() for tensor in unused.values())
     _print_note(f"{len(unused)} tensors with {count:,} unused parameters were left out:")
     for name, tensor in unused.items():
-        _print_note(f"  {name} {tuple(tensor.shape)}")
+        _print_note(printable(f"  {name} {tuple(tensor.shape)}"))
 
 
 @app.command()
@@ -274,7 +274,8 @@ def benchmark(
     for name, weights in models.items():
         if leaked := leaked_subjects(weights, subject):
             _print_note(
-                f"note: the training of {name} did not hold out {', '.join(leaked)}; on the same data this is no test."
+                f"note: the training of {printable(name)} did not hold out {printable(', '.join(leaked))}; on the same "
+                "data this is no test."
             )
     typer.echo(run_benchmark(data, models, subject, output, n=n, every=every, seeds=seeds))
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import Annotated, Any
+from zipfile import is_zipfile
 
 import typer
 
 from posecal.cli import options as opt
-from posecal.cli.running import check_outputs, progress, show
+from posecal.cli.running import check_outputs, progress, terminal
+from posecal.errors import PoseFileError
 
 
 def compare(
@@ -28,7 +30,17 @@ def compare(
     from posecal.report.text import comparison_sheet
 
     check_outputs(*files, *(scoring.metric or []), plot=plot)
-    saved = all(map(is_result, files))
+    results = [path for path in files if is_result(path)]
+    others = [path for path in files if path not in results]
+    for path in others:
+        if (results or len(files) < 3) and path.suffix == ".npz" and not is_zipfile(path):
+            posecal.load_totals(path)  # which says what it is instead
+    if results and others:
+        raise PoseFileError(
+            f"{others[0]}: no result of posecal evaluate --save, or a damaged one; {results[0].name} is one. Expected "
+            "results alone, without a truth, or hypotheses and, last, the truth."
+        )
+    saved = not others
     models = files if saved else files[:-1]
     if len(models) < 2:
         raise typer.BadParameter(
@@ -42,12 +54,14 @@ def compare(
         comparison = posecal.compare(
             sources, protocol=protocol, threads=threads, progress=lambda name: bar(name, len(sources[name].truth))
         )
+    if form in {"csv", "json"}:
+        text = comparison.render(form)
+    else:
+        sheet = comparison_sheet(comparison)
+        text = sheet.text(**terminal()) if form == "text" else getattr(sheet, form)()
     if plot is not None:
         posecal.plot.save(posecal.plot.draw_comparison(comparison), plot)
-    if form in {"csv", "json"}:
-        typer.echo(comparison.render(form))
-    else:
-        show(comparison_sheet(comparison), form)
+    typer.echo(text)
 
 
 def _names(files: list[Path]) -> list[str]:

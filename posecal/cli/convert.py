@@ -5,10 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-import typer
-
 from posecal.cli import options as opt
-from posecal.cli.running import check_outputs
+from posecal.cli.running import check_outputs, say
 from posecal.errors import for_command_line
 
 
@@ -42,5 +40,5 @@ def convert(
     more = {"joints": joints, "fps": fps, "person": person, "words": for_command_line}
     _, assumed = convert_files(files, output, **how, **more)  # type: ignore[arg-type]
     for line in assumed:
-        typer.echo(f"assumed: {line}.", err=True)
-    typer.echo(f"{output}: written.", err=True)
+        say(f"assumed: {line}.")
+    say(f"{output}: written.")

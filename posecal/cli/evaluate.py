@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from posecal.cli import options as opt
-from posecal.cli.running import check_outputs, progress, show
+from posecal.cli.running import check_outputs, progress, say, show
 
 
 def evaluate(
@@ -63,7 +63,7 @@ def merge(
 
     total = posecal.merge_totals([posecal.load_totals(path) for path in results], [path.name for path in results])
     posecal.save_totals(total, output)
-    typer.echo(f"{output}: {total.poses.sum():,} poses of {len(results)} results.", err=True)
+    say(f"{output}: {total.poses.sum():,} poses of {len(results)} results.")
 
 
 def presets() -> None:

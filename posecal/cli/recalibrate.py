@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from posecal.cli import options as opt
-from posecal.cli.running import check_outputs, command, progress, show
+from posecal.cli.running import check_outputs, command, progress, say, show
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -49,16 +49,18 @@ def fit(
         if split:
             before, after, _ = recalibration.cross_fitted(poses, folds=folds, per_joint=per_joint, threads=threads)
             judged = before, after, folds
+        sheet = spread_sheet(spread.by_joint, spread.poses, judged)
         recalibration.write_map(spread, output)
-        show(spread_sheet(spread.by_joint, spread.poses, judged))
+        show(sheet)
         return
     radii = recalibration.fit_radius(poses, alpha=radius, scaled=scaled, threads=threads)
     coverage = None
     if split:
         shares = recalibration.held_out_coverage(poses, alpha=radius, scaled=scaled, folds=folds, threads=threads)
         coverage = dict(zip(radii.joints, shares.tolist(), strict=True))
+    sheet = radius_sheet(radii.by_joint, radii.poses, radius, radii.unit, coverage)
     recalibration.write_map(radii, output)
-    show(radius_sheet(radii.by_joint, radii.poses, radius, radii.unit, coverage))
+    show(sheet)
 
 
 @command(app)
@@ -76,4 +78,4 @@ def apply(
     declared = data.given()
     with progress() as bar:
         number = apply_map(read_map(map_file), hypotheses, output, **declared, progress=bar("applying"))
-    typer.echo(f"{output}: {number:,} poses.", err=True)
+    say(f"{output}: {number:,} poses.")

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, TextIO, get_type_hints
 
 import typer
 
-from posecal.errors import PosecalError, for_command_line
+from posecal.errors import PosecalError, for_command_line, printable
 
 if TYPE_CHECKING:
     from posecal.report.sheet import Sheet
@@ -77,7 +77,7 @@ def exit_codes() -> Iterator[None]:
     except OSError as error:
         if error.errno in {None, errno.EPIPE}:
             raise
-        typer.echo(f"posecal: {error.strerror}{f': {error.filename}' if error.filename else ''}.", err=True)
+        say(f"posecal: {error.strerror}{f': {error.filename}' if error.filename else ''}.")
         with suppress(OSError, AttributeError):  # Python would fail once more on what stdout could not take
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise typer.Exit(3) from None
@@ -110,14 +110,19 @@ def check_outputs(*inputs: Path | str | None, **outputs: Path | None) -> None:
             with wrong_call():
                 check_suffix(path)
         if path.resolve() in used:
-            raise typer.BadParameter(f"{path} is {used[path.resolve()]} already; expected another name.")
+            raise typer.BadParameter(printable(f"{path} is {used[path.resolve()]} already; expected another name."))
         check_writable(path)
         used[path.resolve()] = "written"
 
 
-def show(sheet: Sheet, form: str = "text") -> None:
-    """Write a sheet to stdout, as text, Markdown or LaTeX."""
-    typer.echo(sheet.text(**terminal()) if form == "text" else getattr(sheet, form)())
+def say(text: str) -> None:
+    """Write a line to stderr, with what a terminal can't show of names escaped."""
+    typer.echo(printable(text), err=True)
+
+
+def show(sheet: Sheet) -> None:
+    """Write a sheet to stdout, for a terminal."""
+    typer.echo(sheet.text(**terminal()))
 
 
 def terminal() -> dict[str, Any]:
@@ -142,7 +147,7 @@ def progress() -> Iterator[Bar]:
     with Progress(console=Console(stderr=True), transient=True) as bars:
 
         def bar(what: str, total: int | None = None) -> Callable[..., object]:
-            task = bars.add_task(escape(what), total=total)
+            task = bars.add_task(escape(printable(what)), total=total)
             return lambda done, total=None: bars.update(task, completed=done, total=total)
 
         yield bar

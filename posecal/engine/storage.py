@@ -63,7 +63,7 @@ def save_totals(totals: Totals, path: str | os.PathLike[str]) -> None:
     members |= {f"per_pose/{name}": values for name, values in totals.per_pose.items()}
     members["cell_of"] = totals.cell_of.astype(np.int32)
     members["pose_hashes"] = totals.pose_hashes
-    members["digest"] = np.array(_digest(members))
+    members["digest"] = np.array(digest_of(members))
     write_file(path, lambda file: write_members(file, members, compressed=True))
 
 
@@ -112,7 +112,7 @@ def load_totals(path: str | os.PathLike[str]) -> Totals:
             own_metrics=tuple(Metric.from_description(texts) for texts in about["own_metrics"]),
         )
         _check_members(totals, about)
-        if digest != _digest(members):
+        if digest != digest_of(members):
             raise PoseFileError(f"{name}: was changed since posecal wrote it (its digest is another). Evaluate again.")
     return totals
 
@@ -124,7 +124,7 @@ def _protocol(options: dict[str, str]) -> Protocol:
         raise ValueError(error.message) from None
 
 
-def _digest(members: Mapping[str, npt.NDArray[np.generic]]) -> str:
+def digest_of(members: Mapping[str, npt.NDArray[np.generic]]) -> str:
     """Give the SHA-256 of all members: their names, types, shapes and bytes, in the order of their names."""
     found = hashlib.sha256()
     for name in sorted(members):

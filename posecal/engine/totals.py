@@ -335,7 +335,7 @@ class Totals:
         parts = {
             "posecal": self.version,
             "N": str(s.n_hypotheses),
-            "K": f"{len(s.joints)}({zlib.crc32(','.join(names).encode()):08x})",
+            "K": f"{len(s.joints)}({zlib.crc32(','.join(names).encode(errors='surrogatepass')):08x})",
             **({} if s.unit == "mm" else {"unit": s.unit or "none"}),
             "origin": "as given" if s.root is None else root_name(s.root, names),
             **self.protocol.options,

@@ -11,7 +11,7 @@ import textwrap
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from posecal.errors import PoseDataError, did_you_mean
+from posecal.errors import PoseDataError, did_you_mean, printable
 from posecal.plot.comparison import accuracy_and_calibration, draw_comparison
 from posecal.plot.curves import (
     default_definition,
@@ -106,7 +106,7 @@ def draw(report: Report, kind: str = "reliability", *, title: str | None = None)
         figure.set_size_inches(width, height)
         ax.set_anchor("N")
         if title:
-            ax.set_title(title)
+            ax.set_title(printable(title))
         labels = 0.1 if kind == "joints" else 0.45
         figure.subplots_adjust(
             left=0.04 if kind == "joints" else 0.15,

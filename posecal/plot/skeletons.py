@@ -11,7 +11,7 @@ from posecal.data.arrays import FloatArray
 from posecal.data.joint_names import find_joint, joint_keys
 from posecal.data.root import origin
 from posecal.data.skeleton import Skeleton
-from posecal.errors import PoseDataError, did_you_mean, first_few
+from posecal.errors import PoseDataError, did_you_mean, first_few, printable
 from posecal.plot.layout import free_sides, joint_places
 from posecal.plot.style import FAINT, INK, OVER, STYLE, UNDER, given
 
@@ -71,7 +71,7 @@ def signed_areas(report: Report, *, ax: Axes | None = None) -> Axes:
         area = 20 + 1800 * abs(value)
         ax.scatter(x, y, s=area, color=OVER if value < 0 else UNDER, edgecolor="white", lw=0.8, zorder=2, gid=joint)
         ax.annotate(
-            f"{joint}\n{with_sign(value, 3)}" if is_named else with_sign(value, 3),
+            f"{printable(joint)}\n{with_sign(value, 3)}" if is_named else with_sign(value, 3),
             (x, y),
             xytext=(side * (3 + np.sqrt(area / np.pi)), 5 if x == 0 and is_person else 0),  # off the shoulder bone
             textcoords="offset points",
@@ -293,12 +293,12 @@ def draw_poses(
             figure.text(
                 wide * (column + 0.5) / width,
                 (bottom + tall - 0.03) / height,
-                str(data.frame_id[frame]),
+                printable(str(data.frame_id[frame])),
                 ha="center",
                 va="top",
                 fontsize=7,
             )
         words = f"blue: truth · grey: {min(most, data.shape[0])} of {data.shape[0]} hypotheses"
-        words += f" · pink: {cloud}" if cloud else ""
+        words += f" · pink: {printable(cloud)}" if cloud else ""
         figure.text(0.12 / width, 0.3 * below / height, words, fontsize=6.5, color="#444444")
     return figure

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from posecal.data.write import write_file
-from posecal.errors import PoseFileError
+from posecal.errors import PoseFileError, printable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -76,9 +76,14 @@ def save(figure: Figure, path: str | os.PathLike[str]) -> None:
 
 
 def figure_bytes(figure: Figure, suffix: str) -> bytes:
-    """Give the contents of a picture file, the same for the same figure."""
+    """Give the contents of a picture file, the same for the same figure; what can't be shown of its text is escaped."""
     import matplotlib as mpl
+    from matplotlib.text import Text
 
+    for artist in figure.findobj():
+        artist.set_gid(printable(artist.get_gid() or "") or None)
+        if isinstance(artist, Text):
+            artist.set_text("\n".join(map(printable, artist.get_text().split("\n"))))
     undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(suffix, {})
     file = io.BytesIO()
     with mpl.rc_context(STYLE):

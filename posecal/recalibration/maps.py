@@ -19,13 +19,14 @@ from posecal.data.read import read_poses
 from posecal.data.root import Root, parse_root, root_name
 from posecal.data.write import Archive, write_file
 from posecal.engine.chunks import WINDOW_BYTES
+from posecal.engine.storage import digest_of
 from posecal.errors import PoseDataError, PoseFileError, json_text
 from posecal.evaluation.sources import Source
 from posecal.recalibration.dispersion import SpreadMap, rescaled
 from posecal.recalibration.folds import values_for_joints
 from posecal.recalibration.radius import RadiusMap, balls
 
-FORMAT = 2
+FORMAT = 3
 """The version of the file format."""
 
 Map = SpreadMap | RadiusMap
@@ -56,7 +57,12 @@ def write_map(map_: Map, path: str | os.PathLike[str]) -> None:
         about |= {"kind": "radius", "alpha": map_.alpha, "unit": map_.unit, "radii": values}
     about["root"] = None if map_.root is None else root_name(map_.root, map_.joints)
     about["fitted_on"] = {"poses": map_.poses, "sequences": map_.sequences}
+    about["digest"] = _digest(about)
     write_file(path, lambda file: file.write(f"{json_text(about, indent=1)}\n".encode()))
+
+
+def _digest(about: dict[str, Any]) -> str:
+    return digest_of({"map": np.array(json.dumps({**about, "digest": None}, sort_keys=True))})
 
 
 def _checked(map_: Map) -> Map:
@@ -81,13 +87,15 @@ def read_map(path: str | os.PathLike[str]) -> Map:
     Raises
     ------
     PoseFileError
-        For a file that can't be read or is no map of this version.
+        For a file that can't be read, is no map of this version, or was changed since it was written.
     """
     name = Path(path).name
     try:
         about: dict[str, Any] = json.loads(Path(path).read_text(encoding="utf-8"))
         if about["format"] != FORMAT:
             raise PoseFileError(f"{name}: format {about['format']}; expected {FORMAT}. Fit it again.")
+        if about["digest"] != _digest(about):
+            raise PoseFileError(f"{name}: was changed since posecal wrote it (its digest is another). Fit it again.")
         numbers = about[{"spread": "factors", "radius": "radii"}[about["kind"]]]
         values = np.array([math.nan if value is None else float(value) for value in numbers.values()])
         root = None if about["root"] is None else parse_root(about["root"], tuple(numbers))

@@ -1,6 +1,6 @@
 """A report as one self-contained page with tables and pictures, and as the part of it that notebooks show.
 
-Everything that comes from files is escaped; pictures are inline vector graphics.
+Everything that comes from files is escaped, control characters too; pictures are inline vector graphics.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from importlib.resources import files
 from typing import TYPE_CHECKING
 
 from posecal.data.write import write_file
-from posecal.errors import PoseDataError, for_python
+from posecal.errors import PoseDataError, for_python, printable
 from posecal.plot import KINDS, draw, figure_bytes
 from posecal.report.text import report_sheet
 
@@ -44,7 +44,7 @@ def as_html(report: Report, name: str, words: Callable[[str], str] = for_python)
         except PoseDataError:
             continue  # the report lacks what the picture shows
         pictures.append((about, _with_unique_ids(svg[svg.index("<svg") :], kind), kind == "rank_tests"))
-    return _render(report, words, name=name, pictures=pictures)
+    return _render(report, words, name=printable(name), pictures=pictures)
 
 
 def html_fragment(report: Report) -> str:

@@ -1,17 +1,22 @@
-"""A title, sentences and tables, written for terminals by rich and as Markdown and LaTeX by pandas."""
+"""A title, sentences and tables, written for terminals by rich and as Markdown and LaTeX by pandas.
+
+What a terminal or a file of text can't show of names is escaped as the sheet is made.
+"""
 
 from __future__ import annotations
 
 import io
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Any
 
 from rich import box
 from rich.cells import cell_len
 from rich.console import Console
 from rich.table import Table as RichTable
 from rich.text import Text
+
+from posecal.errors import printable
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -24,6 +29,13 @@ LATEX = str.maketrans(
     {"\u00a0": "~", "−": "$-$", "<": "$<$", ">": "$>$", **{letter: rf"$\{name}$" for letter, name in _SYMBOLS.items()}}
 )
 """Letters that LaTeX knows by other names."""
+
+
+def _escaped(value: Any, kept: str = "") -> Any:
+    """Escape what can't be shown, but for one character, in text and in lists and tuples of text."""
+    if isinstance(value, str):
+        return kept.join(map(printable, value.split(kept))) if kept else printable(value)
+    return type(value)(_escaped(part, kept) for part in value) if isinstance(value, list | tuple) else value
 
 
 @dataclass(frozen=True)
@@ -41,12 +53,20 @@ class Table:
     words : collection of str
         Headings of columns of words, beside the first; all others hold numbers, which are aligned at their right and
         never broken over lines.
+    breaks : bool
+        Whether line breaks in cells are kept, not escaped.
     """
 
     title: str
     headings: Sequence[str]
     rows: Sequence[tuple[str, ...]]
     words: Collection[str] = ()
+    breaks: bool = False
+
+    def __post_init__(self) -> None:
+        for part in fields(self):
+            kept = "\n" if self.breaks else ""
+            object.__setattr__(self, part.name, _escaped(getattr(self, part.name), kept))
 
     @property
     def columns(self) -> list[tuple[str, bool]]:
@@ -113,6 +133,10 @@ class Sheet:
     definitions: list[tuple[str, str]] = field(default_factory=list)
     footer: str = ""
 
+    def __post_init__(self) -> None:
+        for part in fields(self):
+            object.__setattr__(self, part.name, _escaped(getattr(self, part.name)))
+
     @property
     def words(self) -> list[str]:
         """The sentences, and the remarks as notes."""
@@ -166,7 +190,7 @@ class Sheet:
             tabular = table.frame().to_latex(index=False, escape=True, column_format=columns)
             lines += ["", f"% {table.title}", tabular.translate(LATEX).rstrip("\n")]
         lines += ["", *(f"% {term}: {meaning}" for term, meaning in self.definitions), f"% {self.footer}"]
-        return "\n".join(line if not line.startswith("% ") else line.replace("\n", " ") for line in lines)
+        return "\n".join(lines)
 
 
 def _escape(text: str) -> str:

@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from posecal.calibration import DEFINITIONS, Definition, perfect_sampler
+from posecal.data.arrays import FloatArray
 from posecal.engine.metric import Direction, Metric
-from posecal.errors import PoseDataError, for_python, json_lines
+from posecal.errors import PoseDataError, for_python, json_lines, printable
 from posecal.report.format import counted
 from posecal.report.summary import remarks
 from posecal.stats.uncertainty import effective_sample_size, unbiased_squared_error
@@ -295,7 +296,7 @@ def _curves(report: Report, *, joints: bool) -> Iterator[dict[str, object]]:
         if f"inside_{definition}" in statistics:
             curves = report.calibration(definition, group)
             about = {"definition": definition, "group": group, "levels": curves.levels.tolist()}
-            values_of = {None: report.summary_curve(definition, group)}
+            values_of: dict[str | None, FloatArray] = {None: report.summary_curve(definition, group)}
             if joints or group is None:
                 values_of |= dict(zip(report.totals.spec.joints, curves.joints, strict=True))
             for joint, values in values_of.items():
@@ -310,10 +311,15 @@ def as_frame(rows: Iterable[Row]) -> pd.DataFrame:
     return pd.DataFrame([[getattr(row, name) for name in _COLUMNS] for row in rows], columns=_COLUMNS)
 
 
+def as_printable(frame: pd.DataFrame) -> pd.DataFrame:
+    """Escape the characters in a data frame that a terminal or a file of text can't show."""
+    return frame.map(lambda value: printable(value) if isinstance(value, str) else value)
+
+
 def as_csv(report: Report, words: Callable[[str], str] = for_python) -> str:
-    """Write the rows of a report as CSV, and a row for each remark."""
+    """Write the rows of a report as CSV, and a row for each remark; what can't be shown of names is escaped."""
     notes = [Row("remark", "remark", None, None, math.nan, "", "none", text, 0) for text in remarks(report, words)]
-    return str(as_frame((*report.rows, *notes)).to_csv(index=False, lineterminator="\n")).rstrip("\n")
+    return str(as_printable(as_frame((*report.rows, *notes))).to_csv(index=False, lineterminator="\n")).rstrip("\n")
 
 
 def _or_none(value: Any) -> Any:

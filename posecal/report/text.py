@@ -200,7 +200,7 @@ def presets_sheet() -> Sheet:
     return Sheet(
         "Published protocols, each with the options that it sets, and all options",
         tables=[
-            Table("Presets", headings[0], presets, headings[0]),
+            Table("Presets", headings[0], presets, headings[0], breaks=True),
             Table("Options", headings[1], options, headings[1]),
         ],
     )

@@ -20,7 +20,7 @@ from posecal.data.arrays import BoolArray, FloatArray
 from posecal.engine.metric import SUM_OF_TRUE_POSES, Metric
 from posecal.engine.sums import sum_by
 from posecal.engine.totals import Totals, difference_of_signatures, different_metrics
-from posecal.errors import PoseDataError, did_you_mean, json_lines, option
+from posecal.errors import PoseDataError, did_you_mean, json_lines, option, printable
 from posecal.registry import metrics_of
 from posecal.stats.jackknife import Interval, counting_sequences, jackknife, leave_one_out, paired_p
 from posecal.stats.resampling import LEVEL, MIN_SEQUENCES, Null, holm
@@ -82,13 +82,13 @@ class Comparison:
 
     def __repr__(self) -> str:
         first = self.totals[0]
-        return f"<Comparison of {', '.join(self.names)}: M = {first.poses.sum():,}, {first.units()}>"
+        return f"<Comparison of {printable(', '.join(self.names))}: M = {first.poses.sum():,}, {first.units()}>"
 
     def __str__(self) -> str:
-        return self.table.to_string(index=False)
+        return self._shown.to_string(index=False)
 
     def _repr_html_(self) -> str:
-        return self.table.to_html(index=False)
+        return self._shown.to_html(index=False)
 
     @cached_property
     def metrics(self) -> dict[str, Metric]:
@@ -123,6 +123,11 @@ class Comparison:
 
         columns = [column.name for column in fields(Difference)]
         return pd.DataFrame([asdict(difference) for difference in self.differences], columns=columns)
+
+    @property
+    def _shown(self) -> pd.DataFrame:
+        """The table with what can't be shown of names escaped."""
+        return self.table.map(lambda value: printable(value) if isinstance(value, str) else value)
 
     def feasible(self, metric: str = "ece") -> float:
         """Give the largest calibration error that a calibrated sampler would show here: its 95 % quantile.
@@ -161,11 +166,11 @@ class Comparison:
             For another form.
         """
         if form == "csv":
-            return self.table.to_csv(index=False, lineterminator="\n").rstrip("\n")
+            return self._shown.to_csv(index=False, lineterminator="\n").rstrip("\n")
         if form == "markdown":
-            return self.table.to_markdown(index=False)
+            return self._shown.to_markdown(index=False)
         if form == "latex":
-            return self.table.to_latex(index=False, escape=True)
+            return self._shown.to_latex(index=False, escape=True)
         if form != "json":
             raise PoseDataError(f"format: {form!r} is not known. {did_you_mean(form, FORMATS)}")
         values = [

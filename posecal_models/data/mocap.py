@@ -145,7 +145,7 @@ class MocapPoses:
             if subject not in selected:
                 continue
             rows = np.flatnonzero((self.clip == clip) & (self.subject == subject))
-            generator = np.random.default_rng([seed, *str(self.sequence[rows[0]]).encode()])
+            generator = np.random.default_rng([seed, *str(self.sequence[rows[0]]).encode(errors="surrogatepass")])
             clip_cameras = cameras_around(self.poses[rows, root], generator, views=views)
             rows = rows[::every]
             for index, camera in enumerate(clip_cameras):

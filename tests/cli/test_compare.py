@@ -79,6 +79,23 @@ def test_a_comparison_without_its_truth_is_a_wrong_call() -> None:
     assert "and, last, the truth" in refused("compare", "right.npz", "narrow.npz", code=2)
 
 
+@pytest.mark.parametrize("length", [0, 1000, None])
+def test_a_damaged_result_is_no_wrong_call(length: int | None) -> None:
+    """Cut off anywhere, or not there at all."""
+    done("evaluate", "right.npz", "true.npz", "--metrics=ece", "--save=a.npz")
+    if length is not None:
+        Path("b.npz").write_bytes(Path("a.npz").read_bytes()[:length])
+    words = "no such file" if length is None else "no result of posecal evaluate --save, or not a whole one"
+    for files in (["a.npz", "b.npz"], ["b.npz", "a.npz"], ["b.npz", "b.npz"], ["a.npz", "a.npz", "b.npz"]):
+        assert f"b.npz: {words}." in refused("compare", *files)
+
+
+def test_results_beside_other_files_are_refused_by_name() -> None:
+    done("evaluate", "right.npz", "true.npz", "--metrics=ece", "--save=a.npz")
+    said = refused("compare", "a.npz", "a.npz", "true.npz")
+    assert "true.npz: no result of posecal evaluate --save, or a damaged one; a.npz is one. Expected results" in said
+
+
 def test_files_of_one_name_are_called_by_their_paths() -> None:
     copied("narrow.npz", "b/right.npz")
     text = done("compare", "right.npz", "b/right.npz", "true.npz", "--format=markdown")

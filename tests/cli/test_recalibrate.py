@@ -91,7 +91,7 @@ def test_an_impossible_alpha_is_refused_with_the_smallest() -> None:
 
 
 def test_a_broken_map_is_refused_and_nothing_is_written() -> None:
-    Path("bad.json").write_text('{"format": 2}')
+    Path("bad.json").write_text('{"format": 3}')
     said = refused("recalibrate", "apply", "narrow.npz", "bad.json", "-o", "out.npz")
     assert "bad.json: no map of posecal recalibrate fit" in said
     assert not Path("out.npz").exists()

@@ -38,7 +38,7 @@ def test_a_person_can_read_it(tmp_path: Path) -> None:
     write_map(RADIUS, tmp_path / "map.json")
     found = json.loads((tmp_path / "map.json").read_text())
     assert found["kind"] == "radius"
-    assert found["format"] == 2
+    assert found["format"] == 3
     assert found["radii"] == {"Hip": None, "Head": 80.5, "LFoot": 120.25}
     assert (found["alpha"], found["unit"]) == (0.1, "mm")
     assert found["fitted_on"] == {"poses": 120, "sequences": 6}
@@ -49,14 +49,15 @@ def test_a_person_can_read_it(tmp_path: Path) -> None:
 
 
 def broken(kind: str, /, **changed: Any) -> str:
-    """A map of which something is otherwise."""
-    about: dict[str, Any] = {"format": 2, "kind": kind, "root": None, "fitted_on": {"poses": 9, "sequences": 3}}
+    """A map of which something is otherwise, with the digest of what it holds."""
+    about: dict[str, Any] = {"format": 3, "kind": kind, "root": None, "fitted_on": {"poses": 9, "sequences": 3}}
     if kind == "radius":
         about |= {"alpha": 0.1, "unit": "mm", "radii": {"Head": 80.0}}
     else:
         about |= {"factors": {"Head": 1.5}}
     about |= changed
-    return json.dumps({key: value for key, value in about.items() if value is not ...})
+    about = {key: value for key, value in about.items() if value is not ...}
+    return json.dumps({**about, "digest": maps._digest(about)})
 
 
 NO_MAP = r"map\.json: no map of posecal recalibrate fit, or not a whole one"
@@ -70,7 +71,7 @@ NO_MAP = r"map\.json: no map of posecal recalibrate fit, or not a whole one"
         ("[]", NO_MAP),
         ("3", NO_MAP),
         (broken("spread")[:40], NO_MAP),
-        (broken("spread", format=1), r"map\.json: format 1; expected 2\. Fit it again"),
+        (broken("spread", format=1), r"map\.json: format 1; expected 3\. Fit it again"),
         (broken("spread", format=...), NO_MAP),
         (broken("spread", kind=...), NO_MAP),
         (broken("radius", kind="square"), NO_MAP),
@@ -102,6 +103,39 @@ def test_a_file_that_is_no_complete_map_is_refused(text: str, words: str, tmp_pa
     (tmp_path / "map.json").write_text(text)
     with pytest.raises(PoseFileError, match=words):
         read_map(tmp_path / "map.json")
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [("2.125", "2.126"), ('"LFoot"', '"RFoot"'), ('"poses": 120', '"poses": 121'), ('"root": "Hip"', '"root": "Head"')],
+)
+def test_a_map_that_was_edited_is_refused(before: str, after: str, tmp_path: Path) -> None:
+    write_map(SPREAD, tmp_path / "map.json")
+    text = (tmp_path / "map.json").read_text()
+    assert before in text
+    (tmp_path / "map.json").write_text(text.replace(before, after))
+    with pytest.raises(PoseFileError, match=r"^map\.json: was changed since posecal wrote it \(its digest"):
+        read_map(tmp_path / "map.json")
+
+
+def test_a_map_without_its_digest_is_refused_and_one_laid_out_otherwise_is_read(tmp_path: Path) -> None:
+    write_map(SPREAD, tmp_path / "map.json")
+    about = json.loads((tmp_path / "map.json").read_text())
+    (tmp_path / "map.json").write_text(json.dumps(about, indent=4, sort_keys=True))
+    assert read_map(tmp_path / "map.json").by_joint == SPREAD.by_joint
+    del about["digest"]
+    (tmp_path / "map.json").write_text(json.dumps(about))
+    with pytest.raises(PoseFileError, match=NO_MAP):
+        read_map(tmp_path / "map.json")
+
+
+def test_joints_of_any_name_come_back_from_a_map(tmp_path: Path) -> None:
+    names = ("Kopf\x1b[31m", "肘", "caf\udce9", "\u202eHip")
+    write_map(SpreadMap(names, np.arange(1.0, 5.0), 10, 2), tmp_path / "map.json")
+    text = (tmp_path / "map.json").read_text(encoding="utf-8")
+    assert read_map(tmp_path / "map.json").joints == names
+    assert "肘" in text
+    assert text.replace("\n", "").isprintable()
 
 
 def test_a_radius_may_be_nought_and_an_alpha_anything_between(tmp_path: Path) -> None:

@@ -87,12 +87,21 @@ def test_lines_have_no_blanks_at_their_ends() -> None:
 
 
 def test_markdown_escapes_what_would_end_a_cell_or_begin_a_tag() -> None:
-    sheet = Sheet("a|b", tables=[Table("c|d", ("e|f", "g"), [("1|2\n3", "<b>\\")])])
+    sheet = Sheet("a|b", tables=[Table("c|d", ("e|f", "g"), [("1|2\n3", "<b>\\")], breaks=True)])
     lines = sheet.markdown().splitlines()
     assert lines[:4] == ["a\\|b", "", "### c\\|d", ""]
     rows = [[cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]] for line in (lines[4], lines[6])]
     assert rows == [["e\\|f", "g"], ["1\\|2 3", "&lt;b>\\\\"]]
     assert re.fullmatch(r"\|:-+\|-+:\|", lines[5])
+
+
+def test_a_sheet_shows_control_characters_escaped_but_for_breaks_that_are_asked_for() -> None:
+    raw, shown = "\x1b[1m\n\u202e", r"\x1b[1m\n\u202e"
+    table = Table(f"t{raw}", (f"h{raw}", "i"), [(f"c{raw}", "1")], [f"h{raw}"])
+    assert table == Table(f"t{shown}", (f"h{shown}", "i"), [(f"c{shown}", "1")], [f"h{shown}"])
+    sheet = Sheet(raw, [raw], [raw], [table], [(raw, raw)], raw)
+    assert sheet == Sheet(shown, [shown], [shown], [table], [(shown, shown)], shown)
+    assert Table("", ("", ""), [("a\nb\x1b", "")], breaks=True).rows == [("a\nb\\x1b", "")]
 
 
 def test_markdown_ends_with_definitions_and_the_footer_as_code() -> None:
@@ -169,7 +178,7 @@ def test_markdown_has_sentences_and_remarks_under_the_title() -> None:
 def test_latex_is_a_tabular_per_table_with_all_else_as_comments() -> None:
     table = Table("Title", ("50 % & more", "x_1", ""), [("−1 √2 ω", "0.5", "↓"), ("a#b", "< 1", "0")], [""])
     lines = Sheet("t\nu", ["said."], ["noted."], [table], [("term", "meaning")], "a=b").latex().splitlines()
-    assert lines[:3] == ["% t u", "% said.", "% note: noted."]
+    assert lines[:3] == [r"% t\nu", "% said.", "% note: noted."]
     assert lines[4:6] == ["% Title", r"\begin{tabular}{lrl}"]
     assert r"50 \% \& more & x\_1 &  \\" in lines
     assert r"$-$1 $\surd$2 $\omega$ & 0.5 & $\downarrow$ \\" in lines

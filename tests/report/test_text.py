@@ -208,7 +208,7 @@ def test_a_label_with_a_bar_stays_in_its_cell() -> None:
         unit="mm",
     )
     (line,) = (line for line in report.render("markdown").splitlines() if "sitting" in line)
-    assert re.match(r"\| sitting\\\|x&lt;b> y +\| ", line)
+    assert re.match(r"\| sitting\\\|x&lt;b>\\\\ny +\| ", line)
 
 
 @pytest.mark.parametrize("width", [60, 80, 100])
