@@ -125,9 +125,15 @@ def _reduce_flips(
     signs: npt.NDArray[np.int8],
     offset: FloatArray | None,
 ) -> list[Result]:
-    """Reduce the mean deviations (patterns, Q, J) at sign patterns, some patterns at a time."""
+    """Reduce the mean deviations (patterns, Q, J) at sign patterns, some patterns at a time.
+
+    Each sequence's part is rounded to a multiple of a power of two so large that sums of them fit a float32 as they
+    are: however many threads and whichever order a matrix product takes, the sum is the same.
+    """
     S, J, Q = deviations.shape
-    parts = (deviations / counts.sum(axis=0)[:, None]).astype(np.float32).swapaxes(1, 2).reshape(S, Q * J)
+    parts = (deviations / counts.sum(axis=0)[:, None]).swapaxes(1, 2).reshape(S, Q * J)
+    exponents = np.frexp(np.abs(parts).sum(axis=0))[1] - np.finfo(np.float32).nmant
+    parts = np.ldexp(np.rint(np.ldexp(parts, -exponents)), exponents).astype(np.float32)
     added = None if offset is None else offset.astype(np.float32)[:, None]
 
     def reduce_some(signs: npt.NDArray[np.int8]) -> Result:

@@ -34,7 +34,15 @@ def _odd_names() -> None:
     np.savez("odd_g.npz", **{**truth, "joints": np.array(JOINTS)})
 
 
-WORDS = ["evaluate", "odd_h.npz", "odd_g.npz", "--by=action", "--metrics=all", "--per-joint", "--definitions"]
+WORDS = [
+    "evaluate",
+    "odd_h.npz",
+    "odd_g.npz",
+    "--by=action",
+    "--metrics=mpjpe, ece, signed_area",
+    "--per-joint",
+    "--definitions",
+]
 
 
 def assert_shown(text: str, markup: str = SHOWN) -> None:
@@ -43,10 +51,10 @@ def assert_shown(text: str, markup: str = SHOWN) -> None:
     assert text.replace("\n", "").replace("\u00a0", " ").isprintable()
 
 
-def test_terminals_and_files_of_text_show_names_escaped() -> None:
+def test_terminals_and_files_of_text_show_names_escaped(monkeypatch: pytest.MonkeyPatch) -> None:
     assert_shown(done(*WORDS, "--format=markdown"), SHOWN.replace("\\", "\\\\"))
     assert_shown(done(*WORDS, "--format=latex"), r"\textbackslash x1b[31m\textbackslash r\textbackslash n")
-    os.environ["COLUMNS"] = "300"
+    monkeypatch.setenv("COLUMNS", "300")
     assert_shown(done(*WORDS, "--format=text"))
 
 
@@ -61,16 +69,16 @@ def test_csv_shows_names_escaped_and_json_holds_them_as_they_are() -> None:
     found = json.loads(text)
     assert found["joints"] == JOINTS
     assert f"action=walking{ODD}" in {row["group"] for row in found["rows"]}
-    assert found["rows"] == json.loads(json.dumps(posecal_report().to_dict()["rows"]))
 
 
 def posecal_report() -> posecal.Report:
-    done(*WORDS, "--save=odd.npz")
+    done(*WORDS, "--metrics=all", "--save=odd.npz")
     return posecal.Report(load_totals("odd.npz"), "action")
 
 
+@pytest.mark.slow
 def test_a_page_holds_names_escaped_and_pictures_that_are_xml() -> None:
-    done(*WORDS, "--html=page.html")
+    done(*WORDS, "--metrics=all", "--html=page.html")
     page = Path("page.html").read_text(encoding="utf-8")
     assert_shown(page)
     pictures = [part.split("</svg>")[0] for part in page.split("<svg")[1:]]
@@ -79,6 +87,7 @@ def test_a_page_holds_names_escaped_and_pictures_that_are_xml() -> None:
         ET.fromstring(f"<svg{picture}</svg>")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", list(KINDS))
 def test_every_picture_is_well_formed(kind: str) -> None:
     figure = draw(posecal_report(), kind, **({} if kind == "rank_tests" else {"title": f"hyps{ODD}"}))
@@ -118,7 +127,7 @@ NAME_SHOWN = r"caf\udce9\x1b[31m"
 def test_hypotheses_whose_file_has_an_odd_name_are_evaluated(form: str) -> None:
     os.rename("hyps.npz", f"{NAME}.npz")
     outputs = [f"--save={NAME}s.npz", f"--plot={NAME}.svg", f"--html={NAME}.html"]
-    text = done("evaluate", f"{NAME}.npz", "gt.npz", "--metrics=default", f"--format={form}", *outputs)
+    text = done("evaluate", f"{NAME}.npz", "gt.npz", "--metrics=min_mpjpe, ece", f"--format={form}", *outputs)
     assert text.replace("\n", "").replace("\u00a0", " ").isprintable()
     assert f"<h1>{NAME_SHOWN}.npz</h1>" in Path(f"{NAME}.html").read_text(encoding="utf-8")
     picture = Path(f"{NAME}.svg").read_text(encoding="utf-8")

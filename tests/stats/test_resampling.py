@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import itertools
 import math
+import os
+import subprocess
+import sys
 from dataclasses import astuple
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,6 +25,7 @@ from posecal.stats.resampling import (
     MESH,
     MIN_DRAWS,
     MIN_SEQUENCES,
+    _reduce_flips,
     _signs,
     holm,
     n_draws,
@@ -34,6 +39,7 @@ from tests.benchmarks.level import BAND, Design, rejection_rates
 Array = np.ndarray
 Q = LEVELS.size
 OVER = ("median", "mean", "worst")
+ROOT = Path(__file__).parents[2]
 
 
 # --- sign-flips against enumeration -----------------------------------------------------------------------------------
@@ -338,3 +344,45 @@ def test_holm_leaves_out_what_was_not_tested() -> None:
     assert holm([0.02, math.nan, 0.03])[::2] == [0.04, 0.04]
     assert math.isnan(holm([0.02, math.nan, 0.03])[1])
     assert holm([]) == []
+
+
+# --- threads of a matrix product ----------------------------------------------------------------------------------
+
+
+def test_the_order_of_the_sequences_does_not_change_a_bit() -> None:
+    random = np.random.default_rng(3)
+    deviations, counts = random.normal(0, 1, (900, 3, Q)), random.integers(1, 9, (900, 3))
+    signs = (2 * random.integers(0, 2, (50, 900)) - 1).astype(np.int8)
+    offset = random.normal(0, 0.1, Q)
+    order = random.permutation(900)
+    (one,) = _reduce_flips(np.copy, deviations, counts, signs, offset)
+    (other,) = _reduce_flips(np.copy, deviations[order], counts[order], signs[:, order], offset)
+    np.testing.assert_array_equal(one, other)
+    parts = deviations / counts.sum(axis=0)[:, None]
+    expected = np.einsum("bs,sjq->bqj", signs.astype(float), parts) + offset[:, None]
+    np.testing.assert_allclose(one, expected, atol=1e-5 * np.abs(parts).sum(axis=0).max())
+
+
+@pytest.mark.slow
+def test_numbers_do_not_depend_on_the_threads_of_matrix_products() -> None:
+    """So many sequences that a product of matrices would add them in another order."""
+    script = """
+import numpy as np, posecal
+random = np.random.default_rng(5)
+truth = random.normal(0, 300, (1200, 5, 3))
+hypotheses = truth + random.normal(0, 40, (4, 1200, 5, 3)) + random.normal(0, 25, (1200, 5, 3))
+labels = {"sequence": np.arange(1200) // 2}
+report = posecal.evaluate(hypotheses, truth, labels=labels, metrics="all", unit="mm")
+print([(row.metric, row.joint, row.value, row.low, row.high) for row in report.rows], report.joint_tests())
+"""
+    found = set()
+    for threads in ("1", "2"):
+        environment = {
+            **os.environ,
+            "PYTHONPATH": str(ROOT),
+            "OPENBLAS_NUM_THREADS": threads,
+            "MKL_NUM_THREADS": threads,
+        }
+        done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, check=True)
+        found.add(done.stdout)
+    assert len(found) == 1
