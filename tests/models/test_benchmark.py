@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -80,6 +81,7 @@ def test_a_point_has_one_hypothesis_and_no_calibration(images, baseline):
 def test_a_cell_is_mean_and_standard_deviation():
     row = benchmark.BenchmarkRow("a", {name: [] for name in benchmark.COLUMNS} | {"min_mpjpe": [1.0, 2, 3]}, None, 0.0)
     assert "| a | 2.0 ± 1.00 | – |" in benchmark.markdown([row])
+    assert r"| a\x1b[31m\udce9 | 2.0" in benchmark.markdown([replace(row, name="a\x1b[31m\udce9")])
 
 
 @pytest.mark.slow

@@ -205,10 +205,12 @@ def test_keypoints_that_a_file_lacks_are_named(folder):
     with np.load(folder / "test.npz") as whole:
         members = dict(whole)
     keep = [k for k, name in enumerate(members["joints"]) if name not in {"LWrist", "Spine"}]
-    np.savez(folder / "fewer.npz", keypoints_2d=members["keypoints_2d"][:, keep], joints=members["joints"][keep])
-    done = in_this_process("sample", "tiny/weights.safetensors", "fewer.npz", "-o", "fewer-h.npz", "--n", 2, cwd=folder)
+    np.savez(folder / "fewer\x1b[1m.npz", keypoints_2d=members["keypoints_2d"][:, keep], joints=members["joints"][keep])
+    done = in_this_process(
+        "sample", "tiny/weights.safetensors", "fewer\x1b[1m.npz", "-o", "fewer-h.npz", "--n", 2, cwd=folder
+    )
     assert done.returncode == 0
-    assert "note: fewer.npz has no keypoint Spine, LWrist: missing in every image." in done.stderr.splitlines()
+    assert r"note: fewer\x1b[1m.npz has no keypoint Spine, LWrist: missing in every image." in done.stderr.splitlines()
     twice = members["joints"].copy()
     twice[5] = twice[2]
     np.savez(folder / "twice.npz", keypoints_2d=members["keypoints_2d"], joints=twice)
