@@ -27,6 +27,7 @@ from posecal.metrics.sharpness import sharpness_metrics
 from posecal.metrics.skill import skill_metrics
 from posecal.metrics.uncertainty import uncertainty_metrics
 from posecal.metrics.velocity import velocity_metrics
+from posecal.metrics.vertices import vertex_metrics
 
 GROUPS = ("default", "rank_tests", "scores", "all")
 """Words that stand for several metrics."""
@@ -148,8 +149,9 @@ def _all_metrics(
 ) -> list[Metric]:
     """Every metric, also those whose needs the data don't meet, in mm."""
     scope = Scope(protocol, spec)
-    found = [*mpjpe_metrics(scope), *subset_metrics(scope), *pck_metrics(scope), *cps_metrics(scope)]
-    found += [*velocity_metrics(scope), *limb_metrics(scope), *root_metrics(scope)]
+    found = [*mpjpe_metrics(scope), *vertex_metrics(scope), *subset_metrics(scope)]
+    found += [*pck_metrics(scope), *cps_metrics(scope), *velocity_metrics(scope)]
+    found += [*limb_metrics(scope), *root_metrics(scope)]
     if spec.n_hypotheses > 1:
         found += [*calibration_metrics(scope), *rank_test_metrics(scope, preranks)]
         found += [*score_metrics(scope), *brier_metrics(scope), *skill_metrics(scope)]
@@ -282,7 +284,12 @@ def _known_anywhere() -> frozenset[str]:
         has_scores=True,
         reference="another",
     )
-    return frozenset(known_metrics(Protocol(), spec))
+    return frozenset(any_metrics(Protocol(), spec))
+
+
+def any_metrics(protocol: Protocol, spec: DataSpec, own: Sequence[Metric] = ()) -> dict[str, Metric]:
+    """Every metric of such data, and of vertices as well."""
+    return known_metrics(changed(protocol, metrics=f"{protocol.metrics}, pve, pa_pve"), spec, own=own)
 
 
 def unmeasured(name: str, protocol: Protocol, spec: DataSpec) -> str:

@@ -17,6 +17,9 @@ from posecal.data.units import PERIODS
 from posecal.engine.protocol import Protocol, named_joints
 from posecal.errors import PoseDataError
 
+MESHES = (6890, 10475, 778)
+"""How many vertices the meshes of SMPL, SMPL-X and MANO have."""
+
 
 @dataclass(frozen=True)
 class DataSpec:
@@ -104,6 +107,16 @@ class DataSpec:
     def period(self) -> float | None:
         """After how much coordinates repeat; None where they don't."""
         return PERIODS.get(self.unit)
+
+    @property
+    def is_mesh(self) -> bool:
+        """Whether the joints are the vertices of a mesh."""
+        return len(self.joints) in MESHES
+
+    @property
+    def point(self) -> tuple[str, str]:
+        """What a joint is called: one, and several."""
+        return ("vertex", "vertices") if self.is_mesh else ("joint", "joints")
 
     def difference(self, other: DataSpec) -> str:
         """Say in what these data differ from others."""
@@ -202,7 +215,7 @@ class Scope:
 
     def size(self, mask: BoolArray) -> str:
         """Words for a mask of joints, scored or not: how many, and whether the root is one."""
-        words = f"{mask.sum()} joint{'s' if mask.sum() > 1 else ''}"
+        words = f"{mask.sum()} {self.spec.point[int(mask.sum() > 1)]}"
         resting = resting_joints(self.spec.root)
         if not resting:
             return words

@@ -29,6 +29,7 @@ def root_metrics(scope: Scope) -> Iterator[Metric]:
     if scope.spec.root is None:
         return
     n, statistic = scope.spec.n_hypotheses, Statistic("root_errors", root_errors)
+    poses = "poses" if scope.protocol.where == "all" else f"poses with {scope.protocol.where} joints"
     for index, (name, label, words) in enumerate(
         (("min_root_error", "root error, best of N", "smallest"), ("root_error", "root error", "mean"))
     ):
@@ -39,8 +40,8 @@ def root_metrics(scope: Scope) -> Iterator[Metric]:
             direction="lower",
             family="accuracy",
             brief=f"{words} of N={n}, the root's own position",
-            definition=f"mean over poses of the {words} of the distances of the root of the N={n} hypotheses from the "
-            "true root, as the positions are stored",
+            definition=f"mean over {poses} of the {words} of the distances of the root of the N={n} hypotheses from "
+            "the true root, as the positions are stored",
             statistic=statistic,
             finish=entry(index),
             needs=("positions",),

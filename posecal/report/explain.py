@@ -10,7 +10,7 @@ from posecal.data.skeleton import JOINT_SETS
 from posecal.engine.metric import Family, Metric
 from posecal.engine.protocol import CHOICES, Protocol
 from posecal.engine.scope import DataSpec
-from posecal.registry import known_metrics, registered_metrics
+from posecal.registry import any_metrics, registered_metrics
 from posecal.report.table import AuxiliaryRow, auxiliary_rows
 
 EVERYTHING = DataSpec(
@@ -71,7 +71,7 @@ def explain(name: str, protocol: Protocol | None = None, spec: DataSpec | None =
     >>> print(explain("signed_area").splitlines()[0])
     signed_area: signed area
     """
-    metrics = known_metrics(protocol or Protocol(), spec or EVERYTHING, own=registered_metrics())
+    metrics = any_metrics(protocol or Protocol(), spec or EVERYTHING, own=registered_metrics())
     known: dict[str, Metric | AuxiliaryRow] = {**metrics, **auxiliary_rows(metrics)}
     number = known[checked_choice(name, "explain", known)]
     lines = {
@@ -101,7 +101,7 @@ def metrics_table(family: Family) -> list[tuple[str, str, str, str, str]]:
         the prefix of an alignment, share a row with the definition of the first.
     """
     rows: dict[str, list[Metric]] = {}
-    for metric in known_metrics(Protocol(), EVERYTHING).values():
+    for metric in any_metrics(Protocol(), EVERYTHING).values():
         if metric.family == family:
             rows.setdefault(re.sub(r"^(pa|n)_|\d+", "", metric.name), []).append(metric)
     changing = _changing_options()
@@ -120,11 +120,11 @@ def metrics_table(family: Family) -> list[tuple[str, str, str, str, str]]:
 @cache
 def _changing_options() -> dict[str, set[str]]:
     """Find the options that change each metric: its definition, label or unit."""
-    default = known_metrics(Protocol(), EVERYTHING)
+    default = any_metrics(Protocol(), EVERYTHING)
     changing: dict[str, set[str]] = {name: set() for name in default}
     for option, values in _TRIED.items():
         for value in values:
-            for name, metric in known_metrics(Protocol().changed({option: value}), EVERYTHING).items():
+            for name, metric in any_metrics(Protocol().changed({option: value}), EVERYTHING).items():
                 before = default[name]
                 if (metric.definition, metric.label, metric.unit) != (before.definition, before.label, before.unit):
                     changing[name].add(option)

@@ -80,7 +80,7 @@ def report_title(report: Report) -> str:
     where = "" if totals.protocol.where == "all" else f", {totals.protocol.where} joints only"
     return (
         f"posecal {totals.version} · N = {counted(spec.n_hypotheses, 'hypothesis', 'hypotheses')} · "
-        f"M = {counted(poses, 'pose')}{of} · K = {counted(len(spec.joints), 'joint')}, {origin}{where}"
+        f"M = {counted(poses, 'pose')}{of} · K = {counted(len(spec.joints), *spec.point)}, {origin}{where}"
     )
 
 
