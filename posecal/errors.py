@@ -58,7 +58,7 @@ _PROTOCOL = frozenset(
     (
         *("align", "align_best", "auc", "auc_range", "average", "best", "cps_align", "cps_best", "cps_joints"),
         *("cps_unit", "deviation", "ece_over", "frames", "mode", "pck_best", "pck_joints", "pck_relative"),
-        *("pck_rule", "pck_threshold", "root", "scale", "trials", "velocity"),
+        *("pck_rule", "pck_threshold", "root", "scale", "segment", "trials", "velocity"),
     )
 )
 """Options of a protocol that have no flag of their own."""

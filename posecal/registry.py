@@ -10,7 +10,8 @@ from posecal.calibration.error import calibration_metrics
 from posecal.calibration.rank_tests import PreRank, rank_test_metrics
 from posecal.data.skeleton import JOINT_SETS
 from posecal.engine import needs
-from posecal.engine.metric import SUM_OF_TRUE_POSES, Curve, Metric, Statistic
+from posecal.engine.measure import SUM_OF_TRUE_POSES
+from posecal.engine.metric import Curve, Metric, Statistic
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec, Scope
 from posecal.errors import PoseDataError, did_you_mean, option, raise_all
@@ -28,6 +29,7 @@ from posecal.metrics.skill import skill_metrics
 from posecal.metrics.uncertainty import uncertainty_metrics
 from posecal.metrics.velocity import velocity_metrics
 from posecal.metrics.vertices import vertex_metrics
+from posecal.metrics.world import world_metrics
 
 GROUPS = ("default", "rank_tests", "scores", "all")
 """Words that stand for several metrics."""
@@ -150,7 +152,7 @@ def _all_metrics(
     """Every metric, also those whose needs the data don't meet, in mm."""
     scope = Scope(protocol, spec)
     found = [*mpjpe_metrics(scope), *vertex_metrics(scope), *subset_metrics(scope)]
-    found += [*pck_metrics(scope), *cps_metrics(scope), *velocity_metrics(scope)]
+    found += [*pck_metrics(scope), *cps_metrics(scope), *velocity_metrics(scope), *world_metrics(scope)]
     found += [*limb_metrics(scope), *root_metrics(scope)]
     if spec.n_hypotheses > 1:
         found += [*calibration_metrics(scope), *rank_test_metrics(scope, preranks)]
@@ -288,8 +290,10 @@ def _known_anywhere() -> frozenset[str]:
 
 
 def any_metrics(protocol: Protocol, spec: DataSpec, own: Sequence[Metric] = ()) -> dict[str, Metric]:
-    """Every metric of such data, and of vertices as well."""
-    return known_metrics(changed(protocol, metrics=f"{protocol.metrics}, pve, pa_pve"), spec, own=own)
+    """Every metric of such data, of positions in the world and of vertices as well."""
+    protocol = changed(protocol, metrics=f"{protocol.metrics}, pve, pa_pve")
+    in_world = known_metrics(protocol, changed(spec, root=None), own=own)
+    return {**in_world, **known_metrics(protocol, spec, own=own)}
 
 
 def unmeasured(name: str, protocol: Protocol, spec: DataSpec) -> str:
@@ -305,8 +309,11 @@ def _lacks(name: str, protocol: Protocol, spec: DataSpec, known: dict[str, Metri
     for metric in _plain_metrics(protocol, spec):
         if metric.name == name and (lacking := needs.unmet(metric, Scope(protocol, spec))):
             return f"needs {' and '.join(lacking)}; the data are {spec.unit or 'no unit'}, D = {spec.n_coordinates}."
-    if "mpjve" in name and "sequence" not in spec.labels:
-        return "needs sequences. Store a label sequence in the truth's file."
+    in_world = Scope(Protocol(), changed(spec, root=None, labels=("sequence",)))
+    if name in {metric.name for metrics in (velocity_metrics, world_metrics) for metric in metrics(in_world)}:
+        if "sequence" not in spec.labels:
+            return "needs sequences. Store a label sequence in the truth's file."
+        return f"needs positions in the world, not relative to a root; expected {option('root_joint', 'none')}."
     if not spec.has_scores and ("weighted_pose" in name or "mode_mpjpe" in name):
         otherwise = ", or set mode to an index" if "mode_mpjpe" in name else ""
         return f"needs the model's scores. Store scores beside the hypotheses{otherwise}."

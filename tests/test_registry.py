@@ -134,6 +134,31 @@ def test_without_scores_there_is_no_weighted_pose_and_a_mode_only_by_its_index()
     assert "pa_mode_mpjpe" in known_metrics(Protocol(mode="6"), unscored)
 
 
+def test_errors_in_the_world_are_of_sequences_that_are_relative_to_no_root() -> None:
+    names = {"wa_mpjpe", "w_mpjpe", "min_wa_mpjpe", "min_w_mpjpe"}
+    assert not names & known_metrics(Protocol(), PERSON).keys()
+    assert not names & known_metrics(Protocol(), DataSpec(7, H36M)).keys()
+    in_world = replace(PERSON, root=None)
+    assert names <= known_metrics(Protocol(), in_world).keys()
+    assert not names & metrics_of(Protocol(), in_world).keys()
+    assert {*metrics_of(Protocol(metrics="w_mpjpe"), in_world)} == {"w_mpjpe"}
+
+
+def test_no_statistic_of_the_default_report_needs_other_poses() -> None:
+    for spec in (PERSON, replace(PERSON, root=None)):
+        assert not [s.name for s in statistics_of(Protocol(), spec) if s.earlier or s.by_segment]
+    motion = statistics_of(Protocol(metrics="mpjve, acceleration_error, jitter, true_jitter, mpjpe"), PERSON)
+    assert {s.name: s.earlier for s in motion} == {
+        "truth": 0,
+        "errors": 0,
+        "joint_errors": 0,
+        "mpjve": 1,
+        "acceleration_error": 2,
+        "jitter": 3,
+        "true_jitter": 3,
+    }
+
+
 def test_min_mpjpe_is_given_at_round_numbers_up_to_n() -> None:
     names = [name for name in known_metrics(Protocol(), PERSON) if name.startswith("min_mpjpe_at_")]
     assert names == ["min_mpjpe_at_1", "min_mpjpe_at_2", "min_mpjpe_at_5"]
@@ -150,6 +175,18 @@ def test_min_mpjpe_is_given_at_round_numbers_up_to_n() -> None:
             "mpjve",
             DataSpec(7, H36M, 0),
             r"metrics: mpjve needs sequences\. Store a label sequence in the truth's file\.",
+        ),
+        ("true_jitter", DataSpec(1, H36M, 0), r"metrics: true_jitter needs sequences\. Store a label sequence"),
+        ("w_mpjpe", DataSpec(7, H36M, 0), r"metrics: w_mpjpe needs sequences\. Store a label sequence"),
+        (
+            "min_wa_mpjpe",
+            PERSON,
+            r'^metrics: min_wa_mpjpe needs positions in the world, .*; expected root_joint="none"\.$',
+        ),
+        (
+            "wa_mpjpe",
+            replace(PERSON, root=None, n_coordinates=2),
+            r"metrics: wa_mpjpe needs positions of three coordinates; the data are mm, D = 2\.",
         ),
         ("mode_mpjpe", DataSpec(7, H36M, 0), r"mode_mpjpe needs the model's scores\..* or set mode to an index\."),
         (
@@ -199,6 +236,7 @@ def test_names_that_no_data_could_make_known_are_refused_at_once() -> None:
         "default",
         "rank_tests, scores, all",
         "crps_skill, mpjve",
+        "jitter, w_mpjpe, pve, pa_pve",
         "min_mpjpe_at_1000",
         "weighted_pose_mpjpe",
     ):

@@ -19,16 +19,17 @@ import posecal
 from posecal.data.arrays import BoolArray, FloatArray
 from posecal.data.pose_data import PoseData
 from posecal.engine.block import block_length
-from posecal.engine.block_sums import BlockSums, sum_block
 from posecal.engine.cells import CellIndex
 from posecal.engine.chunks import Chunk, Indices, join_chunks, read_chunks
 from posecal.engine.coinciding import Coinciding
+from posecal.engine.measure import Measured, measure_block, measure_segment
 from posecal.engine.metric import Metric, Statistic
 from posecal.engine.pose_hashes import PoseHashes, pose_hashes, repeated_remarks, smallest_hashes
 from posecal.engine.prepare import Prepared, refuse_non_finite
 from posecal.engine.protocol import Protocol
 from posecal.engine.ragged import lay_out
 from posecal.engine.scope import DataSpec
+from posecal.engine.segments import Segments
 from posecal.engine.threads import run_in_order
 from posecal.engine.totals import Totals
 from posecal.errors import PoseDataError, first_few, option
@@ -83,7 +84,10 @@ class Accumulator:
         self._truth_name = ""
         self._pending: list[Chunk] = []  # poses that wait for the next ones, in memory of their own
         self._length = self._measured = self._given = 0
-        self._before: Chunk | None = None  # the pose before the pending ones
+        self._earlier = max((statistic.earlier for statistic in self.statistics), default=0)
+        self._before: Chunk | None = None  # so many poses before the pending ones
+        needs_segments = any(statistic.by_segment for statistic in self.statistics)
+        self._segments = Segments(protocol.segment_length if needs_segments else 0)
         self._last_sequence: str | None = None  # of the pose that came last, None where it does not count
         self._coinciding = Coinciding()
         self._failure = ""  # what stopped a batch when some of it was counted
@@ -134,6 +138,7 @@ class Accumulator:
         cells, moved = self._index.assign(data.labels, len(data.truth))
         if moved is not None:
             self._join_cells(moved)
+        self._sequence_of = self._index.cells["sequence"] if self._segments.length else np.zeros(0, dtype=np.str_)
         first, measured_before = self._measured + self.n_pending, self._measured
         bad: list[Indices] = []
         bad_of_reference: list[Indices] = []
@@ -162,6 +167,7 @@ class Accumulator:
         final._poses = self._poses.copy()
         final._per_pose = {name: list(parts) for name, parts in self._per_pose.items()}
         final._cell_of, final._hashes, final._pending = list(self._cell_of), list(self._hashes), list(self._pending)
+        final._segments = copy.copy(self._segments)
         for _ in final._measure(final._last_block()):
             pass
         cells = self._index.cells
@@ -268,7 +274,7 @@ class Accumulator:
             )
             start = stop
 
-    def _measure(self, tasks: Iterable[Callable[[], BlockSums]]) -> Iterator[BlockSums]:
+    def _measure(self, tasks: Iterable[Callable[[], Measured]]) -> Iterator[Measured]:
         """Run tasks and add what they give to the sums."""
         for measured in run_in_order(tasks, self._threads):
             self._measured += measured.poses
@@ -289,7 +295,7 @@ class Accumulator:
                 self._cell_of.append(measured.cell_of)
             yield measured
 
-    def _blocks_of_more(self, chunks: Iterable[Chunk], pending: Pending) -> Iterator[Callable[[], BlockSums]]:
+    def _blocks_of_more(self, chunks: Iterable[Chunk], pending: Pending) -> Iterator[Callable[[], Measured]]:
         """Give the tasks of whole blocks, as poses come."""
         if pending == "all":
             waiting, self._pending = self._pending, []
@@ -302,7 +308,7 @@ class Accumulator:
         if pending == "none":
             yield from self._last_block()
 
-    def _blocks(self, chunk: Chunk) -> Iterator[Callable[[], BlockSums]]:
+    def _blocks(self, chunk: Chunk) -> Iterator[Callable[[], Measured]]:
         """Give the tasks of the blocks that pending poses and more of them fill; the rest is pending."""
         number = self.n_pending
         if number:  # the first block begins with them
@@ -312,32 +318,44 @@ class Accumulator:
             self._pending = [first]
             if len(first) == self._length:
                 self._pending = []
-                yield self._block(first, 0, self._length)
+                yield from self._block(first, 0, self._length)
         stop = len(chunk) // self._length * self._length
         for start in range(0, stop, self._length):
-            yield self._block(chunk, start, start + self._length)
+            yield from self._block(chunk, start, start + self._length)
         if stop < len(chunk):
             self._pending.append(chunk.select(slice(stop, len(chunk))).copy())
 
-    def _last_block(self) -> Iterator[Callable[[], BlockSums]]:
+    def _last_block(self) -> Iterator[Callable[[], Measured]]:
         """Give the tasks of all pending poses."""
         waiting, self._pending = self._pending, []
         for chunk in waiting:
             yield from self._blocks(chunk)
         for chunk in self._pending:
-            yield self._block(chunk, 0, len(chunk))
+            yield from self._block(chunk, 0, len(chunk))
         self._pending = []
+        yield from map(self._segment, self._segments.rest())
 
-    def _block(self, chunk: Chunk, start: int, stop: int) -> Callable[[], BlockSums]:
+    def _block(self, chunk: Chunk, start: int, stop: int) -> Iterator[Callable[[], Measured]]:
+        """Give the task of a block, and those of the segments that its poses complete."""
         limits = None if self._prepared is None else self._prepared.limits
         make = lay_out(chunk, start, stop, self.spec, limits, self._before)
-        task = partial(sum_block, self._given, make, chunk.cells[start:stop], self.statistics)
-        self._before = replace(chunk.select(slice(stop - 1, stop)), reference=None).copy()
+        statistics = [statistic for statistic in self.statistics if not statistic.by_segment]
+        yield partial(measure_block, self._given, make, chunk.cells[start:stop], statistics)
         self._given += stop - start
         self._hashes.append(chunk.hashes[start:stop])
         if len(self._hashes) > MOST_BLOCKS:
             self._hashes = [smallest_hashes(self._hashes)]
-        return task
+        if self._earlier:
+            last = replace(chunk.select(slice(max(start, stop - self._earlier), stop)), reference=None)
+            joined = join_chunks([last] if self._before is None else [self._before, last])
+            self._before = joined.select(slice(-self._earlier, None))
+        if self._segments.length:
+            part = chunk.select(slice(start, stop))
+            yield from map(self._segment, self._segments.add(part, self._sequence_of[part.cells]))
+
+    def _segment(self, chunk: Chunk) -> Callable[[], Measured]:
+        statistics = [statistic for statistic in self.statistics if statistic.by_segment]
+        return partial(measure_segment, chunk.block(0, len(chunk), self.spec.root), chunk.cells, statistics)
 
     # --- cells
 
@@ -361,6 +379,7 @@ class Accumulator:
         self._sums = {name: (joined(sums), joined(counts)) for name, (sums, counts) in self._sums.items()}
         self._cell_of = [moved[cells] for cells in self._cell_of]
         self._pending = [replace(chunk, cells=moved[chunk.cells]) for chunk in self._pending]
+        self._segments.renumber(moved)
 
 
 def _padded(values: npt.NDArray[Any], rows: int) -> npt.NDArray[Any]:

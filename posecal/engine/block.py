@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
+from numpy.lib.stride_tricks import sliding_window_view
 
 from posecal.data.arrays import BoolArray, FloatArray, squared_norms, working_dtype
 from posecal.data.degenerate import LARGEST, is_outside
@@ -34,6 +35,9 @@ BLOCK_BYTES = 1536 * 1024
 MOST_POSES = 2048
 """The most poses of a block, however few hypotheses they have: tables of a pose have a size of their own."""
 
+MOST_EARLIER = 3
+"""How many poses before it a pose is compared with, for differences over time."""
+
 
 class Block:
     """B poses as offsets from the truth, laid out so that rows are contiguous, and what several metrics share.
@@ -48,8 +52,8 @@ class Block:
         The joints that count; the others may hold anything, NaN included.
     root : int or Root, optional
         What is subtracted from every pose; None leaves positions as they are.
-    previous : tuple of arrays (N, 1, K, D) and (1, K, D) and bool (1, K) or None, optional
-        The pose before the first one and the joints of it that count, for velocities.
+    previous : callable, optional
+        Lays out the poses before the first one, at most :data:`MOST_EARLIER` of them, for differences over time.
     follows : bool array (B,), optional
         Whether each pose comes right after the one before it in its sequence.
     scores : array (N, B), optional
@@ -75,6 +79,8 @@ class Block:
         True poses, mm, relative to the root; 0 for joints that don't count.
     where : bool array (B, K)
         The joints that count.
+    follows : bool array (B,)
+        Whether each pose comes right after the one before it.
     stored, root
         What came, and what is subtracted from it.
     """
@@ -86,7 +92,7 @@ class Block:
         where: BoolArray | None = None,
         *,
         root: AnyRoot = None,
-        previous: tuple[FloatArray, FloatArray, BoolArray | None] | None = None,
+        previous: Callable[[], Block] | None = None,
         follows: BoolArray | None = None,
         scores: FloatArray | None = None,
         occluded: BoolArray | None = None,
@@ -107,7 +113,8 @@ class Block:
             self.offsets[~self.where] = 0
             self.truth = np.where(self.where[..., None], self.truth, 0)
         self.stored, self.root = (hypotheses, truth), root
-        self._previous, self._follows, self._scores = previous, follows, scores
+        self.follows = np.ones(len(truth), dtype=bool) if follows is None else follows
+        self._previous, self._scores = previous, scores
         self._limits, self._sequence = limits, sequence
         self._shared: dict[Hashable, Any] = {}
         self._make_fit_block: Callable[[], Block] | None = None
@@ -238,26 +245,34 @@ class Block:
 
         return self.share(("weights", None if joints is None else joints.tobytes()), compute)
 
-    @cached_property
-    def where_before(self) -> BoolArray:
-        """The joints that counted in the pose before, (B, K); none without one."""
-        before = np.zeros_like(self.where)
-        before[1:] = self.where[:-1]
-        if self._previous is not None:
-            before[:1] = True if self._previous[2] is None else self._previous[2]
-        if self._follows is not None:
-            before[~self._follows] = False
-        return before
+    def differences(self, order: int) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Differences over time between each pose and the ``order`` poses before it, of some order.
 
-    @cached_property
-    def velocity_offsets(self) -> FloatArray:
-        """Change of the offsets since the pose before, (B, K, D, N), mm per frame; 0 where either does not count."""
-        before = np.zeros_like(self.offsets)
-        before[1:] = self.offsets[:-1]
-        if self._previous is not None:
-            before[:1] = _offsets(*self._previous[:2], self.root)
-        steps = self.from_truth(self.offsets - before)
-        return np.where((self.where & self.where_before)[..., None, None], steps, 0)
+        Returns
+        -------
+        offsets : array (B, K, D, N)
+            That of the offsets, mm per frame to the power of the order; 0 where it is not counted.
+        truth : array (B, K, D)
+            That of the true poses.
+        counted : bool array (B, K)
+            The joints that count in all these poses, which follow each other.
+        """
+
+        def compute() -> tuple[FloatArray, FloatArray, BoolArray]:
+            earlier = partial(self._with_earlier, order)
+            where, follows = (sliding_window_view(earlier(name), order + 1, 0) for name in ("where", "follows"))
+            counted: BoolArray = np.asarray(where.all(axis=-1) & follows[:, 1:].all(axis=-1, keepdims=True))
+            with np.errstate(invalid="ignore"):  # what is not finite is found in its own block
+                offsets, truth = (self.from_truth(np.diff(earlier(of), order, axis=0)) for of in ("offsets", "truth"))
+            return np.where(counted[..., None, None], offsets, 0), np.where(counted[..., None], truth, 0), counted
+
+        return self.share(("differences", order), compute)
+
+    def _with_earlier(self, number: int, name: str) -> npt.NDArray[Any]:
+        """Put an attribute of so many poses before the first one in front of the own, zeros where there are fewer."""
+        own: npt.NDArray[Any] = getattr(self, name)
+        before = own[:0] if self._previous is None else getattr(self.share("previous", self._previous), name)[-number:]
+        return np.concatenate([np.zeros((number - len(before), *own.shape[1:]), dtype=own.dtype), before, own])
 
 
 def _where_finite(lay_out: Callable[[BoolArray], Block], where: BoolArray) -> Block:
@@ -318,16 +333,20 @@ def iter_blocks(
     limits = cache(partial(coordinate_range, truth, where, root=root, sequence=sequence))
     step = block_length(hypotheses.shape, hypotheses.dtype)
     for start in range(0, len(truth), step):
-        poses, before = slice(start, start + step), slice(start - 1, start)
-        mask, mask_before = (None if where is None else where[part] for part in (poses, before))
+        before, poses = (
+            partial(
+                Block,
+                hypotheses[:, part],
+                truth[part],
+                None if where is None else where[part],
+                root=root,
+                follows=None if follows is None else follows[part],
+            )
+            for part in (slice(max(0, start - MOST_EARLIER), start), slice(start, start + step))
+        )
         yield partial(
-            Block,
-            hypotheses[:, poses],
-            truth[poses],
-            mask,
-            root=root,
-            previous=(hypotheses[:, before], truth[before], mask_before) if start else None,
-            follows=None if follows is None else follows[poses],
+            poses,
+            previous=before,
             limits=limits,
-            sequence=(np.arange(len(truth)) if sequence is None else sequence)[poses],
+            sequence=(np.arange(len(truth)) if sequence is None else sequence)[start : start + step],
         )

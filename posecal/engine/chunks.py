@@ -66,16 +66,15 @@ class Chunk:
         before: Chunk | None = None,
         period: float | None = None,
     ) -> Callable[[], Block]:
-        """Lay out some poses as a block, when called; ``before`` holds the pose before the first."""
+        """Lay out some poses as a block, when called; ``before`` holds the poses right before the first."""
         part = self.select(slice(start, stop))
-        last = self.select(slice(start - 1, start)) if start else before
         return partial(
             Block,
             part.hypotheses,
             part.truth,
             part.where,
             root=root,
-            previous=None if last is None else (last.hypotheses, last.truth, last.where),
+            previous=None if before is None else before.block(0, len(before), root, period=period),
             follows=part.follows,
             scores=part.scores,
             occluded=part.occluded,

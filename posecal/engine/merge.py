@@ -30,8 +30,8 @@ def merge_totals(parts: Sequence[Totals], names: Sequence[str] | None = None) ->
     Totals
         What one run over all poses gives, but for what depends on which poses are evaluated together: the coordinate
         range of ``tarp_box``, climatology's draws and the cuts of the predicted spread are those of each shard, runs of
-        poses without sequence labels stay those of their shard, and no velocity reaches over a cut. A sequence may be
-        split over shards.
+        poses without sequence labels stay those of their shard, and no difference over time and no segment reaches over
+        a cut. A sequence may be split over shards.
 
     Raises
     ------

@@ -8,7 +8,6 @@ written out for the :class:`Protocol` and the :class:`DataSpec` that it was made
 from __future__ import annotations
 
 import inspect
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import partial
@@ -46,12 +45,18 @@ class Statistic:
         Whether the second axis is joints, each of which counts or not.
     per_pose : bool
         Whether the values of all poses are kept, for orders over poses, which no sums give.
+    earlier : int
+        How many poses before each pose it needs, for differences over time.
+    by_segment : bool
+        Whether its blocks are segments of a sequence, as the option ``segment`` has them.
     """
 
     name: str
     compute: Callable[[Block], FloatArray]
     per_joint: bool = False
     per_pose: bool = False
+    earlier: int = 0
+    by_segment: bool = False
 
 
 @dataclass(frozen=True)
@@ -351,17 +356,6 @@ class Curve:
     definition: str
     statistic: Statistic
     needs: tuple[Need, ...] = ()
-
-
-def _weighted_sum_of_truth(block: Block) -> FloatArray:
-    """Sum the true coordinates of each pose, each with a weight of its own, so that no exchange of them goes unseen."""
-    truth = block.truth.reshape(len(block.truth), -1)
-    weights = np.arange(1, truth.shape[1] + 1) * math.sqrt(2) % 1
-    return np.asarray(truth @ weights)
-
-
-SUM_OF_TRUE_POSES = Statistic("truth", _weighted_sum_of_truth)
-"""Weighted sum of a true pose's coordinates: not a metric, but the check that two results have the same truth."""
 
 
 def entry(*place: int) -> Callable[[FloatArray], FloatArray]:

@@ -40,8 +40,9 @@ def _is_of_any_number(metric: Metric | Curve) -> bool:
     """Whether a metric is right for poses with different numbers of hypotheses."""
     if isinstance(metric, Curve):
         return metric.name != "errors_by_n"
-    names_one = any(word in metric.name for word in ("mpjve", "min_mpjpe_at_", "mode_"))
-    is_alone = metric.family in {"accuracy", "sharpness"} and not names_one and not metric.sequences_per_batch
+    names_one = any(word in metric.name for word in ("min_mpjpe_at_", "mode_"))
+    follows_one = metric.statistic.earlier or metric.statistic.by_segment or metric.sequences_per_batch
+    is_alone = metric.family in {"accuracy", "sharpness"} and not names_one and not follows_one
     return is_alone or metric.name in {"energy_score", "joint_energy_score", "crps", "variogram_score"}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from numbers import Integral, Real
@@ -107,7 +108,15 @@ class Protocol:
     cps_align: Literal["similarity", "none"] = _option("similarity", "how poses are aligned for CPS")
     cps_best: Literal["own", "linked", "mean"] = _option("own", "the hypothesis that CPS takes")
     cps_unit: Literal["mm", "share"] = _option("mm", "CPS as an area in mm or as a share of 300 mm")
-    velocity: Literal["frame", "second"] = _option("frame", "MPJVE per frame or per second")
+    velocity: Literal["frame", "second"] = _option(
+        "frame", "MPJVE, acceleration error and jitter per frame or per second"
+    )
+    segment: str | int = _option(
+        "100",
+        "the frames that WA- and W-MPJPE align together, from the first of each sequence",
+        "a number of frames from 2, or sequence for whole ones",
+        lambda text: text == "sequence" or (text.isdecimal() and int(text) > 1),
+    )
     deviation: Literal["sample", "population"] = _option("sample", "diversity with n - 1 or with n")
     ece_over: Literal["auto", "median", "mean", "worst", "pooled"] = _option("auto", "over joints, for the ECE")
     average: str = _option(
@@ -124,7 +133,7 @@ class Protocol:
     )
 
     def __post_init__(self) -> None:
-        for name, normal in (("metrics", _joined), ("mode", _text), ("pck_threshold", _number)):
+        for name, normal in (("metrics", _joined), ("mode", _text), ("segment", _text), ("pck_threshold", _number)):
             object.__setattr__(self, name, normal(getattr(self, name)))
         problems = []
         for option in fields(self):
@@ -179,6 +188,11 @@ class Protocol:
         if self.ece_over != "auto":
             return self.ece_over
         return "median" if self.where == "all" else "pooled"
+
+    @property
+    def segment_length(self) -> int:
+        """The number of frames of a segment; of whole sequences more than there can be."""
+        return sys.maxsize if self.segment == "sequence" else int(self.segment)
 
     @property
     def options(self) -> dict[str, str]:

@@ -159,7 +159,7 @@ def lay_out_ragged(chunk: Chunk, spec: DataSpec) -> RaggedBlock:
 def lay_out(
     chunk: Chunk, start: int, stop: int, spec: DataSpec, limits: CoordinateRange | None, before: Chunk | None
 ) -> Callable[[], Block | RaggedBlock]:
-    """Lay out some poses of a chunk as a block, when called; ``before`` holds the pose before the first."""
+    """Lay out some poses of a chunk as a block, when called; ``before`` holds the poses right before the first."""
     if spec.is_ragged:
         return partial(lay_out_ragged, chunk.select(slice(start, stop)), spec)
     return chunk.block(start, stop, spec.root, limits, before, spec.period)

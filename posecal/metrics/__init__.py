@@ -2,8 +2,9 @@
 
 Every function takes ``hypotheses`` (N, M, K, D) and ``truth`` (M, K, D) as they stand and returns (M,) values, one per
 pose; average them as you like. ``mpjpe``: the MPJPE family; ``best_of``: minMPJPE against the number of hypotheses;
-``velocity``: MPJVE; ``world``: WA- and W-MPJPE; ``pck``: PCK and AUC; ``cps``: CPS; ``proper``: fair proper scores;
-``brier``: the Brier score; ``sharpness``: diversity and radii; ``uncertainty``: whether a wide spread means error.
+``velocity``: MPJVE, acceleration error, jitter; ``world``: WA- and W-MPJPE; ``pck``: PCK and AUC; ``cps``: CPS;
+``proper``: fair proper scores; ``brier``: the Brier score; ``sharpness``: diversity and radii; ``uncertainty``: whether
+a wide spread means error.
 """
 
 from posecal.metrics.best_of import min_mpjpe_curve
@@ -14,16 +15,18 @@ from posecal.metrics.pck import auc, pck
 from posecal.metrics.proper import crps, energy_score, variogram_score
 from posecal.metrics.sharpness import diversity, radius
 from posecal.metrics.uncertainty import rank_correlation, sparsification, sparsification_area
-from posecal.metrics.velocity import mpjve
+from posecal.metrics.velocity import acceleration_error, jitter, mpjve
 from posecal.metrics.world import world_mpjpe
 
 __all__ = [
+    "acceleration_error",
     "auc",
     "brier_score",
     "cps",
     "crps",
     "diversity",
     "energy_score",
+    "jitter",
     "min_mpjpe",
     "min_mpjpe_curve",
     "mpjpe",

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from functools import partial
 from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arguments import checked
-from posecal.data.arrays import FloatArray, as_array, checked_choice, checked_number
+from posecal.data.arrays import BoolArray, FloatArray, as_array, checked_choice, checked_number
+from posecal.engine.block import Block
+from posecal.engine.metric import Metric, Statistic
+from posecal.engine.scope import Scope
 from posecal.errors import PoseDataError
 from posecal.geometry.procrustes import aligned_errors
 
@@ -110,22 +115,84 @@ def world_mpjpe(
     for label in np.unique(labels):
         poses = np.flatnonzero(labels == label)
         parts = [poses[start : start + most] for start in range(0, len(poses), most)]
-        errors = np.concatenate([_segment_errors(x[:, part], y[part], counted[part], align) for part in parts])
+        errors = np.concatenate(
+            [
+                _segment_errors((x[:, m] - y[m]).transpose(1, 2, 3, 0), y[m], counted[m], counted[m], align)
+                for m in parts
+            ]
+        )
         known = counted[poses].any(axis=1)
         best = int(np.argmin(errors[known].sum(axis=0)))
         found[poses] = np.where(known, errors[:, best] if of == "min" else errors.mean(axis=1), np.nan)
     return found
 
 
-def _segment_errors(x: FloatArray, y: FloatArray, counted: npt.NDArray[np.bool_], align: WorldAlignment) -> FloatArray:
-    """Mean error over joints of each pose and hypothesis, (T, N), of a segment aligned like one pose."""
-    n, t, k, d = x.shape
-    truth = np.where(counted[..., None], y, 0).astype(np.float64)
-    offsets = np.where(counted[..., None], x - y, 0).astype(np.float64).reshape(n, 1, t * k, d).transpose(1, 2, 3, 0)
-    fitted = counted.copy()
+def _segment_errors(
+    offsets: FloatArray, truth: FloatArray, counted: BoolArray, fitted: BoolArray, align: WorldAlignment
+) -> FloatArray:
+    """Mean error over the joints that count of each pose and hypothesis, (T, N), of a segment aligned like one pose."""
+    t, k, d, n = offsets.shape
+    known = counted | fitted
+    y = np.where(known[..., None], truth, 0).astype(np.float64).reshape(1, t * k, d)
+    x = np.where(known[..., None, None], offsets, 0).astype(np.float64).reshape(1, t * k, d, n)
     if align == "first_two":
-        fitted[np.flatnonzero(counted.any(axis=1))[2:]] = False
+        fitted = fitted.copy()
+        fitted[np.flatnonzero(fitted.any(axis=1))[2:]] = False
     weights = fitted.reshape(1, -1) / max(fitted.sum(), 1)
-    errors = aligned_errors(offsets, truth.reshape(1, t * k, d), weights, "similarity").reshape(t, k, n)
+    errors = aligned_errors(x, y, weights, "similarity").reshape(t, k, n)
     sums: FloatArray = np.einsum("tk,tkn->tn", counted.astype(np.float64), errors)
     return np.asarray(sums / np.maximum(counted.sum(axis=1), 1)[:, None])
+
+
+# --- metrics --------------------------------------------------------------------------------------------------
+
+
+def world_errors(block: Block, align: WorldAlignment, body: BoolArray, fit: BoolArray) -> FloatArray:
+    """Error of each pose and hypothesis after one alignment of all poses of a block, (B, N), mm; NaN as elsewhere."""
+    whole, counted = block.fit_block, block.where & body
+    errors = _segment_errors(whole.offsets, whole.truth, counted, whole.where & fit, align)
+    return np.where(counted.any(axis=1, keepdims=True), errors, np.nan)
+
+
+def world_metrics(scope: Scope) -> Iterator[Metric]:
+    """WA- and W-MPJPE, of the mean over hypotheses and of the best for each sequence, of positions in the world."""
+    if "sequence" not in scope.spec.labels or scope.spec.root is not None:
+        return
+    n, frames = scope.spec.n_hypotheses, scope.protocol.segment
+    segment = "sequence" if frames == "sequence" else f"segment of {frames} frames of a sequence"
+    kinds: tuple[tuple[str, WorldAlignment, str, str], ...] = (
+        ("wa", "whole", "", "Ye et al., arXiv:2302.12827 (SLAHMR)"),
+        ("w", "first_two", ", fitted to its first two frames", "Shin et al., arXiv:2312.07531 (WHAM)"),
+    )
+    for name, align, fitted, source in kinds:
+        make = partial(
+            Metric,
+            unit="mm",
+            direction="lower",
+            family="accuracy",
+            statistic=Statistic(
+                f"{name}_errors",
+                partial(world_errors, align=align, body=scope.body, fit=scope.fit),
+                by_segment=True,
+            ),
+            needs=("positions", "three axes"),
+            range="0 at best",
+            reading="The error of a trajectory in the world: WA-MPJPE of its shape, W-MPJPE also of its drift.",
+            source=source,
+        )
+        error = f"mean over {scope.counted(scope.body)} of ‖x − y‖ after one similarity for each {segment}{fitted}"
+        yield make(
+            name=f"{name}_mpjpe",
+            label=f"{name.upper()}-MPJPE",
+            brief=f"mean of N={n}, {scope.number(scope.body)}",
+            definition=f"mean over poses of the mean of the N={n} errors; error: {error}",
+            finish=partial(np.mean, axis=-1),
+        )
+        yield make(
+            name=f"min_{name}_mpjpe",
+            label=f"{name.upper()}-minMPJPE",
+            brief=f"best of N={n} per sequence, {scope.number(scope.body)}",
+            definition=f"mean over poses, one of the N={n} hypotheses chosen per sequence; error: {error}",
+            finish=partial(np.min, axis=-1),
+            sequences_per_batch=1,
+        )

@@ -35,6 +35,7 @@ DIRECTIONS = {
 _TRIED = {name: choices for name, choices in CHOICES.items() if name not in {"root", "where"}} | {
     "best": ("sequence",),
     "mode": ("0",),
+    "segment": ("sequence",),
     "pck_threshold": ("100",),
     "pck_joints": ("all",),
     "auc_range": ("0:50:100",),

@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from posecal.data.arrays import BoolArray, FloatArray
-from posecal.engine.metric import SUM_OF_TRUE_POSES, Metric
+from posecal.engine.measure import SUM_OF_TRUE_POSES
+from posecal.engine.metric import Metric
 from posecal.engine.sums import sum_by
 from posecal.engine.totals import Totals, difference_of_signatures, different_metrics
 from posecal.errors import PoseDataError, did_you_mean, json_lines, option, printable

@@ -97,6 +97,22 @@ def test_scores_and_rank_tests_are_there_where_they_are_asked_for() -> None:
     assert "energy_score" in numbers(*EVALUATE[1:], "--scores")
 
 
+def test_motion_and_errors_in_the_world_are_rows_where_they_are_asked_for() -> None:
+    asked = "acceleration_error,jitter,true_jitter,wa_mpjpe,w_mpjpe,pve"
+    said = refused(*EVALUATE, f"--metrics={asked}", "--root-joint=0")
+    assert "wa_mpjpe needs positions in the world, not relative to a root; expected --root-joint none." in said
+    found = numbers(*EVALUATE[1:], f"--metrics={asked}", "--root-joint=none", "--set=segment=5")
+    assert set(found) == {*asked.split(",")}
+    report = posecal.evaluate(
+        "right.npz", "true.npz", root_joint="none", protocol=posecal.Protocol(segment="5", metrics=asked)
+    )
+    assert {name: row["value"] for name, row in found.items()} == report.scalars()
+    assert found["wa_mpjpe"]["value"] < found["w_mpjpe"]["value"]
+    assert "segment: 'all'; expected a number of frames from 2, or sequence" in refused(
+        *EVALUATE, "--set=segment=all", code=2
+    )
+
+
 # --- metrics of one's own -------------------------------------------------------------------------------------
 
 

@@ -308,8 +308,11 @@ def test_velocities_skip_frames_that_are_not_there() -> None:
     y = random.normal(0, 300, (12, 5, 3))
     x = y + random.normal(0, 40, (4, 12, 5, 3))
     numbers = np.array([0, 1, 2, 3, 7, 8, 9, 10, 11, 20, 21, 22])
+    names = ["mpjve", "acceleration_error", "true_jitter"]
     found = posecal.evaluate(
-        *(x, y), frame_id=numbers, labels={"sequence": "a"}, unit="mm", axes="NMKD", root_joint="none", metrics="mpjve"
+        *(x, y), frame_id=numbers, labels={"sequence": "a"}, unit="mm", axes="NMKD", root_joint="none", metrics=names
     )
-    steps = np.linalg.norm(np.diff(x, axis=1) - np.diff(y, axis=0), axis=-1).mean(axis=(0, 2))
-    assert found["mpjve"] == pytest.approx(steps[np.diff(numbers) == 1].mean(), rel=1e-9)
+    for order, (name, moving) in enumerate(zip(names, (x - y, x - y, y[None]), strict=True), 1):
+        changes = np.linalg.norm(np.diff(moving, order, axis=1), axis=-1).mean(axis=(0, 2))
+        known = numbers[order:] - numbers[:-order] == order
+        assert found[name] == pytest.approx(changes[known].mean(), rel=1e-9)

@@ -8,6 +8,7 @@ import platform
 import subprocess
 import sys
 import weakref
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -240,31 +241,45 @@ def test_scores_stand_by_pose_and_hypothesis(arrays: tuple[Array, Array]) -> Non
     assert Block(*arrays, scores=scores).scores[3, 2] == scores[2, 3]
 
 
-def test_velocities_start_anew_with_a_sequence_and_where_a_joint_did_not_count(arrays: tuple[Array, Array]) -> None:
+COEFFICIENTS = {1: [1, -1], 2: [1, -2, 1], 3: [1, -3, 3, -1]}
+
+
+@pytest.mark.parametrize("order", COEFFICIENTS)
+def test_differences_start_anew_with_a_sequence_and_where_a_joint_did_not_count(
+    arrays: tuple[Array, Array], order: int
+) -> None:
     x, y = arrays
     where = np.ones((M, K), dtype=bool)
     where[2, 1] = where[5, 0] = False
     follows = np.array([False, True, True, True, False, True, True])
-    block = Block(x, y, where, follows=follows)
-    offsets = x - y
+    offsets, truth, counted = Block(x, y, where, follows=follows).differences(order)
     for m, k in np.ndindex(M, K):
-        known = follows[m] and where[m, k] and where[m - 1, k]
-        step = (offsets[:, m, k] - offsets[:, m - 1, k]).T if known else np.zeros((D, N))
-        np.testing.assert_allclose(block.velocity_offsets[m, k], step, atol=1e-11)
-        assert block.where_before[m, k] == (follows[m] and where[m - 1, k])
+        poses = [m - back for back in range(order + 1)]
+        known = min(poses) >= 0 and follows[poses[:-1]].all() and where[poses, k].all()
+        assert counted[m, k] == known
+        expected = np.tensordot(COEFFICIENTS[order], (x - y)[:, poses, k], (0, 1)).T if known else np.zeros((D, N))
+        np.testing.assert_allclose(offsets[m, k], expected, atol=1e-10)
+        expected = np.tensordot(COEFFICIENTS[order], y[poses, k], 1) if known else np.zeros(D)
+        np.testing.assert_allclose(truth[m, k], expected, atol=1e-10)
 
 
-def test_the_first_pose_of_all_has_no_pose_before(arrays: tuple[Array, Array]) -> None:
-    assert not Block(*arrays).where_before[0].any()
+@pytest.mark.parametrize("order", COEFFICIENTS)
+def test_the_first_poses_of_all_have_none_before(arrays: tuple[Array, Array], order: int) -> None:
+    counted = Block(*arrays).differences(order)[2]
+    assert not counted[:order].any()
+    assert counted[order:].all()
 
 
-def test_the_pose_before_may_come_from_an_earlier_read(arrays: tuple[Array, Array]) -> None:
+@pytest.mark.parametrize("order", COEFFICIENTS)
+@pytest.mark.parametrize("earlier", [1, 2, 3])
+def test_the_poses_before_may_come_from_an_earlier_read(arrays: tuple[Array, Array], order: int, earlier: int) -> None:
     x, y = arrays
-    where = np.random.default_rng(5).random((M, K)) < 0.6
-    rest = Block(x[:, 3:], y[3:], where[3:], previous=(x[:, 2:3], y[2:3], where[2:3]))
-    np.testing.assert_allclose(rest.velocity_offsets, Block(x, y, where).velocity_offsets[3:])
-    unmasked = Block(x[:, 3:], y[3:], previous=(x[:, 2:3], y[2:3], None))
-    np.testing.assert_allclose(unmasked.velocity_offsets, Block(x, y).velocity_offsets[3:])
+    where = np.random.default_rng(5).random((M, K)) < 0.8
+    before = partial(Block, x[:, 4 - earlier : 4], y[4 - earlier : 4], where[4 - earlier : 4])
+    rest = Block(x[:, 4:], y[4:], where[4:], previous=before).differences(order)
+    own = Block(x[:, 4 - earlier :], y[4 - earlier :], where[4 - earlier :]).differences(order)
+    for found, expected in zip(rest, own, strict=True):
+        np.testing.assert_array_equal(found, expected[earlier:])
 
 
 def test_a_block_is_freed_as_soon_as_nobody_holds_it() -> None:
@@ -375,7 +390,10 @@ def test_blocks_of_every_length_join_to_one_block(m: int, n: int, k: int, d: int
         patch.setattr("posecal.engine.block.BLOCK_BYTES", length * n * k * d * 8)
         blocks = [lay_out() for lay_out in iter_blocks(x, y, where, follows=follows, sequence=sequence)]
     assert [len(block.where) for block in blocks][:-1] == [max(length, 1)] * (len(blocks) - 1)
-    for name in ("offsets", "truth", "where", "velocity_offsets", "where_before"):
+    for order in (1, 2, 3):
+        for whole, *parts in zip(*(block.differences(order) for block in (all_poses, *blocks)), strict=True):
+            assert np.concatenate(parts).tobytes() == whole.tobytes(), order
+    for name in ("offsets", "truth", "where"):
         joined = np.concatenate([getattr(block, name) for block in blocks])
         assert joined.tobytes() == np.ascontiguousarray(getattr(all_poses, name)).tobytes(), name
     for end in range(2):

@@ -65,7 +65,7 @@ def test_the_remark_says_how_many_are_absent_and_the_line_what_is_left_out() -> 
         line = next(remark for remark in report.remarks if remark.startswith("left out: "))
         assert "ece" in line
         assert line.endswith("which need as many hypotheses of every pose.")
-        assert not {"ece", "min_mpjpe_at_5", "mpjve", "brier"} & report.metrics.keys()
+        assert not {"ece", "min_mpjpe_at_5", "mpjve", "jitter", "brier"} & report.metrics.keys()
         assert report.summary == ()
 
 

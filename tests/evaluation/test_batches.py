@@ -85,7 +85,8 @@ def assert_same(one: Report, other: Report, rtol: float = 1e-12) -> None:
 @pytest.mark.parametrize("sizes", [[1], [64], [7, 20, 3], [90]])
 def test_batches_of_any_length_give_the_numbers_of_one_call(world: Arrays, sizes: list[int]) -> None:
     names = ("where", "occluded", "scores", "sequence", "action", "phase")
-    options = {"by": ["action", "occlusion"], "metrics": ["default", "scores", "mode_mpjpe", "mpjve"]}
+    motion = ["mpjve", "acceleration_error", "jitter", "true_jitter"]
+    options = {"by": ["action", "occlusion"], "metrics": ["default", "scores", "mode_mpjpe", *motion]}
     assert_same(in_batches(world, sizes, *names, **options), in_one_call(world, *names, **options))
 
 
@@ -161,6 +162,38 @@ def test_a_velocity_reaches_over_the_end_of_a_batch(world: Arrays) -> None:
     one = in_batches(world, [4], "sequence", metrics=["mpjve"])
     assert one["mpjve"] == pytest.approx(in_one_call(world, "sequence", metrics=["mpjve"])["mpjve"], rel=1e-12)
     assert one.table.poses[0] == M - 9
+
+
+@pytest.mark.parametrize("sizes", [[1], [7, 20, 3], [90]])
+def test_segments_reach_over_the_end_of_a_batch(world: Arrays, sizes: list[int]) -> None:
+    """Of one call, of batches that are pickled and whose arrays are overwritten, and of the function of arrays."""
+    names = ("where", "sequence", "phase")  # a label that splits sequences, so that cells are joined
+    rows = {"w_mpjpe": ("first_two", "mean"), "min_wa_mpjpe": ("whole", "min")}
+    protocol, given = posecal.Protocol(segment="4", metrics=[*rows]), {name: world[name] for name in names[:2]}
+    arrays: Any = (world["hypotheses"], world["truth"])
+    one = posecal.evaluate(
+        *arrays,
+        where=world["where"],
+        labels={"sequence": world["sequence"]},
+        unit="mm",
+        axes="NMKD",
+        joints=JOINTS,
+        root_joint="none",
+        protocol=protocol,
+    )
+    for name, (align, of) in rows.items():
+        errors: Any = posecal.metrics.world_mpjpe(*arrays, segment=4, align=align, of=of, **given)  # type: ignore
+        assert one[name] == pytest.approx(np.nanmean(errors), rel=1e-6)
+    evaluation = posecal.Evaluation(unit="mm", axes="NMKD", joints=JOINTS, root_joint="none", protocol=protocol)
+    for hypotheses, truth, extra in batches(world, sizes, *names):
+        evaluation.update(hypotheses, truth, **extra)
+        hypotheses[:], truth[:] = 0, 0  # which nobody may see
+        assert evaluation.compute()["w_mpjpe"] > 0
+        evaluation = pickle.loads(pickle.dumps(evaluation))
+    found = evaluation.compute()
+    assert found.totals.labels == ("sequence",)
+    for name in rows:
+        assert found[name] == pytest.approx(one[name], rel=1e-12)
 
 
 def test_the_report_may_be_asked_for_between_batches(world: Arrays) -> None:

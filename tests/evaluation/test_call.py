@@ -207,13 +207,24 @@ def test_every_pose_is_in_one_block_in_the_order_of_the_poses(
 def test_a_velocity_is_of_both_poses_across_windows(some: World, monkeypatch: pytest.MonkeyPatch) -> None:
     where = np.random.default_rng(5).random(some.y.shape[:2]) < 0.7
     where[:, some.joints.index("Hip")] = True
-    expected = oracles.velocity_errors(
-        oracles.relative(some.x, some.root), oracles.relative(some.y, some.root), where, list(some.sequence)
-    )
+    offsets = oracles.relative(some.x, some.root) - oracles.relative(some.y, some.root)
     monkeypatch.setattr(chunks, "WINDOW_BYTES", 1)
-    totals = accumulate(some.pairs.replace(where=where), Protocol(metrics="mpjve"))
-    np.testing.assert_allclose(totals.sums["mpjve"].sum(), np.nansum(expected))
-    assert totals.counts["mpjve"].sum() == (~np.isnan(expected)).sum()
+    totals = accumulate(some.pairs.replace(where=where), Protocol(metrics="mpjve, acceleration_error"))
+    for order, name in ((1, "mpjve"), (2, "acceleration_error")):
+        expected = oracles.motion(offsets, where, list(some.sequence), order)
+        np.testing.assert_allclose(totals.sums[name].sum(), np.nansum(expected))
+        assert totals.counts[name].sum() == (~np.isnan(expected)).sum() > 0
+
+
+@pytest.mark.parametrize("metrics", ["acceleration_error", "jitter"])
+def test_what_is_not_finite_before_a_block_is_refused_as_elsewhere(
+    some: World, metrics: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    x = some.x.copy()
+    x[:, 1:3, 3] = np.inf  # in a row: their difference is no number
+    monkeypatch.setattr("posecal.engine.block.BLOCK_BYTES", 3 * x[:, 0].nbytes)
+    with pytest.raises(PoseDataError, match=r"non-finite coordinates in 2 of .* \(first: frame 1, joint"):
+        evaluate(x, some.y, unit="mm", axes="NMKD", labels={"sequence": some.sequence}, metrics=metrics)
 
 
 def test_sums_are_kept_per_sequence(some: World) -> None:

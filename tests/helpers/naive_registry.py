@@ -103,9 +103,14 @@ class Twin:
             self.over_poses(f"min_mpjpe_at_{n}", np.array(subsets))
         self.define_shares()
         factor = self.world.fps if p.velocity == "second" else 1.0
-        for name, x in (("mpjve", self.x), ("mean_pose_mpjve", oracles.one_pose(self.x, "mean_pose"))):
-            steps = oracles.velocity_errors(x, self.y, self.body, list(self.world.sequence))
-            self.over_poses(name, steps, factor)
+        for prefix, x in (("", self.x), ("mean_pose_", oracles.one_pose(self.x, "mean_pose"))):
+            for order, name in ((1, "mpjve"), (2, "acceleration_error"), (3, "jitter")):
+                moving = x if name == "jitter" else x - self.y
+                changes = oracles.motion(moving, self.body, list(self.world.sequence), order)
+                self.over_poses(prefix + name, changes, factor**order)
+        self.over_poses("true_jitter", oracles.motion(self.y[None], self.body, list(self.world.sequence), 3), factor**3)
+        if self.world.root is None:
+            self.define_world()
         before = set(self.numbers)
         self.define_calibration()
         self.define_rank_tests()
@@ -184,6 +189,16 @@ class Twin:
             distances[:, ~self.counted.any(axis=1)] = np.nan
             self.over_poses("min_root_error", distances.min(axis=0))
             self.over_poses("root_error", distances.mean(axis=0))
+
+    def define_world(self) -> None:
+        names, length = list(self.world.sequence), self.protocol.segment
+        parts = oracles.segments(names, len(names) if length == "sequence" else int(length))
+        for name, align in (("wa_mpjpe", "whole"), ("w_mpjpe", "first_two")):
+            e = oracles.world_errors(self.x, self.y, self.body, self.fitted, parts, align)
+            self.over_poses(name, e.mean(axis=0))
+            self.numbers[f"min_{name}"] = lambda poses, e=e: oracles.best_per_batch(
+                e[:, poses], [names[m] for m in poses], 1
+            )
 
     def define_calibration(self) -> None:
         over = self.protocol.ece_over

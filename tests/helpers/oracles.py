@@ -111,19 +111,21 @@ def one_pose(x: Array, of: str, scores: Array | None = None, index: int | None =
     return found
 
 
-def velocity_errors(x: Array, y: Array, w: Mask, sequence: Sequence[str]) -> Array:
-    """Mean over hypotheses and joints of ‖Δx - Δy‖, (M,); a joint counts where it does in both frames."""
-    found = np.full(len(y), math.nan)
-    for m in range(1, len(y)):
-        if sequence[m] != sequence[m - 1]:
-            continue
-        steps = [
-            math.dist(x[n, m, k] - x[n, m - 1, k], y[m, k] - y[m - 1, k])
-            for n in range(len(x))
-            for k in range(y.shape[1])
-            if w[m, k] and w[m - 1, k]
-        ]
-        found[m] = mean(steps)
+def motion(x: Array, w: Mask, sequence: Sequence[str], order: int) -> Array:
+    """Mean over hypotheses and joints of ‖Δx‖ of an order, (M,); a joint counts where it does in all of the frames."""
+    signs = {1: (1, -1), 2: (1, -2, 1), 3: (1, -3, 3, -1)}[order]
+    found = np.full(len(w), math.nan)
+    for m in range(order, len(w)):
+        frames = [m - back for back in range(order + 1)]
+        if all(sequence[frame] == sequence[m] for frame in frames):
+            found[m] = mean(
+                [
+                    math.hypot(*sum(sign * x[n, frame, k] for sign, frame in zip(signs, frames, strict=True)))
+                    for n in range(len(x))
+                    for k in range(w.shape[1])
+                    if all(w[frame, k] for frame in frames)
+                ]
+            )
     return found
 
 
@@ -165,6 +167,26 @@ def fit(points: Array, target: Array, how: str) -> Callable[[Array], Array]:
 def ratio(over: float | np.floating, under: float | np.floating) -> float:
     """The factor of a size; a pose in one point has none and stays as it is."""
     return float(over / under) if under > 0 else 1.0
+
+
+def world_errors(x: Array, y: Array, w: Mask, fitted: Mask, segments: Sequence[Sequence[int]], align: str) -> Array:
+    """The error of each hypothesis and pose after one similarity for each segment of poses, (N, M)."""
+    found = np.full(x.shape[:2], math.nan)
+    for frames in segments:
+        chosen = [m for m in frames if fitted[m].any()][: 2 if align == "first_two" else None]
+        pairs = [(m, k) for m in chosen for k in range(y.shape[1]) if fitted[m, k]]
+        for n in range(len(x)):
+            move = fit(np.array([x[n, m, k] for m, k in pairs]), np.array([y[p] for p in pairs]), "similarity")
+            for m in frames:
+                moved = move(x[n, m])
+                found[n, m] = mean([math.dist(moved[k], y[m, k]) for k in range(y.shape[1]) if w[m, k]])
+    return found
+
+
+def segments(sequence: Sequence[str], length: int) -> list[list[int]]:
+    """Consecutive poses of a sequence, so many at a time from its first."""
+    runs = [[m for m, _ in run] for _, run in itertools.groupby(enumerate(sequence), key=lambda pair: pair[1])]
+    return [run[start : start + length] for run in runs for start in range(0, len(run), length)]
 
 
 # --- shares of joints and poses -----------------------------------------------------------------------------------

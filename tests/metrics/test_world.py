@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
+from posecal.engine.protocol import Protocol
 from posecal.errors import PoseDataError
+from posecal.evaluation import evaluate
 from posecal.metrics import world_mpjpe
 from posecal.metrics.world import WorldAlignment
+from posecal.report.report import Report
 from tests.helpers import oracles
-from tests.helpers.random_worlds import Array, Mask, mostly, skewed
+from tests.helpers.random_worlds import Array, mostly, skewed
 
 N, M, K = 4, 11, 5
 SEQUENCE = ["a"] * 7 + ["b"] * 4
@@ -22,21 +27,6 @@ def arrays() -> tuple[Array, Array]:
     return x + 40 * np.arange(M)[:, None, None] + 9000, y + 5000
 
 
-def errors(x: Array, y: Array, w: Mask, segments: list[list[int]], align: str) -> Array:
-    """The error of each hypothesis and pose, (N, M)."""
-    found = np.full(x.shape[:2], np.nan)
-    for frames in segments:
-        fitted = [m for m in frames if w[m].any()][: 2 if align == "first_two" else None]
-        pairs = [(m, k) for m in fitted for k in range(y.shape[1]) if w[m, k]]
-        for n in range(len(x)):
-            move = oracles.fit(np.array([x[n, m, k] for m, k in pairs]), np.array([y[p] for p in pairs]), "similarity")
-            for m in frames:
-                moved = move(x[n, m])
-                joints = [k for k in range(y.shape[1]) if w[m, k]]
-                found[n, m] = oracles.mean([float(np.linalg.norm(moved[k] - y[m, k])) for k in joints])
-    return found
-
-
 @pytest.mark.parametrize("align", ["whole", "first_two"])
 @pytest.mark.parametrize("segment", [3, 100, None])
 def test_one_alignment_is_fitted_per_segment_and_hypothesis(
@@ -44,9 +34,7 @@ def test_one_alignment_is_fitted_per_segment_and_hypothesis(
 ) -> None:
     x, y = arrays
     where = mostly(M, K)
-    step = segment or M
-    parts = [list(range(s, min(s + step, stop))) for start, stop in ((0, 7), (7, 11)) for s in range(start, stop, step)]
-    each = errors(x, y, where, parts, align)
+    each = oracles.world_errors(x, y, where, where, oracles.segments(SEQUENCE, segment or M), align)
     x[:, ~where] = np.nan
     found = world_mpjpe(x, y, sequence=SEQUENCE, align=align, segment=segment, where=where)
     np.testing.assert_allclose(found, each.mean(axis=0), rtol=1e-6)
@@ -75,3 +63,47 @@ def test_an_error_in_the_world_names_what_is_not_finite(arrays: tuple[Array, Arr
 def test_a_trajectory_in_the_plane_is_refused(arrays: tuple[Array, Array]) -> None:
     with pytest.raises(PoseDataError, match=r"align: points with 2 coordinates"):
         world_mpjpe(arrays[0][..., :2], arrays[1][..., :2])
+
+
+def report(arrays: tuple[Array, Array], **options: Any) -> Report:
+    labels = {"sequence": SEQUENCE, "action": ["walk"] * M}
+    return evaluate(*arrays, unit="mm", axes="NMKD", labels=labels, root_joint="none", **options)
+
+
+ROWS = "wa_mpjpe, w_mpjpe, min_wa_mpjpe, min_w_mpjpe"
+
+
+@pytest.mark.parametrize("segment", [3, 100, None])
+def test_the_rows_of_a_report_are_those_of_the_function(arrays: tuple[Array, Array], segment: int | None) -> None:
+    where = mostly(M, K)
+    protocol = Protocol(segment=segment or "sequence", metrics=ROWS)
+    found = report(arrays, where=where, protocol=protocol, by="action")
+    given: dict[str, Any] = {"sequence": SEQUENCE, "segment": segment, "where": where}
+    for name, align in (("wa_mpjpe", "whole"), ("w_mpjpe", "first_two")):
+        for prefix, of in (("", "mean"), ("min_", "min")):
+            errors = world_mpjpe(*arrays, align=align, of=of, **given)  # type: ignore[arg-type]
+            assert found[prefix + name] == pytest.approx(np.nanmean(errors), rel=1e-9)
+            assert found.value(prefix + name, "action=walk") == pytest.approx(np.nanmean(errors), rel=1e-9)
+    assert found.table.poses.iloc[0] == M - 1
+    assert f"segment={segment or 'sequence'}" in found.signature or segment == 100
+
+
+def test_their_definitions_say_what_is_aligned(arrays: tuple[Array, Array]) -> None:
+    found = report(arrays, metrics=ROWS).metrics
+    error = "error: mean over the 5 joints of ‖x − y‖ after one similarity for each"
+    mean, best = "the mean of the N=4 errors", "one of the N=4 hypotheses chosen per sequence"
+    segment = "segment of 100 frames of a sequence"
+    assert found["wa_mpjpe"].definition == f"mean over poses of {mean}; {error} {segment}"
+    assert found["min_w_mpjpe"].definition == (
+        f"mean over poses, {best}; {error} {segment}, fitted to its first two frames"
+    )
+    found = report(arrays, protocol=Protocol(segment="sequence", metrics=ROWS)).metrics
+    assert found["wa_mpjpe"].definition == f"mean over poses of {mean}; {error} sequence"
+
+
+def test_an_interval_is_over_sequences(arrays: tuple[Array, Array]) -> None:
+    """Of two sequences with means a and b of n and m poses: the jackknife leaves out one, then the other."""
+    errors = world_mpjpe(*arrays, sequence=SEQUENCE)
+    low, high = report(arrays, metrics="wa_mpjpe").interval("wa_mpjpe")
+    assert low < min(errors[:7].mean(), errors[7:].mean()) < max(errors[:7].mean(), errors[7:].mean()) < high
+    assert (low + high) / 2 == pytest.approx(errors.mean())

@@ -119,7 +119,7 @@ def test_rows_are_named_in_snake_case_and_have_known_directions_and_units() -> N
         assert row["metric"].replace("_", "a").isalnum()
         assert row["metric"] == row["metric"].lower()
         assert row["direction"] in {"lower", "higher", "zero", "none"}
-        assert row["unit"] in {"", "mm", "mm/frame", "mm/s"}
+        assert row["unit"] in {"", "mm", *(f"mm/{of}{power}" for of in ("frame", "s") for power in ("", "²", "³"))}
     named = {row["metric"] for row in rows}
     promised = {"min_mpjpe", "mpjpe", "pa_min_mpjpe", "pck", "auc", "cps", "ece", "ece_paper", "ece_reference"}
     assert promised | {"signed_area", "coverage_90", "diversity"} <= named

@@ -1,22 +1,23 @@
-"""Sums of statistics over the poses of one block."""
+"""Statistics of the poses of one block, as sums for each run of poses of one cell."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import FloatArray
 from posecal.engine.block import Block
-from posecal.engine.chunks import Indices
 from posecal.engine.metric import Statistic
 from posecal.engine.ragged import RaggedBlock, measure
+from posecal.engine.sums import Indices
 
 
 @dataclass(frozen=True)
-class BlockSums:
+class Measured:
     """The sums of one block: a row for each run of poses of one cell."""
 
     poses: int
@@ -25,26 +26,14 @@ class BlockSums:
     sums: dict[str, tuple[FloatArray, npt.NDArray[np.int64]]]
     per_pose: dict[str, FloatArray]
     cell_of: Indices
-    non_finite: Indices  # (pose, joint), counted from the first pose of all
+    non_finite: Indices
     non_finite_of_reference: Indices
 
 
-def sum_block(
+def measure_block(
     first: int, make: Callable[[], Block | RaggedBlock], cells: Indices, statistics: Sequence[Statistic]
-) -> BlockSums:
-    """Compute statistics of a block and sum them over each run of poses of one cell.
-
-    Parameters
-    ----------
-    first : int
-        How many poses come before.
-    make : callable
-        Lays the block out.
-    cells : array of int (B,)
-        The cell of each pose.
-    statistics : sequence of Statistic
-        What is summed; nothing where coordinates are not finite.
-    """
+) -> Measured:
+    """Measure a block, of which the first pose has this number; nothing where a coordinate is not finite."""
     block = make()
     finite = np.zeros_like(block.where)
     masks = block.non_finite, finite if block.reference is None else block.reference.non_finite
@@ -65,4 +54,23 @@ def sum_block(
             values = np.where(counted.reshape(*counted.shape, *[1] * (values.ndim - axes)), values, 0)
         total = np.add.reduceat(values, runs, axis=0)
         sums[statistic.name] = total, np.add.reduceat(counted, runs, axis=0, dtype=np.int64)
-    return BlockSums(len(cells), cells[runs], poses, sums, per_pose, cells, bad, bad_of_reference)
+    return Measured(len(cells), cells[runs], poses, sums, per_pose, cells, bad, bad_of_reference)
+
+
+def measure_segment(make: Callable[[], Block], cells: Indices, statistics: Sequence[Statistic]) -> Measured:
+    """Measure poses that were measured in blocks before, and add none to the count."""
+    measured = measure_block(0, make, cells, statistics)
+    nothing = np.zeros((0, 2), dtype=np.intp)  # what is not finite was found in those blocks
+    no_poses = np.zeros_like(measured.poses_of_cells)
+    return replace(measured, poses=0, poses_of_cells=no_poses, non_finite=nothing, non_finite_of_reference=nothing)
+
+
+def _weighted_sum_of_truth(block: Block) -> FloatArray:
+    """Sum the true coordinates of each pose, each with a weight of its own, so that no exchange of them goes unseen."""
+    truth = block.truth.reshape(len(block.truth), -1)
+    weights = np.arange(1, truth.shape[1] + 1) * math.sqrt(2) % 1
+    return np.asarray(truth @ weights)
+
+
+SUM_OF_TRUE_POSES = Statistic("truth", _weighted_sum_of_truth)
+"""Weighted sum of a true pose's coordinates: not a metric, but the check that two results have the same truth."""

@@ -1,0 +1,52 @@
+"""Segments of sequences do not depend on the parts in which their poses come."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from posecal.engine.chunks import Chunk
+from posecal.engine.segments import Segments
+
+M = 17
+SEQUENCE = np.array(["a"] * 7 + ["b"] * 3 + ["a"] * 2 + ["c"] * 5)
+
+
+def poses(numbers: npt.NDArray[np.float64]) -> Chunk:
+    """One hypothesis of one joint, whose coordinate is the number of the pose; its cell is its tens."""
+    truth = numbers.reshape(-1, 1, 1).copy()
+    follows, cells = np.ones(len(numbers), dtype=bool), (numbers // 10).astype(np.intp)
+    return Chunk(truth[None] + 0.5, truth, follows, cells, cells, None, None, None, None, None)
+
+
+@pytest.mark.parametrize("parts", [[], [1], [3, 4, 9], list(range(1, M))])
+@pytest.mark.parametrize(
+    ("length", "expected"),
+    [
+        (3, [[0, 1, 2], [3, 4, 5], [6], [7, 8, 9], [10, 11], [12, 13, 14], [15, 16]]),
+        (5, [[0, 1, 2, 3, 4], [5, 6], [7, 8, 9], [10, 11], [12, 13, 14, 15, 16]]),
+        (99, [[0, 1, 2, 3, 4, 5, 6], [7, 8, 9], [10, 11], [12, 13, 14, 15, 16]]),
+    ],
+)
+def test_a_segment_has_so_many_consecutive_poses_of_a_sequence(
+    parts: list[int], length: int, expected: list[list[int]]
+) -> None:
+    segments, found = Segments(length), []
+    for part in np.split(np.arange(float(M)), parts):
+        found += segments.add(poses(part), SEQUENCE[part.astype(int)])
+    found += segments.rest()
+    assert [chunk.truth.ravel().tolist() for chunk in found] == expected
+    assert [(chunk.hypotheses.ravel() - 0.5).tolist() for chunk in found] == expected
+    assert not [*segments.rest()]
+
+
+def test_poses_that_wait_are_copies_with_cells_that_can_change() -> None:
+    segments, chunk = Segments(4), poses(np.array([8.0, 9.0, 10.0]))
+    assert not [*segments.add(chunk, np.array(["a"] * 3))]
+    chunk.truth[:], chunk.hypotheses[:] = 77, 77
+    segments.renumber(np.array([5, 3]))
+    (rest,) = segments.rest()
+    assert rest.truth.ravel().tolist() == [8, 9, 10]
+    assert rest.hypotheses.ravel().tolist() == [8.5, 9.5, 10.5]
+    assert rest.cells.tolist() == [5, 5, 3]
