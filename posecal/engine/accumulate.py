@@ -24,7 +24,7 @@ from posecal.engine.chunks import Chunk, Indices, join_chunks, read_chunks
 from posecal.engine.coinciding import Coinciding
 from posecal.engine.measure import Measured, measure_block, measure_segment
 from posecal.engine.metric import Metric, Statistic
-from posecal.engine.pose_hashes import PoseHashes, pose_hashes, repeated_remarks, smallest_hashes
+from posecal.engine.pose_hashes import PoseHashes, add_hashes, pose_hashes, repeated_remarks, smallest_hashes
 from posecal.engine.prepare import Prepared, refuse_non_finite
 from posecal.engine.protocol import Protocol
 from posecal.engine.ragged import lay_out
@@ -36,9 +36,6 @@ from posecal.errors import PoseDataError, first_few, option
 
 Progress = Callable[[int], object]
 Pending = Literal["rest", "none", "all"]
-
-MOST_BLOCKS = 1000
-"""After so many blocks their hashes are put together."""
 
 
 class Accumulator:
@@ -209,6 +206,7 @@ class Accumulator:
         other._sums = {name: sums for name, sums in other._sums.items() if name in names}
         other._per_pose = {name: values for name, values in other._per_pose.items() if name in names}
         other._cell_of = other._cell_of if other._per_pose else []
+        other._earlier, other._segments = 0, Segments(0)  # no such metric is of poses with absent hypotheses
         return other
 
     def end_run(self) -> None:
@@ -265,13 +263,8 @@ class Accumulator:
             follows = chunk.follows.copy()
             follows[0] |= continues and start == 0
             self._coinciding.add(data.names[0], chunk.hypotheses, chunk.where, data.frame_id[start:stop])
-            yield replace(
-                chunk,
-                cells=cells[start:stop],
-                sequence=numbers[start:stop],
-                hashes=hashes[start:stop],
-                follows=follows,
-            )
+            part = slice(start, stop)
+            yield replace(chunk, cells=cells[part], sequence=numbers[part], hashes=hashes[part], follows=follows)
             start = stop
 
     def _measure(self, tasks: Iterable[Callable[[], Measured]]) -> Iterator[Measured]:
@@ -342,9 +335,7 @@ class Accumulator:
         statistics = [statistic for statistic in self.statistics if not statistic.by_segment]
         yield partial(measure_block, self._given, make, chunk.cells[start:stop], statistics)
         self._given += stop - start
-        self._hashes.append(chunk.hashes[start:stop])
-        if len(self._hashes) > MOST_BLOCKS:
-            self._hashes = [smallest_hashes(self._hashes)]
+        add_hashes(self._hashes, chunk.hashes[start:stop])
         if self._earlier:
             last = replace(chunk.select(slice(max(start, stop - self._earlier), stop)), reference=None)
             joined = join_chunks([last] if self._before is None else [self._before, last])

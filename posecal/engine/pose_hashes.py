@@ -18,6 +18,8 @@ PoseHashes = npt.NDArray[np.uint64]
 MOST_HASHES = 65_536
 """Of more poses the smallest hashes are kept: what two sets share is then found by a sample of it."""
 
+_MOST_PARTS = 1000
+
 
 def pose_hashes(data: PoseData) -> PoseHashes:
     """Hash the poses, (M, 2): truth and labels of each, and the name of its frame, 0 where it has none."""
@@ -29,6 +31,13 @@ def pose_hashes(data: PoseData) -> PoseHashes:
     if data.has_frame_id:
         hashes[:, 1] = _hash(data.frame_id)
     return hashes
+
+
+def add_hashes(parts: list[PoseHashes], more: PoseHashes) -> None:
+    """Add the hashes of more poses; after many parts they are put together."""
+    parts.append(more)
+    if len(parts) > _MOST_PARTS:
+        parts[:] = [smallest_hashes(parts)]
 
 
 def smallest_hashes(parts: Sequence[PoseHashes]) -> PoseHashes:

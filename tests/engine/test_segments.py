@@ -17,7 +17,8 @@ def poses(numbers: npt.NDArray[np.float64]) -> Chunk:
     """One hypothesis of one joint, whose coordinate is the number of the pose; its cell is its tens."""
     truth = numbers.reshape(-1, 1, 1).copy()
     follows, cells = np.ones(len(numbers), dtype=bool), (numbers // 10).astype(np.intp)
-    return Chunk(truth[None] + 0.5, truth, follows, cells, cells, None, None, None, None, None)
+    hashes = np.zeros((len(numbers), 2), dtype=np.uint64)
+    return Chunk(truth[None] + 0.5, truth, follows, cells, cells, hashes, None, None, None, None, None)
 
 
 @pytest.mark.parametrize("parts", [[], [1], [3, 4, 9], list(range(1, M))])
