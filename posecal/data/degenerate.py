@@ -172,8 +172,8 @@ def fill_remarks(
         A remark for each such number. Other than 0 it is found at two joints or more and, of two coordinates, as the
         least or the largest of all, since whole pixels may be equal by chance.
     """
-    equal = (poses == poses[..., :1]).all(axis=2)
-    equal &= True if where is None else where
+    counted = np.ones(poses.shape[:2], dtype=bool) if where is None else where
+    equal = (poses == poses[..., :1]).all(axis=2) & counted
     equal &= ~equal.all(axis=1, keepdims=True)  # a pose in one point is another fault
     values, numbers = np.unique(poses[..., 0][equal], return_counts=True)
     if poses.shape[2] == 2 and values.size:
@@ -182,7 +182,7 @@ def fill_remarks(
     for value in values[(values == 0) | (numbers > 1)]:
         found = equal & (poses[..., 0] == value)
         if value == 0:
-            found[:, [*resting, *np.flatnonzero(found.all(axis=0))]] = False
+            found[:, [*resting, *np.flatnonzero((found | ~counted).all(axis=0))]] = False
         if found.any():
             places = [f"{joints[j]} in {number:,}" for j, number in enumerate(found.sum(axis=0)) if number]
             remarks.append(

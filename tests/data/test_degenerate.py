@@ -109,6 +109,10 @@ def test_joints_that_are_zero_in_some_frames_are_remarked_on_but_the_root() -> N
         "gt: joints are exactly 0 in 3 of 7 poses (Spine in 3). Where that stands for a joint that is not known, mark "
         "it in a member valid (M, K)."
     ]
+    where = np.ones((M, K), dtype=bool)
+    where[[1, 2], 7] = where[3, 0] = False
+    (remark,) = truth_remarks(y, where, JOINTS, [], "gt")
+    assert remark.startswith("gt: joints are exactly 0 in 1 of 7 poses (Spine in 1).")  # Hip is 0 wherever it counts
 
 
 @pytest.mark.parametrize("d", [2, 3])
