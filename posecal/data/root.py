@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -228,7 +229,8 @@ def choose_root(
     if "+" in text:
         text = "LHip+RHip"
     try:
-        root = parse_root(text, names)
+        is_there = all(find_joint(name, names) is not None for name in re.split("[+,]", text))
+        root = parse_root(text, names) if is_there else None
     except PoseDataError:
         root = None
     if root is None or _is_about(truth, root):
