@@ -7,6 +7,7 @@ from dataclasses import replace as changed
 from functools import cache, lru_cache
 
 from posecal.calibration.error import calibration_metrics
+from posecal.calibration.intervals import interval_metrics
 from posecal.calibration.rank_tests import PreRank, rank_test_metrics
 from posecal.data.skeleton import JOINT_SETS
 from posecal.engine import needs
@@ -155,7 +156,7 @@ def _all_metrics(
     found += [*pck_metrics(scope), *cps_metrics(scope), *velocity_metrics(scope), *world_metrics(scope)]
     found += [*limb_metrics(scope), *root_metrics(scope)]
     if spec.n_hypotheses > 1:
-        found += [*calibration_metrics(scope), *rank_test_metrics(scope, preranks)]
+        found += [*calibration_metrics(scope), *interval_metrics(scope), *rank_test_metrics(scope, preranks)]
         found += [*score_metrics(scope), *brier_metrics(scope), *skill_metrics(scope)]
         found += [*sharpness_metrics(scope), *uncertainty_metrics(scope)]
     found += [_with_functions(metric) for metric in own]
@@ -224,7 +225,8 @@ def metrics_of(
     families = {metric.family for metric in known.values()}
     possible = {*known, "default", "all", *families.intersection(GROUPS)}
     raise_all(f"metrics: {word} {_lacks(word, protocol, spec, known)}" for word in words if word not in possible)
-    free = {metric.statistic.name for metric in known.values() if metric.headline} | {"errors_by_n", "inside_reference"}
+    free = {metric.statistic.name for metric in known.values() if metric.headline}
+    free |= {"errors_by_n", "inside_reference", "radii"}
     return {
         name: metric
         for name, metric in known.items()

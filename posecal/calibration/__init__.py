@@ -1,12 +1,14 @@
 """Calibration of any hypotheses, without a model: whether their spread can be trusted.
 
 ``curve``: calibration curves; ``error``: the expected calibration error; ``expected``: that of a perfect sampler;
-``ranks``: the three definitions; ``rank_tests``: tests of what the curve does not see.
+``ranks``: the three definitions; ``intervals``: central intervals of single coordinates; ``rank_tests``: tests of what
+the curve does not see.
 """
 
 from posecal.calibration.curve import OVER_JOINTS, CalibrationCurve, calibration_curve
 from posecal.calibration.error import ece
 from posecal.calibration.expected import Floor, expected_curve, perfect_sampler
+from posecal.calibration.intervals import interval_coverage, interval_width
 from posecal.calibration.ranks import DEFINITIONS, LEVELS, Definition
 from posecal.engine.protocol import OverJoints
 
@@ -21,5 +23,7 @@ __all__ = [
     "calibration_curve",
     "ece",
     "expected_curve",
+    "interval_coverage",
+    "interval_width",
     "perfect_sampler",
 ]

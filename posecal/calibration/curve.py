@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.calibration.ranks import DEFINITIONS, LEVELS, Definition, inside
-from posecal.data.arguments import checked
+from posecal.data.arguments import any_unit, checked
 from posecal.data.arrays import (
     BoolArray,
     FloatArray,
@@ -275,6 +275,7 @@ def calibration_curve(
     where: npt.ArrayLike | None = None,
     root: int | None = None,
     axes: str | None = None,
+    unit: str | float | None = None,
 ) -> CalibrationCurve:
     r"""Calibration curve of every joint.
 
@@ -283,7 +284,7 @@ def calibration_curve(
     Parameters
     ----------
     hypotheses : array (N, M, K, D)
-        Hypotheses, any unit.
+        Hypotheses, any unit; of angles give it.
     truth : array (M, K, D)
         True poses, the same unit.
     definition : str
@@ -294,6 +295,8 @@ def calibration_curve(
         The joint to subtract from every pose first; it carries no information then and is left out.
     axes : str, optional
         The layout of the hypotheses, such as ``MNKD``; needed where the shapes leave it open.
+    unit : str or float, optional
+        ``deg`` or ``rad`` where both are angles, whose distances are the shorter way round; any other is the same.
 
     Returns
     -------
@@ -330,11 +333,12 @@ def calibration_curve(
     (0.0, 0.5, 1.0)
     """
     checked_choice(definition, "definition", DEFINITIONS)
-    n_joints = checked(hypotheses, truth, axes=axes, unit="mm")[1].shape[1]  # the unit does not matter
+    unit = any_unit(unit)
+    n_joints = checked(hypotheses, truth, axes=axes, unit=unit)[1].shape[1]
     root = checked_root(root, n_joints)
     joints = None if root is None else np.arange(n_joints) != root
     table = per_pose(
-        lambda b: inside_table(b, definition, joints), hypotheses, truth, where, root=root, axes=axes, unit="mm"
+        lambda b: inside_table(b, definition, joints), hypotheses, truth, where, root=root, axes=axes, unit=unit
     )
     number = (~np.isnan(table[..., 0])).sum(axis=0)[:, None]
     mean = np.where(number > 0, np.nansum(table, axis=0) / np.maximum(number, 1), np.nan)

@@ -35,6 +35,7 @@ def ece(
     where: npt.ArrayLike | None = None,
     root: int | None = None,
     axes: str | None = None,
+    unit: str | float | None = None,
 ) -> float:
     r"""Expected calibration error: mean distance of the calibration curve from the diagonal.
 
@@ -43,7 +44,7 @@ def ece(
     Parameters
     ----------
     hypotheses : array (N, M, K, D)
-        Hypotheses, any unit.
+        Hypotheses, any unit; of angles give it.
     truth : array (M, K, D)
         True poses, the same unit.
     definition : str
@@ -57,6 +58,8 @@ def ece(
         The joint to subtract from every pose first; it is left out.
     axes : str, optional
         The layout of the hypotheses, such as ``MNKD``; needed where the shapes leave it open.
+    unit : str or float, optional
+        ``deg`` or ``rad`` where both are angles, whose distances are the shorter way round; any other is the same.
 
     Returns
     -------
@@ -92,7 +95,8 @@ def ece(
     0.452
     """
     checked_choice(over, "over", OVER_JOINTS)
-    return calibration_curve(hypotheses, truth, definition=definition, where=where, root=root, axes=axes).ece(over)
+    curve = calibration_curve(hypotheses, truth, definition=definition, where=where, root=root, axes=axes, unit=unit)
+    return curve.ece(over)
 
 
 # --- metrics --------------------------------------------------------------------------------------------------
@@ -219,6 +223,7 @@ def _coverages(scope: Scope) -> Iterator[Metric]:
         scope.counted(scope.moving),
         scope.protocol.summary_over_joints,
     )
+    several = scope.spec.n_coordinates > 1  # of one, intervals stand for balls
     for percent in (50, 80, 90, 95):
         index = percent * (LEVELS.size - 1) // 100
         yield _COVERAGE(
@@ -230,7 +235,7 @@ def _coverages(scope: Scope) -> Iterator[Metric]:
             statistic=statistic,
             finish=ReadOff(SUMMARIES[over], entry(index)),
             by_joint=(statistic, _of_joints(per_joint(index))),
-            headline=True,
-            in_group_table=percent == 90,
-            in_joint_table=percent in {50, 90},
+            headline=several,
+            in_group_table=several and percent == 90,
+            in_joint_table=several and percent in {50, 90},
         )

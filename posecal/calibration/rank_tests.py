@@ -62,7 +62,7 @@ class Pool(NamedTuple):
     @classmethod
     def of(cls, block: Block, joints: BoolArray) -> Pool:
         """Take some joints of a block."""
-        offsets, counted = block.offsets[:, joints], block.where[:, joints]
+        offsets, counted = block.pooled[:, joints], block.where[:, joints]
         zero = np.zeros((*offsets.shape[:-1], 1))
         truth = np.where(counted[..., None], block.truth[:, joints], np.nan)
         low, high = (ends[:, joints].astype(np.float64) for ends in block.range_of_others)
@@ -93,9 +93,10 @@ def weights_of_ranks(prerank: FloatArray) -> FloatArray:
 def coordinate_weights(block: Block, joints: BoolArray) -> FloatArray:
     """Weights of the rank of each coordinate of each joint, (B, K, D, Q): the probability integral transform.
 
-    NaN for joints that don't count.
+    Angles are in order from the point opposite the circular mean of hypotheses and truth. NaN for joints that don't
+    count.
     """
-    less, equal = (block.offsets < 0).sum(axis=-1), (block.offsets == 0).sum(axis=-1)
+    less, equal = (block.pooled < 0).sum(axis=-1), (block.pooled == 0).sum(axis=-1)
     weights = rank_weights(block.n_hypotheses, less, equal)
     return np.where((block.where & joints)[:, :, None, None], weights, np.nan)
 

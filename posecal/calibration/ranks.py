@@ -13,7 +13,9 @@ definition         centre, per coordinate              the truth is inside the q
                                                        distances is strictly larger than the truth's
 =================  ==================================  =================================================
 
-n_less counts the hypotheses that lie nearer to the centre than the truth, n_equal those just as far.
+n_less counts the hypotheses that lie nearer to the centre than the truth, n_equal those just as far. Of angles,
+distances are the shorter way round, and the points whose median is taken are unwrapped about the circular mean of just
+these points, so that nothing depends on which of them is the truth.
 
 If the truth and the hypotheses are exchangeable given the input (a perfect sampler), ``exchangeable`` has
 E ω(q) = q exactly, for every N, D, distribution and dependence between the hypotheses, ties included. ``paper``
@@ -116,6 +118,8 @@ def nearness(block: Block) -> Nearness:
 
 
 def _nearness(block: Block) -> Nearness:
+    if block.period is not None:
+        return _circular_nearness(block, block.period)
     middle, odd = divmod(block.n_hypotheses, 2)
     ordered = block.sorted
     below, above = ordered[..., middle - 1], ordered[..., middle]
@@ -129,6 +133,19 @@ def _nearness(block: Block) -> Nearness:
     reach = bounds @ block.offsets
     within = block.squared_errors[:, :, None] <= reach[:, :, :3]
     return Nearness(centres, within, _count(within), _count(block.squared_errors < reach[:, :, 3]))
+
+
+def _circular_nearness(block: Block, period: float) -> Nearness:
+    """The same of coordinates that repeat: distances the shorter way round, of all coordinates of a joint."""
+    truth = np.zeros((*block.pooled.shape[:-1], 1), dtype=block.pooled.dtype)
+    pooled = np.median(np.concatenate([block.pooled, truth], axis=-1), axis=-1)
+    centres = np.stack([pooled, block.median, block.sorted[..., (block.n_hypotheses - 1) // 2]], axis=2)
+    away = block.shortest(block.offsets[:, :, None] - centres[..., None])
+    distances = np.linalg.norm(away, axis=3)
+    true = np.linalg.norm(block.shortest(centres), axis=-1)[..., None]
+    tie = TIE * np.finfo(distances.dtype).eps * period
+    within = distances <= true + tie
+    return Nearness(centres, within, _count(within), _count(distances[:, :, 0] < true[:, :, 0] - tie))
 
 
 def _count(chosen: BoolArray) -> Counts:
@@ -213,8 +230,8 @@ def _reference(block: Block) -> FloatArray:
     between = fractional[at_most]
     if between.any():
         centre, nearer = near.centres[between][:, 2].astype(np.float64), near.within[between][:, 2]
-        distances = np.sqrt(squared_norms(block.offsets[between] - centre[..., None]))
-        true = np.sqrt((centre**2).sum(axis=-1))
+        distances = np.sqrt(squared_norms(block.shortest(block.offsets[between] - centre[..., None])))
+        true = np.sqrt((block.shortest(centre) ** 2).sum(axis=-1))
         below = np.where(nearer, distances, -np.inf).max(axis=-1)
         above = np.where(nearer, np.inf, distances).min(axis=-1)
         gap = above - below

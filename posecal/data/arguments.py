@@ -13,20 +13,48 @@ from posecal.data.checks import refuse_tiny
 from posecal.data.declarations import choose_layouts, refuse_ambiguous
 from posecal.data.layout import HYPOTHESES, Layout, MemoryArray, plausible_layouts
 from posecal.data.stored_poses import StoredPoses, in_millimetres
-from posecal.data.units import millimetres_per
+from posecal.data.units import PERIODS, quantity
 from posecal.errors import PoseDataError
 
-_DECLARED: ContextVar[bool] = ContextVar("declared", default=False)
+_DECLARED: ContextVar[str | None] = ContextVar("declared", default=None)
 
 
 @contextmanager
-def declared() -> Iterator[None]:
-    """Take arrays as (N, M, K, D) in mm: blocks of poses that were read so, passed on to a user's function."""
-    token = _DECLARED.set(True)
+def declared(unit: str = "mm") -> Iterator[None]:
+    """Take arrays as (N, M, K, D) in a unit: blocks of poses that were read so, passed on to a user's function."""
+    token = _DECLARED.set(unit)
     try:
         yield
     finally:
         _DECLARED.reset(token)
+
+
+def quantity_of(unit: str | float | None) -> tuple[str, float]:
+    """Give the unit in which arrays are measured, and the factor of their numbers; of no unit that of the context."""
+    return quantity(_DECLARED.get() or "mm" if unit is None else unit)
+
+
+def period_of(unit: str | float | None) -> float | None:
+    """Give after how much the coordinates of arrays repeat; None where they don't."""
+    return PERIODS.get(quantity_of(unit)[0])
+
+
+def any_unit(unit: str | float | None) -> str | float:
+    """Give the unit of arrays whose lengths may be in any: the declared one, that of the context, or none."""
+    return (_DECLARED.get() or "none") if unit is None else unit
+
+
+def refuse_all_but_lengths(unit: str | float | None, what: str) -> None:
+    """Refuse arrays that are no lengths, where something is given in mm.
+
+    Raises
+    ------
+    PoseDataError
+        With what it is.
+    """
+    measured = quantity_of(unit)[0]
+    if measured != "mm":
+        raise PoseDataError(f"{what}, but the data are {measured or 'no unit'}; expected lengths.")
 
 
 def checked(
@@ -37,7 +65,7 @@ def checked(
     axes: str | None = None,
     unit: str | float | None = None,
 ) -> tuple[FloatArray, FloatArray, BoolArray | None]:
-    """Check two arrays and the mask, in the paper's layout and in millimetres.
+    """Check two arrays and the mask, in the paper's layout and in millimetres, degrees, pixels or no unit.
 
     Parameters
     ----------
@@ -50,7 +78,8 @@ def checked(
     axes : str, optional
         The layout of the hypotheses, such as ``MNKD``. Where None, shapes that several layouts fit are refused.
     unit : str, float or None
-        Of both. Where None, mm, and poses that look like metres are refused.
+        Of both, as for :func:`posecal.data.units.quantity`. Where None, mm, and poses that look like metres are
+        refused.
 
     Returns
     -------
@@ -84,10 +113,10 @@ def checked(
     if 0 in x.shape:
         empty = [letter for letter, size in zip("NMKD", x.shape, strict=True) if size == 0]
         raise PoseDataError(f"{shapes}: {', '.join(empty)} is 0; expected at least one of each.")
-    is_declared = _DECLARED.get()
+    is_declared = _DECLARED.get() is not None
     if axes is None and not is_declared:
         refuse_ambiguous(f"{shapes}: {expected}", x.shape, plausible_layouts(x.shape, y.shape))
-    factor = 1.0 if unit is None else millimetres_per(unit)
+    _, factor = quantity_of(unit)
     x, y = (in_millimetres(array, factor) if factor != 1 or array.dtype.kind != "f" else array for array in (x, y))
     if unit is None and not is_declared:
         refuse_tiny(x, y)

@@ -19,7 +19,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from posecal.data.arrays import BoolArray, FloatArray, squared_norms, working_dtype
 from posecal.data.degenerate import LARGEST, is_outside
 from posecal.data.root import AnyRoot, Root, origin
-from posecal.engine.circular import unwrapped, wrapped
+from posecal.engine.circular import circular_mean, unwrapped, wrapped
 from posecal.engine.coordinate_range import CoordinateRange, coordinate_range
 from posecal.engine.memory import reuse_freed_memory
 from posecal.errors import PoseDataError
@@ -83,6 +83,8 @@ class Block:
         Whether each pose comes right after the one before it.
     stored, root
         What came, and what is subtracted from it.
+    period : float or None
+        After how much coordinates repeat.
     """
 
     def __init__(
@@ -105,7 +107,7 @@ class Block:
         reuse_freed_memory()
         self.occluded = np.zeros(truth.shape[:2], dtype=bool) if occluded is None else occluded
         self.where = np.ones(truth.shape[:2], dtype=bool) if where is None else where
-        self.offsets, self._period = _offsets(hypotheses, truth, root), period
+        self.offsets, self.period = _offsets(hypotheses, truth, root), period
         if period is not None:
             self.offsets = unwrapped(self.offsets, period)
         self.truth = _relative(truth, root, self.offsets.dtype)
@@ -142,6 +144,10 @@ class Block:
         other._previous, other._shared = None, {}
         if self._make_fit_block is not None:
             other._make_fit_block = lambda: self.fit_block.scale_dispersion(factor)
+        if self.period is not None:
+            moved = centre + times * self.shortest(self.offsets - centre)
+            other.offsets = unwrapped(moved, self.period)
+            return other
         other.offsets = centre + times * (self.offsets - centre)
         other.__dict__["sorted"] = centre + times * (self.sorted - centre)  # the order stays
         return other
@@ -171,9 +177,28 @@ class Block:
         result: Result = self._shared[key]
         return result
 
-    def from_truth(self, offsets: FloatArray) -> FloatArray:
-        """Give the shorter way round from the truth, where coordinates repeat; elsewhere the offsets themselves."""
-        return offsets if self._period is None else wrapped(offsets, self._period)
+    def shortest(self, offsets: FloatArray) -> FloatArray:
+        """Give the shorter way round, where coordinates repeat; elsewhere the offsets themselves."""
+        return offsets if self.period is None else wrapped(offsets, self.period)
+
+    def mean_of(self, offsets: FloatArray, shares: FloatArray | None = None) -> FloatArray:
+        """Mean over the hypotheses, (B, K, D, 1), of equal or the given shares (B, N); circular where they repeat."""
+        if self.period is not None:
+            return circular_mean(offsets, self.period, 1.0 if shares is None else shares[:, None, None])[..., None]
+        if shares is not None:
+            return np.asarray(np.einsum("bkdn,bn->bkd", offsets, shares))[..., None]
+        return np.asarray(np.einsum("bkdn->bkd", offsets))[..., None] / offsets.dtype.type(offsets.shape[-1])
+
+    @cached_property
+    def pooled(self) -> FloatArray:
+        """The offsets, (B, K, D, N), in an order that does not depend on which of N + 1 points is the truth, at 0.
+
+        Where coordinates repeat, all these points are unwrapped about their circular mean.
+        """
+        if self.period is None:
+            return self.offsets
+        truth = np.zeros((*self.offsets.shape[:-1], 1), dtype=self.offsets.dtype)
+        return unwrapped(np.concatenate([self.offsets, truth], axis=-1), self.period)[..., :-1]
 
     @property
     def n_hypotheses(self) -> int:
@@ -222,7 +247,7 @@ class Block:
     @cached_property
     def squared_errors(self) -> FloatArray:
         """Squared distance of each hypothesis from the truth per joint, (B, K, N), mm²."""
-        return squared_norms(self.from_truth(self.offsets))
+        return squared_norms(self.shortest(self.offsets))
 
     @cached_property
     def errors(self) -> FloatArray:
@@ -245,8 +270,20 @@ class Block:
 
         return self.share(("weights", None if joints is None else joints.tobytes()), compute)
 
-    def differences(self, order: int) -> tuple[FloatArray, FloatArray, BoolArray]:
+    @cached_property
+    def mean_offsets(self) -> FloatArray:
+        """The offset of the mean of the hypotheses, (B, K, D, 1); the circular mean where they repeat."""
+        return self.mean_of(self.offsets)
+
+    def differences(self, order: int, name: str = "offsets") -> tuple[FloatArray, FloatArray, BoolArray]:
         """Differences over time between each pose and the ``order`` poses before it, of some order.
+
+        Parameters
+        ----------
+        order : int
+            1 for velocities, 2 for accelerations, 3 for jerks.
+        name : str
+            ``offsets`` of the hypotheses, or ``mean_offsets``.
 
         Returns
         -------
@@ -263,10 +300,10 @@ class Block:
             where, follows = (sliding_window_view(earlier(name), order + 1, 0) for name in ("where", "follows"))
             counted: BoolArray = np.asarray(where.all(axis=-1) & follows[:, 1:].all(axis=-1, keepdims=True))
             with np.errstate(invalid="ignore"):  # what is not finite is found in its own block
-                offsets, truth = (self.from_truth(np.diff(earlier(of), order, axis=0)) for of in ("offsets", "truth"))
+                offsets, truth = (self.shortest(np.diff(earlier(of), order, axis=0)) for of in (name, "truth"))
             return np.where(counted[..., None, None], offsets, 0), np.where(counted[..., None], truth, 0), counted
 
-        return self.share(("differences", order), compute)
+        return self.share(("differences", order, name), compute)
 
     def _with_earlier(self, number: int, name: str) -> npt.NDArray[Any]:
         """Put an attribute of so many poses before the first one in front of the own, zeros where there are fewer."""
@@ -317,12 +354,13 @@ def iter_blocks(
     root: AnyRoot = None,
     follows: BoolArray | None = None,
     sequence: npt.NDArray[np.intp] | None = None,
+    period: float | None = None,
 ) -> Iterator[Callable[[], Block]]:
     """Cut checked arrays in the paper's layout into blocks, in the order of their poses.
 
     Parameters
     ----------
-    hypotheses, truth, where, root, follows, sequence
+    hypotheses, truth, where, root, follows, sequence, period
         As for :class:`Block`, of M poses instead of B.
 
     Yields
@@ -341,6 +379,7 @@ def iter_blocks(
                 None if where is None else where[part],
                 root=root,
                 follows=None if follows is None else follows[part],
+                period=period,
             )
             for part in (slice(max(0, start - MOST_EARLIER), start), slice(start, start + step))
         )

@@ -19,9 +19,8 @@ NEEDS: dict[Need, str] = {
 
 _AS_MANY = "as many hypotheses of every pose"
 
-_OF_ANGLES = (
-    "; angles: the hypotheses unwrapped about their circular mean, distances from the truth the shorter way round"
-)
+_OF_ANGLES = "; angles: circular mean, distances the shorter way round, order from the point opposite the mean"
+_OF_CHORDS = "; angles: distances are chords of a circle of a circumference of 360 deg"
 
 _SHOWN = 5
 """How many metrics of one need a remark names."""
@@ -53,7 +52,7 @@ def in_unit(metric: Metric, spec: DataSpec) -> Metric:
     texts = {name: getattr(metric, name) for name in ("label", "brief", "definition", "range", "reading")}
     texts = {name: text.replace(" mm", f" {spec.unit}".rstrip()) for name, text in texts.items()}
     if spec.period is not None:
-        texts["definition"] += _OF_ANGLES
+        texts["definition"] += _OF_CHORDS if "energy" in metric.name else _OF_ANGLES
     return replace(metric, **texts, unit=metric.unit.replace("mm", spec.unit or "1" * ("/" in metric.unit)))
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.arguments import checked
+from posecal.data.arguments import checked, period_of
 from posecal.data.arrays import BoolArray, FloatArray, checked_root
 from posecal.engine.block import Block, block_length, iter_blocks
 from posecal.errors import PoseDataError
@@ -56,7 +56,8 @@ def per_pose(
         mask = mask & mask[:, [root]]  # relative to a root that does not count, no joint does
     parts: list[FloatArray] = []
     length = block_length(x.shape, x.dtype)
-    for number, lay_out in enumerate(iter_blocks(x, y, mask, root=root, follows=follows)):
+    blocks = iter_blocks(x, y, mask, root=root, follows=follows, period=period_of(unit))
+    for number, lay_out in enumerate(blocks):
         block = lay_out()
         if block.non_finite.any():
             pose, joint = np.argwhere(block.non_finite)[0] + np.array([number * length, 0])

@@ -75,7 +75,7 @@ def values_of_arrays(function: Callable[..., npt.ArrayLike], name: str, block: B
     expected = where.shape if by_joint else where.shape[:1]
     try:
         takes_mask = _takes_mask(function)
-        with declared():
+        with declared("mm" if block.period is None else "deg"):
             values = np.asarray(function(hypotheses, truth, **({"where": where} if takes_mask else {})))
         if np.iscomplexobj(values):
             raise PoseDataError(f"metric: {name} gave {values.dtype}; expected real numbers.")

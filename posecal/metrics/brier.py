@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
+from posecal.data.arguments import refuse_all_but_lengths
 from posecal.data.arrays import BoolArray, FloatArray, checked_number, squared_norms
 from posecal.engine.block import Block
 from posecal.engine.metric import Metric, Statistic, entry
@@ -25,8 +26,9 @@ def _within(
 ) -> tuple[FloatArray, BoolArray, BoolArray]:
     """Share of a forecast with every joint near the block's median, whether the truth is, and which poses count."""
     scored = block.where if joints is None else block.where & joints
-    reach = np.where(scored[..., None], squared_norms(forecast.offsets - block.median[..., None]), 0).max(axis=1)
-    truth = np.where(scored, squared_norms(block.median[..., None])[..., 0], 0).max(axis=1)
+    centre = block.median[..., None]
+    reach = np.where(scored[..., None], squared_norms(block.shortest(forecast.offsets - centre)), 0).max(axis=1)
+    truth = np.where(scored, squared_norms(block.shortest(centre))[..., 0], 0).max(axis=1)
     share: FloatArray = (reach < threshold**2).mean(axis=-1)
     return share, np.asarray(truth < threshold**2), np.asarray(scored.any(axis=1))
 
@@ -79,7 +81,7 @@ def brier_score(
     hypotheses, truth, where, root, axes, unit
         As for :func:`posecal.metrics.energy_score`.
     threshold : float
-        Distance below which a joint is right, mm.
+        Distance below which a joint is right, mm; for angles, pixels or no unit another than 150, in theirs.
 
     Returns
     -------
@@ -116,6 +118,8 @@ def brier_score(
     array([1.])
     """
     threshold = checked_number(threshold, "threshold", lambda mm: 0 < mm < np.inf, "a length above 0")
+    if threshold == Protocol().pck_threshold:
+        refuse_all_but_lengths(unit, f"threshold: {threshold:g} mm")
     return fair_per_pose(lambda b: fair_brier(b, None, threshold), hypotheses, truth, where, root, axes, unit)
 
 

@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
+from posecal.data.arguments import refuse_all_but_lengths
 from posecal.data.arrays import BoolArray, FloatArray, checked_choice
 from posecal.engine.block import Block
 from posecal.engine.metric import Curve, Metric, Need, Statistic
@@ -134,6 +135,7 @@ def cps(
     """
     checked_choice(select, "select", SELECTIONS)
     checked_choice(align, "align", ALIGNMENTS)
+    refuse_all_but_lengths(unit, "thresholds: 1 to 300 mm")
 
     def statistic(block: Block) -> FloatArray:
         return pose_score(block, cps_area, select, align)

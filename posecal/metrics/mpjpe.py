@@ -83,6 +83,7 @@ def mpjpe(
         The index that ``of="mode"`` takes.
     axes, unit : str, optional
         Such as ``MNKD`` and ``m``, where the hypotheses are not (N, M, K, D), or both not in mm, or it is not clear.
+        Angles, ``deg`` or ``rad``, are measured the shorter way round, in degrees.
 
     Returns
     -------

@@ -13,6 +13,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
+from posecal.data.arguments import refuse_all_but_lengths
 from posecal.data.arrays import BoolArray, FloatArray, checked_choice, checked_number
 from posecal.engine.block import Block
 from posecal.engine.metric import Curve, Metric, Need, Statistic, entry
@@ -122,7 +123,7 @@ def pck(
     truth : array (M, K, D)
         True poses, mm.
     threshold : float
-        τ, mm.
+        τ, mm; for angles, pixels or no unit another than 150, in theirs.
     select : str
         The hypothesis that counts: the best for PCK itself (``own``), the one of smallest MPJPE (``linked``),
         or the ``mean`` over all.
@@ -169,6 +170,8 @@ def pck(
     """
     checked_choice(select, "select", SELECTIONS)
     threshold = checked_number(threshold, "threshold", lambda mm: 0 < mm < np.inf, "a length above 0")
+    if threshold == Protocol().pck_threshold:
+        refuse_all_but_lengths(unit, f"threshold: {threshold:g} mm")
 
     def statistic(block: Block) -> FloatArray:
         return correct_joints(block, threshold, select, strict=strict)
@@ -239,6 +242,8 @@ def auc(
     checked_choice(area, "area", AREAS)
     if not is_range(thresholds):
         raise PoseDataError(f"thresholds: {thresholds!r}; expected the first, a larger last, and how many, at least 2.")
+    if thresholds == AUC_RANGE:
+        refuse_all_but_lengths(unit, "thresholds: 0 to 150 mm")
 
     def score(errors: FloatArray) -> FloatArray:
         return auc_share(errors, thresholds, area, strict=strict)

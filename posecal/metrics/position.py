@@ -44,8 +44,7 @@ def pose_of(block: Block, of: OfPoses, mode: int | None = None) -> FloatArray:
     """
     x = block.offsets
     if of == "mean_pose":
-        mean: FloatArray = np.einsum("bkdn->bkd", x)[..., None] / x.dtype.type(block.n_hypotheses)
-        return mean
+        return block.mean_of(x)
     if of == "median_pose":
         return block.median[..., None]
     if of == "weighted_pose":
@@ -55,9 +54,7 @@ def pose_of(block: Block, of: OfPoses, mode: int | None = None) -> FloatArray:
                 "hypotheses: scores below 0, or all 0 for a pose; expected weights to take a mean of the hypotheses "
                 "with. Store probabilities, or leave the weighted_pose metrics out."
             )
-        shares = (block.scores / total).astype(x.dtype)
-        weighted: FloatArray = np.einsum("bkdn,bn->bkd", x, shares)
-        return weighted[..., None]
+        return block.mean_of(x, (block.scores / total).astype(x.dtype))
     chosen = block.scores.argmax(axis=-1) if mode is None else np.full(x.shape[0], mode)
     return np.take_along_axis(x, chosen[:, None, None, None], axis=-1)
 
@@ -88,14 +85,21 @@ def joint_errors(
     -------
     array (B, K, n)
         Errors, mm; n is N, or 1 for one pose.
+
+    Raises
+    ------
+    PoseDataError
+        For an alignment of angles.
     """
     if align == "none" and of is None:
         return block.errors
+    if align != "none" and block.period is not None:
+        raise PoseDataError(f"align: {align}; expected none for angles, which have no place and no size.")
     key = ("joint_errors", align, of, _bytes(None if align == "none" else fit), mode)
 
     def compute() -> FloatArray:
         fitted = block if align == "none" else block.fit_block
-        offsets = fitted.from_truth(fitted.offsets if of is None else pose_of(fitted, of, mode))
+        offsets = fitted.shortest(fitted.offsets if of is None else pose_of(fitted, of, mode))
         return aligned_errors(offsets, fitted.truth, fitted.weights(fit), align)
 
     return block.share(key, compute)

@@ -9,7 +9,8 @@ References
 ----------
 Gneiting and Raftery, J. Am. Stat. Assoc. 102, 359 (2007), doi:10.1198/016214506000001437 (energy score, CRPS);
 Scheuerer and Hamill, Mon. Weather Rev. 143, 1321 (2015), doi:10.1175/MWR-D-14-00269.1 (variogram score); Ferro,
-Q. J. R. Meteorol. Soc. 140, 1917 (2014), doi:10.1002/qj.2270 (fair scores).
+Q. J. R. Meteorol. Soc. 140, 1917 (2014), doi:10.1002/qj.2270 (fair scores); Grimit, Gneiting, Berrocal and Johnson,
+Q. J. R. Meteorol. Soc. 132, 2925 (2006), doi:10.1256/qj.05.235 (CRPS of angles).
 """
 
 from __future__ import annotations
@@ -20,69 +21,40 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.arguments import checked
+from posecal.data.arguments import checked, period_of
 from posecal.data.arrays import BoolArray, FloatArray, squared_norms
 from posecal.engine.block import Block
 from posecal.engine.metric import Metric, Statistic, entry, mean_over_joints
 from posecal.engine.per_pose import per_pose
 from posecal.engine.scope import Scope
 from posecal.errors import PoseDataError
-
-STRIP = 50
-"""Points whose distances to all later ones are taken at a time: as many as stay in cache."""
-
-
-def _half_mean_distances(points: FloatArray) -> FloatArray:
-    """Half the mean distance between two different points of each set, (B, S, D, n) to (B, S).
-
-    One product of (x, ‖x‖², 1) with (-2x, 1, ‖x‖²) gives the squared distances of a strip of points to themselves and
-    to all later ones, each of which stands for two. A pose at a time, laid into the same memory: its pairs fill the
-    cache.
-    """
-    B, S, D, n = points.shape
-    centres = points.mean(axis=-1, keepdims=True)
-    left, right = np.ones((2, S, D + 2, n), dtype=points.dtype)
-    buffer = np.empty(S * min(STRIP, n) * n, dtype=points.dtype)
-    strips = []
-    for start in range(0, n, STRIP):
-        own, later = min(STRIP, n - start), n - start
-        distances = buffer[: S * own * later].reshape(S, own, later)
-        times = np.repeat(np.array([1, 2], dtype=points.dtype), [own, later - own])
-        factors = left[..., start : start + own].swapaxes(-1, -2), right[..., start:]
-        strips.append((factors, distances, np.einsum("sii->si", distances[..., :own]), times))
-    total = np.zeros((B, S))
-    for b in range(B):
-        centred = np.subtract(points[b], centres[b], out=left[:, :D])
-        left[:, D] = right[:, -1] = squared_norms(centred)
-        np.multiply(centred, -2, out=right[:, :D])
-        for factors, distances, to_itself, times in strips:
-            np.matmul(*factors, out=distances)
-            np.abs(distances, out=distances)  # rounding may leave a square a little below 0
-            to_itself[...] = 0
-            np.sqrt(distances, out=distances)
-            total[b] += (distances @ times).sum(axis=-1, dtype=np.float64)
-    total /= 2 * n * (n - 1)
-    return total
+from posecal.geometry.distances import half_mean_arcs, half_mean_distances, on_circle
 
 
 def joint_energies(block: Block, joints: BoolArray | None = None) -> FloatArray:
     """Fair energy score of every joint and, last, of the entire pose.
+
+    Of angles distances are chords of a circle of their period: norms of arcs would not be proper for several angles.
 
     Returns
     -------
     array (B, K + 1)
         Scores, mm; NaN for joints that don't count, and for one hypothesis.
     """
-    B, K, D, n = block.offsets.shape
     scored = block.where if joints is None else block.where & joints
+    B, K, n = *scored.shape, block.n_hypotheses
     if n < 2:
         return np.full((B, K + 1), np.nan)
-    offsets, squares = block.offsets, block.squared_errors
+    offsets, squares, errors = block.offsets, block.squared_errors, block.errors
+    if block.period is not None:
+        offsets = on_circle(offsets, block.period)
+        squares = squared_norms(offsets)
+        errors = np.sqrt(squares)
+    each = errors.mean(axis=-1, dtype=np.float64) - half_mean_distances(offsets)
     if not scored.all():
         offsets, squares = offsets * scored[..., None, None], squares * scored[..., None]
-    each = block.errors.mean(axis=-1, dtype=np.float64) - _half_mean_distances(block.offsets)
     of_pose = np.sqrt(squares.sum(axis=1)).mean(axis=-1, dtype=np.float64)
-    of_pose -= _half_mean_distances(offsets.reshape(B, 1, K * D, n))[:, 0]
+    of_pose -= half_mean_distances(offsets.reshape(B, 1, -1, n))[:, 0]
     return np.where(np.column_stack([scored, scored.any(axis=1)]), np.column_stack([each, of_pose]), np.nan)
 
 
@@ -92,9 +64,13 @@ def joint_crps(block: Block, joints: BoolArray | None = None) -> FloatArray:
     scored = block.where if joints is None else block.where & joints
     if n < 2:
         return np.full(scored.shape, np.nan)
-    ranks = (2 * np.arange(1, n + 1) - n - 1) / (n * (n - 1))
-    error = np.abs(block.from_truth(block.offsets)).mean(axis=-1, dtype=np.float64)
-    return np.where(scored, (error - block.sorted @ ranks).mean(axis=-1), np.nan)
+    error = np.abs(block.shortest(block.offsets)).mean(axis=-1, dtype=np.float64)
+    apart: FloatArray
+    if block.period is None:
+        apart = block.sorted @ ((2 * np.arange(1, n + 1) - n - 1) / (n * (n - 1)))
+    else:
+        apart = half_mean_arcs(block.offsets, block.period)
+    return np.where(scored, (error - apart).mean(axis=-1), np.nan)
 
 
 def variograms(block: Block, joints: BoolArray | None = None) -> FloatArray:
@@ -171,6 +147,7 @@ def energy_score(
         The joint to subtract from every pose first.
     axes, unit : str, optional
         Such as ``MNKD`` and ``m``, where the hypotheses are not (N, M, K, D), or both not in mm, or it is not clear.
+        Angles, ``deg`` or ``rad``, are measured the shorter way round, in degrees.
 
     Returns
     -------
@@ -185,13 +162,14 @@ def energy_score(
 
     Notes
     -----
-    Differs from the published code: none; the pose papers don't report it.
+    Of angles the norm is over chords of a circle of circumference 360°, nearly the angles themselves where they are
+    small: the norm of several arcs would not give a proper score. Differs from the published code: none; the pose
+    papers don't report it.
 
     See Also
     --------
     crps : The same of one coordinate at a time.
     variogram_score : Of the distances between joints, which the energy score hardly sees.
-    posecal.metrics.mpjpe : The distances alone, which reward hypotheses that all agree.
 
     References
     ----------
@@ -241,7 +219,8 @@ def crps(
 
     Notes
     -----
-    Differs from the published code: none; the pose papers don't report it.
+    Of angles all distances are arcs, the shorter way round. Differs from the published code: none; the pose papers
+    don't report it.
 
     See Also
     --------
@@ -249,7 +228,7 @@ def crps(
 
     References
     ----------
-    Gneiting and Raftery (2007), doi:10.1198/016214506000001437; Ferro (2014), doi:10.1002/qj.2270.
+    Gneiting and Raftery (2007); Ferro (2014); of angles Grimit et al. (2006), doi:10.1256/qj.05.235.
 
     Examples
     --------
@@ -282,10 +261,8 @@ def variogram_score(
 
     Parameters
     ----------
-    hypotheses, truth, where, root
+    hypotheses, truth, where, root, axes, unit
         As for :func:`energy_score`.
-    axes, unit : str, optional
-        Such as ``MNKD`` and ``m``, where the hypotheses are not (N, M, K, D), or both not in mm, or it is not clear.
 
     Returns
     -------
@@ -295,7 +272,7 @@ def variogram_score(
     Raises
     ------
     PoseDataError
-        For fewer than two hypotheses, and shapes, dtypes or values that don't fit.
+        For angles, fewer than two hypotheses, and shapes, dtypes or values that don't fit.
 
     Notes
     -----
@@ -319,6 +296,8 @@ def variogram_score(
     >>> variogram_score(hypotheses, np.array([0.0, 4.0]).reshape(1, 2, 1), unit="mm").round(6)
     array([-1.])
     """
+    if period_of(unit) is not None:
+        raise PoseDataError(f"unit: {unit}; expected positions, not angles, whose distances are compared.")
     return fair_per_pose(variograms, hypotheses, truth, where, root, axes, unit)
 
 

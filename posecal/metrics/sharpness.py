@@ -52,7 +52,7 @@ def joint_radii(block: Block, shares: tuple[float, ...]) -> FloatArray:
         The ⌈q N⌉-th smallest distance from the per-coordinate median, mm; NaN for joints that don't count.
     """
     n = block.n_hypotheses
-    squares = block.share("sorted_squares", lambda: np.sort(squared_norms(block.from_median), axis=-1))
+    squares = block.share("sorted_squares", lambda: np.sort(squared_norms(block.shortest(block.from_median)), axis=-1))
     ranks = [max(1, int(np.ceil(round(share * n, 9)))) - 1 for share in shares]
     radii = np.sqrt(squares[..., ranks], dtype=np.float64)
     radii[~block.where] = np.nan
@@ -88,6 +88,7 @@ def diversity(
         The joint to subtract from every pose first; its spread of 0 counts unless ``where`` leaves it out.
     axes, unit : str, optional
         Such as ``MNKD`` and ``m``, where the hypotheses are not (N, M, K, D), or both not in mm, or it is not clear.
+        Angles, ``deg`` or ``rad``, are measured the shorter way round, in degrees.
 
     Returns
     -------
@@ -205,7 +206,6 @@ _SHARPNESS = partial(
     unit="mm",
     direction="none",
     family="sharpness",
-    headline=True,
     range="0 mm upwards",
     reading="Sharpness: smaller is better only among models that are calibrated. It never looks at the truth.",
     source="Gneiting, Balabdaoui and Raftery, doi:10.1111/j.1467-9868.2007.00587.x",
@@ -229,7 +229,7 @@ def sharpness_metrics(scope: Scope) -> Iterator[Metric]:
     def deviations(block: Block) -> FloatArray:
         return np.where(scope.moving, joint_deviations(block, population=population), np.nan)
 
-    statistic = Statistic("radii", radii, per_joint=True)
+    statistic, several = Statistic("radii", radii, per_joint=True), scope.spec.n_coordinates > 1
     for index, share in enumerate((50, 90)):
         yield _SHARPNESS(
             name=f"radius_{share}",
@@ -240,8 +240,9 @@ def sharpness_metrics(scope: Scope) -> Iterator[Metric]:
             statistic=statistic,
             finish=_mean_of(index),
             by_joint=(statistic, per_joint(index)),
-            in_group_table=share == 50,
-            in_joint_table=True,
+            headline=several,  # of one coordinate, intervals stand for balls
+            in_group_table=several and share == 50,
+            in_joint_table=several,
         )
     statistic = Statistic("deviations", deviations, per_joint=True)
     yield _SHARPNESS(
@@ -253,4 +254,5 @@ def sharpness_metrics(scope: Scope) -> Iterator[Metric]:
         statistic=statistic,
         finish=mean_over_joints,
         by_joint=(statistic, np.asarray),
+        headline=True,
     )

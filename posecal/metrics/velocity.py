@@ -45,13 +45,11 @@ def motion(block: Block, order: int, of: Moving = "error", body: BoolArray | Non
         ‖Δx − Δy‖ or ‖Δx‖ of that order, mm per frame to the power of it. NaN for the first poses of a sequence, and
         where no joint counts in all poses of the difference.
     """
-    changes, true, counted = block.differences(order)
+    changes, true, counted = block.differences(order, "mean_offsets" if of.startswith("mean_pose") else "offsets")
     if of == "truth":
         changes = true[..., None]
     elif of in {"hypotheses", "mean_pose"}:
-        changes = block.from_truth(changes + true[..., None])
-    if of.startswith("mean_pose"):
-        changes = changes.mean(axis=-1, keepdims=True)
+        changes = block.shortest(changes + true[..., None])
     weights = block.weights(counted if body is None else counted & body)
     means = np.einsum("bk,bkn->bn", weights, np.sqrt(squared_norms(changes))).mean(axis=-1, dtype=np.float64)
     return np.where(weights.any(axis=1), means, np.nan)
@@ -89,6 +87,7 @@ def mpjve(
         The joint to subtract from every pose first.
     axes, unit : str, optional
         Such as ``MNKD`` and ``m``, where the hypotheses are not (N, M, K, D), or both not in mm, or it is not clear.
+        Angles, ``deg`` or ``rad``, are measured the shorter way round, in degrees.
 
     Returns
     -------

@@ -9,7 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.arguments import checked
+from posecal.data.arguments import checked, period_of
 from posecal.data.arrays import BoolArray, FloatArray, as_array, checked_choice, checked_number
 from posecal.engine.block import Block
 from posecal.engine.metric import Metric, Statistic
@@ -95,6 +95,8 @@ def world_mpjpe(
     """
     checked_choice(align, "align", get_args(WorldAlignment))
     checked_choice(of, "of", get_args(OverHypotheses))
+    if period_of(unit) is not None:
+        raise PoseDataError(f"unit: {unit}; expected positions, not angles, to align.")
     x, y, mask = checked(hypotheses, truth, where, axes=axes, unit=unit)
     most = len(y)
     if segment is not None:

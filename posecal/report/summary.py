@@ -115,9 +115,10 @@ def _sign_of(area: float) -> str:
 
 def _of_curve(report: Report) -> str:
     error, area, test = report["ece"], report["signed_area"], report.test("ece")
-    share = ""
-    if "coverage_90" in report.metrics:
-        share = f"; the 90\u00a0% balls hold {100 * report['coverage_90']:.0f}\u00a0% of the truths"
+    share, interval = "", report.metrics.get("interval_coverage_90")
+    name, what = ("coverage_90", "balls") if interval is None or not interval.headline else (interval.name, "intervals")
+    if name in report.metrics:
+        share = f"; the 90\u00a0% {what} hold {100 * report[name]:.0f}\u00a0% of the truths"
     if math.isnan(test.p):
         side = side_of(area, error)
         looks = f"ECE {error:.3f}, on neither side throughout" if side == NEITHER else f"Looks {side}"

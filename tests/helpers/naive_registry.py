@@ -119,6 +119,9 @@ class Twin:
         self.define_spread("diversity", oracles.deviations(self.x, less))
         for share in (50, 90):
             self.define_spread(f"radius_{share}", oracles.radii(self.x, share / 100))
+        for percent in (50, 90):
+            width = oracles.over_axes(self.x, self.y, lambda x, _, c=percent: float(np.ptp(oracles.interval(x, c))))
+            self.define_spread(f"interval_width_{percent}", width)
         self.define_scores()
         self.define_uncertainty()
 
@@ -233,6 +236,13 @@ class Twin:
         for percent, level in ((50, 10), (80, 16), (90, 18), (95, 19)):
             self.numbers[f"coverage_{percent}"] = lambda poses, level=level: float(summary(poses)[level])
             self.by_joint[f"coverage_{percent}"] = lambda poses, level=level: self.curves(weights, poses)[:, level]
+
+        for percent in (50, 90):
+            held = oracles.over_axes(self.x, self.y, lambda x, y, c=percent: oracles.held(x, y, c))
+            held = np.where(self.moving, held, math.nan)[..., None] * np.ones(21)
+            name = f"interval_coverage_{percent}"
+            self.by_joint[name] = lambda poses, held=held: self.curves(held, poses)[:, 0]
+            self.numbers[name] = lambda poses, name=name: mean_known(self.by_joint[name](poses))
 
     def define_spread(self, name: str, values: Array) -> None:
         self.over_joints(name, values, self.moving)

@@ -273,6 +273,38 @@ def radii(x: Array, share: float) -> Array:
 # --- calibration ----------------------------------------------------------------------------------------------------
 
 
+def ranks_within(n: int, percent: int) -> tuple[Fraction, Fraction]:
+    """The ranks between which the central interval of N lies, from 1 to N at most."""
+    low = max(Fraction(n + 1, 2) * (1 - Fraction(percent, 100)), Fraction(1))
+    return low, n + 1 - low
+
+
+def interval(values: Sequence[float], percent: int) -> tuple[float, float]:
+    """The values at the two ranks, on the line between two neighbours."""
+    rising = sorted(values)
+    found = []
+    for rank in ranks_within(len(rising), percent):
+        below = math.floor(rank)
+        step = rising[below] - rising[below - 1] if rank > below else 0.0
+        found.append(rising[below - 1] + float(rank - below) * step)
+    return found[0], found[1]
+
+
+def held(values: Sequence[float], truth: float, percent: int) -> float:
+    """The part of the truth's gap between its neighbours that lies between the two ranks; ties share theirs."""
+    low, high = ranks_within(len(values), percent)
+    less, equal = sum(v < truth for v in values), sum(v == truth for v in values)
+    return mean([float(max(0, min(gap + 1, high) - max(gap, low))) for gap in range(less, less + equal + 1)])
+
+
+def over_axes(x: Array, y: Array, of: Callable[[Array, float], float]) -> Array:
+    """Mean over the axes of what is made of the N values of a coordinate and its truth, (M, K)."""
+    found = np.empty(y.shape[:2])
+    for m, k in np.ndindex(*found.shape):
+        found[m, k] = mean([of(x[:, m, k, d], y[m, k, d]) for d in range(y.shape[2])])
+    return found
+
+
 def centre(points: Array, truth: Array, definition: str) -> Array:
     """The point from which distances are measured."""
     if definition == "exchangeable":

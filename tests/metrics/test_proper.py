@@ -10,8 +10,9 @@ import scoringrules as sr
 
 from posecal.engine.block import Block
 from posecal.errors import PoseDataError
+from posecal.geometry.distances import STRIP
 from posecal.metrics import brier_score, crps, energy_score, variogram_score
-from posecal.metrics.proper import STRIP, joint_crps, joint_energies, variograms
+from posecal.metrics.proper import joint_crps, joint_energies, variograms
 from tests.helpers.random_worlds import skewed
 
 Array = np.ndarray

@@ -18,6 +18,8 @@ X, Y = skewed(0, N, M, K)
 FUNCTIONS = {
     **{name: getattr(metrics, name) for name in metrics.__all__},
     "ece": posecal.ece,
+    "interval_coverage": calibration.interval_coverage,
+    "interval_width": calibration.interval_width,
     "calibration_curve": posecal.calibration_curve,
 }
 OF_ARRAYS = {name for name, function in FUNCTIONS.items() if "hypotheses" in inspect.signature(function).parameters}
@@ -48,6 +50,7 @@ WRONG = {
     "over": NO_NAME,
     "threshold": (*NO_NUMBER, 0, -1.0, float("inf")),
     "share": (*NO_NUMBER, 0, -0.5, 1.5),
+    "level": (*NO_NUMBER, 0, 1, -0.5, 90),
     "fps": (*NO_NUMBER[1:], 0, -25.0, float("inf")),
     "sizes": (None, "a", 3, [1.5], [0], [N + 1], [[1]], [True], [1, [2]]),
     "sequence": ("abc", 3, ["a"], [["a"] * M], ["a", ["b", "c"], "d", "e", "f"]),
