@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = (
     *("start", "file-format", "convert", "joints", "calibration", "how-sure", "metrics", "report", "recalibrate"),
-    *("training-loop", "own-metric", "models"),
+    *("joint-angles", "training-loop", "own-metric", "models"),
 )
 
 
@@ -34,10 +34,10 @@ def pieces(text: str) -> list[tuple[str, str]]:
     return re.findall(r"```(console|python)\n(.*?)```", text, re.DOTALL)
 
 
-def run(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
+def run(command: str, folder: Path, columns: int = 120) -> subprocess.CompletedProcess[str]:
     program, *words = shlex.split(command)
     module = {"posecal": "posecal", "posecal-models": "posecal_models.cli"}[program]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg", "COLUMNS": "120"}
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg", "COLUMNS": str(columns)}
     return subprocess.run(
         [sys.executable, "-m", module, *words], cwd=folder, env=environment, capture_output=True, text=True, check=False
     )
@@ -79,6 +79,19 @@ def test_a_pages_examples_run_in_order(page: str, world: Path, monkeypatch: pyte
     text = (DOCS / f"{page}.md").read_text(encoding="utf-8").replace("$ posecal demo world\n", "")
     shutil.copy(world / "world/calibrated.npz", world / "hyps.npz")
     assert check_page(text, world, monkeypatch) > 0
+
+
+@pytest.mark.slow
+def test_the_report_of_the_page_of_joint_angles_is_what_is_printed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = (DOCS / "joint-angles.md").read_text(encoding="utf-8")
+    data, rest = text.split("```console\n$ ", 1)
+    assert check_page(data, tmp_path, monkeypatch) > 5
+    command, after = rest.split("\n```", 1)
+    shown = after.split("```text\n")[1].split("\n```")[0]
+    printed = run(command, tmp_path, columns=100).stdout.split("\n\nsignature:")[0]
+    assert [line.rstrip() for line in printed.splitlines()] == shown.splitlines()
 
 
 @pytest.mark.slow

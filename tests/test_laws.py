@@ -95,11 +95,11 @@ TOGETHER = "that point lies in the box of the true poses that are evaluated toge
 
 PER_AXIS = (
     *("*median_pose*", "ece*", "signed*", "coverage*", "radius*", "diversity", "coordinate_pit", "average_rank"),
-    *("band_depth", "mahalanobis", "crps", "brier*", "spread_error_correlation", "sparsification_area"),
+    *("interval*", "band_depth", "mahalanobis", "crps", "brier*", "spread_error_correlation", "sparsification_area"),
 )
 PER_NUMBER = (
     *("ece", "ece_mean", "ece_worst", "ece_reference*", "signed*", "coverage*", "min_mpjpe_at_[25]"),
-    *("coordinate_pit", "average_rank", "band_depth", "pair_distance", "mahalanobis", "tarp"),
+    *("interval*", "coordinate_pit", "average_rank", "band_depth", "pair_distance", "mahalanobis", "tarp"),
     *("energy_score", "joint_energy_score", "crps", "variogram_score", "brier"),
 )
 

@@ -185,7 +185,7 @@ def interval_width(
     Notes
     -----
     ``np.quantile`` with ``method="weibull"``. Its default method gives narrower intervals, which hold too few truths:
-    of a perfect sampler with 50 hypotheses some 86 instead of 90 %. Differs from the published code: none; ours.
+    of a perfect sampler with 50 hypotheses about 87 instead of 90 %. Differs from the published code: none; ours.
 
     See Also
     --------

@@ -47,7 +47,7 @@ class HypothesesOptions:
     """How hypotheses are read; the names are those of the parameters of :class:`posecal.PoseData`."""
 
     axes: Annotated[str | None, reading("Layout of the hypotheses, such as MNKD or MN(DK).")] = None
-    unit: Annotated[str | None, reading("mm, cm, m, or the mm in one unit (1/0.0036).")] = None
+    unit: Annotated[str | None, reading("mm, cm, m, the mm in one unit (1/0.0036); deg, rad, px or none.")] = None
     joints: Annotated[str | None, reading("Names for joints without: h36m-17, h36m-16, ….", "--joint-names")] = None
     root_joint: Annotated[str | None, reading("The joint to subtract, LHip+RHip, RWrist,LWrist, or none.")] = None
 

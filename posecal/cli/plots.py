@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from posecal.cli import options as opt
-from posecal.cli.running import check_outputs, command
+from posecal.cli.running import check_outputs, command, wrong_call
 
 app = typer.Typer(no_args_is_help=True, help="Draw a saved result, or some poses.", rich_markup_mode="rich")
 
@@ -59,3 +59,28 @@ def poses(
     matched = data.read(hypotheses, truth)
     cloud = "RWrist" if joint is None and find_joint("RWrist", matched.joints) is not None else joint
     save(draw_poses(matched, frames_of(matched, frames), cloud=cloud, most=most), output)
+
+
+@command(app)
+def intervals(
+    hypotheses: opt.Hypotheses,
+    truth: opt.Truth,
+    output: opt.Output,
+    *,
+    joint: Annotated[str | None, opt.option("The joint, or its number.", show_default="the first but the root")] = None,
+    coordinate: Annotated[str | None, opt.option("x, y, z, or a number.", show_default="the first")] = None,
+    sequence: Annotated[str | None, opt.option("Sequences with commas, or all.", show_default="the first")] = None,
+    size: Annotated[
+        tuple[float, float] | None, opt.option("Inches across and down.", metavar="WIDTH HEIGHT", show_default=False)
+    ] = None,
+    data: opt.DataOptions,
+) -> None:
+    """Central 50 % and 90 % intervals of one coordinate or angle over time, against the truth."""
+    check_outputs(hypotheses, truth, plot=output)
+    from posecal.plot import draw_intervals, save
+    from posecal.plot.intervals import check_size
+
+    with wrong_call():
+        check_size(size)
+    matched = data.read(hypotheses, truth)
+    save(draw_intervals(matched, joint=joint, coordinate=coordinate, sequence=sequence, size=size), output)

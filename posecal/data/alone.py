@@ -43,9 +43,7 @@ def resolve_hypotheses(
     layout = named_call(poses, Layout, axes, HYPOTHESES)
     n, m, k, _ = named_call(poses, layout.shape, poses.array.shape)
     problems: list[str | PosecalError] = [empty_problem(poses)] if 0 in poses.array.shape else []
-    unit, factor = attempt(problems, quantity_of, poses, "unit", declared.unit) or ("mm", 1.0)
-    if unit != "mm":
-        problems.append(f"{poses.name}: unit {unit or 'none'}; maps are for lengths, expected mm, cm or m.")
+    _, factor = attempt(problems, quantity_of, poses, "unit", declared.unit) or ("mm", 1.0)
     joints = joint_names(poses, k, declared, problems) or numbered(k)
     raise_all(problems)
     hypotheses = ArrayHypotheses(poses.array, layout, np.arange(m), np.arange(k), factor, n)

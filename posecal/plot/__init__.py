@@ -21,6 +21,7 @@ from posecal.plot.curves import (
     reliability,
     sparsification,
 )
+from posecal.plot.intervals import draw_intervals, intervals
 from posecal.plot.rank_tests import draw_rank_tests, rank_test
 from posecal.plot.skeletons import draw_poses, frames_of, poses, signed_areas, with_sign
 from posecal.plot.style import STYLE, check_suffix, figure_bytes, save
@@ -36,12 +37,14 @@ __all__ = [
     "check_suffix",
     "draw",
     "draw_comparison",
+    "draw_intervals",
     "draw_poses",
     "draw_rank_tests",
     "errors_by_n",
     "event_reliability",
     "figure_bytes",
     "frames_of",
+    "intervals",
     "pck_curves",
     "poses",
     "rank_test",

@@ -2,7 +2,8 @@
 
 Every hypothesis is moved away from, or towards, the per-coordinate median of its pose, x ← c + s (x - c), by one factor
 s or one per joint: the one that brings the exchangeable calibration curve closest to the diagonal. A wider spread can
-cost minMPJPE, which rewards a spread that is too narrow.
+cost minMPJPE, which rewards a spread that is too narrow. Of angles x - c is the shorter way round, and so is what it
+becomes: a spread of more than half a turn goes on round the circle.
 """
 
 from __future__ import annotations
@@ -19,7 +20,9 @@ from posecal.data.arrays import BoolArray, FloatArray
 from posecal.data.pose_data import PoseData
 from posecal.data.root import AnyRoot, origin
 from posecal.data.stored_poses import Hypotheses, Rows
+from posecal.data.units import PERIODS
 from posecal.engine.block import Block, iter_blocks
+from posecal.engine.circular import wrapped
 from posecal.engine.merge import merge_totals
 from posecal.engine.protocol import Protocol
 from posecal.errors import PoseDataError
@@ -30,6 +33,10 @@ from posecal.report.report import Report
 
 FACTORS: FloatArray = np.exp(np.linspace(np.log(0.1), np.log(10), 61))
 """The spread factors that are tried; the best is interpolated between them."""
+
+MOST_BEYOND = 0.1
+"""Of angles only factors are tried that bring at most this share of the hypotheses more than half a turn away from the
+median: those all round the circle are calibrated too, and of no use."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +53,8 @@ class SpreadMap:
         What it was fitted on.
     root : int, Root or None
         What positions were relative to.
+    data_unit : str
+        Of what it was fitted on: ``mm``, ``deg``, ``px``, or empty.
     """
 
     joints: tuple[str, ...]
@@ -53,13 +62,16 @@ class SpreadMap:
     poses: int
     sequences: int
     root: AnyRoot = None
+    data_unit: str = "mm"
 
     @property
     def by_joint(self) -> dict[str, float]:
         """The factors by the names of their joints."""
         return dict(zip(self.joints, self.factors.tolist(), strict=True))
 
-    def apply(self, hypotheses: npt.ArrayLike, /, *, axes: str | None = None) -> FloatArray:
+    def apply(
+        self, hypotheses: npt.ArrayLike, /, *, axes: str | None = None, unit: str | float | None = None
+    ) -> FloatArray:
         """Rescale the dispersion of hypotheses.
 
         Parameters
@@ -68,6 +80,8 @@ class SpreadMap:
             Hypotheses with the joints of the map, in any unit.
         axes : str, optional
             Their layout, as for :func:`posecal.evaluate`; ``NMKD`` by default.
+        unit : str or float, optional
+            Their unit, which only a map of angles needs: ``deg`` or ``rad``.
 
         Returns
         -------
@@ -77,16 +91,20 @@ class SpreadMap:
         Raises
         ------
         PoseDataError
-            For another number of joints, arrays of another shape or type, a layout that is none, and where no layout
-            is given and only the first axis has the length of the poses that the map was fitted on.
+            For another number of joints, arrays of another shape, type or quantity, a layout that is none, angles
+            without a unit, and where no layout is given and only the first axis has the length of the poses that the
+            map was fitted on.
         """
+        factor = parts.factor_of_unit(unit, self.data_unit)
         x, layout, clip_length = parts.checked_for_map(hypotheses, axes, self.joints, self.poses)
-        return layout.store(rescaled(x, self.factors, self.root), clip_length)
+        return layout.store(rescaled(x, self.factors, self.root, parts.period_in(self.data_unit, factor)), clip_length)
 
     def rescale(self, data: PoseData) -> PoseData:
         """Give pose data whose hypotheses are rescaled when they are read."""
+        parts.refuse_another_unit(data.names[0], data.unit, self.data_unit)
         factors = parts.values_for_joints(self.joints, self.factors, data.joints, data.names[0])
-        return data.replace(hypotheses=RescaledHypotheses(data.hypotheses, factors, data.root))
+        period = PERIODS.get(data.unit)
+        return data.replace(hypotheses=RescaledHypotheses(data.hypotheses, factors, data.root, period))
 
 
 @dataclass(frozen=True)
@@ -101,11 +119,14 @@ class RescaledHypotheses:
         s of each joint.
     root : int or None
         The joint to which spreads are relative.
+    period : float or None
+        After how much coordinates repeat.
     """
 
     hypotheses: Hypotheses
     factors: FloatArray
     root: AnyRoot
+    period: float | None = None
 
     @property
     def n_hypotheses(self) -> int:
@@ -123,10 +144,12 @@ class RescaledHypotheses:
 
     def read(self, start: int, stop: int) -> FloatArray:
         """Read some poses, (N, stop - start, K, D) in mm."""
-        return rescaled(self.hypotheses.read(start, stop), self.factors, self.root)
+        return rescaled(self.hypotheses.read(start, stop), self.factors, self.root, self.period)
 
 
-def rescaled(hypotheses: FloatArray, factors: FloatArray, root: AnyRoot = None) -> FloatArray:
+def rescaled(
+    hypotheses: FloatArray, factors: FloatArray, root: AnyRoot = None, period: float | None = None
+) -> FloatArray:
     """Multiply the spread of hypotheses about their per-coordinate median.
 
     Parameters
@@ -137,6 +160,8 @@ def rescaled(hypotheses: FloatArray, factors: FloatArray, root: AnyRoot = None) 
         s of each joint.
     root : int or Root, optional
         What positions are relative to; it keeps its own spread.
+    period : float, optional
+        After how much coordinates repeat, such as 360 for degrees.
 
     Returns
     -------
@@ -145,8 +170,13 @@ def rescaled(hypotheses: FloatArray, factors: FloatArray, root: AnyRoot = None) 
     """
     start = 0 if root is None else origin(hypotheses, root)
     zeros = np.zeros(hypotheses.shape[1:], dtype=hypotheses.dtype)
-    centre = np.concatenate([lay_out().median for lay_out in iter_blocks(hypotheses, zeros, root=root)])
-    moved: FloatArray = centre + factors.astype(centre.dtype)[:, None] * (hypotheses - start - centre) + start
+    blocks = iter_blocks(hypotheses, zeros, root=root, period=period)
+    centre = np.concatenate([lay_out().median for lay_out in blocks])
+    times = factors.astype(centre.dtype)[:, None]
+    if period is not None:  # what does not change stays as it is written
+        away = wrapped(hypotheses - start - centre, period)
+        return hypotheses + (wrapped(times * away, period) - away)
+    moved: FloatArray = centre + times * (hypotheses - start - centre) + start
     return moved
 
 
@@ -156,18 +186,29 @@ def _curves(data: PoseData, fold_of: Rows, threads: int | None) -> tuple[FloatAr
     shape = (int(fold_of.max()) + 1, len(FACTORS), len(data.joints), LEVELS.size)
     sums, counts = np.zeros(shape), np.zeros((shape[0], shape[2]), dtype=np.int64)
 
-    def measure(block: Block) -> tuple[FloatArray, BoolArray]:
+    def measure(block: Block) -> tuple[FloatArray, BoolArray, FloatArray]:
         tables = [inside_table(block.scale_dispersion(factor), "exchangeable", mask)[:, :-1] for factor in FACTORS]
-        return np.nan_to_num(np.stack(tables, axis=1)), block.where & mask
+        counted = block.where & mask
+        return np.nan_to_num(np.stack(tables, axis=1)), counted, _beyond(block, counted)
 
-    start = 0
-    for weights, counted in parts.measure_blocks(data, measure, threads):
+    start, beyond = 0, np.zeros(len(FACTORS))
+    for weights, counted, shares in parts.measure_blocks(data, measure, threads):
+        beyond += shares
         folds = fold_of[start : start + len(weights)]
         start += len(weights)
         for fold in np.unique(folds):
             sums[fold] += weights[folds == fold].sum(axis=0)
             counts[fold] += counted[folds == fold].sum(axis=0)
-    return sums, counts
+    return sums[:, beyond <= MOST_BEYOND * counts.sum()], counts
+
+
+def _beyond(block: Block, counted: BoolArray) -> FloatArray:
+    """For every factor the sum over joints of the share of angles more than half a turn from the median, (G,)."""
+    if block.period is None:
+        return np.zeros(len(FACTORS))
+    away = np.abs(block.shortest(block.from_median)[counted])
+    limits = block.period / 2 / FACTORS
+    return np.array([(away > limit).mean(axis=(1, 2)).sum() for limit in limits])
 
 
 def _best_factors(
@@ -182,11 +223,12 @@ def _best_factors(
     if not per_joint:
         distance = np.repeat(distance.mean(axis=1, keepdims=True), used.sum(), axis=1)
     best = distance.argmin(axis=0)
-    uncalibrated = np.flatnonzero(used)[np.isin(best, (0, len(FACTORS) - 1))]
+    tried = FACTORS[: len(distance)]
+    uncalibrated = np.flatnonzero(used)[np.isin(best, (0, len(tried) - 1))]
     if uncalibrated.size:
         names = ", ".join(joints[k].removeprefix("joint ") for k in uncalibrated)
         raise PoseDataError(
-            f"spread: no factor from {FACTORS[0]:g} to {FACTORS[-1]:g} calibrates "
+            f"spread: no factor from {tried[0]:g} to {tried[-1]:.3g} calibrates "
             f"{names if per_joint else 'all joints together'}. Do the hypotheses all agree?"
         )
     left, middle, right = np.take_along_axis(distance, best + np.array([[-1], [0], [1]]), axis=0)
@@ -246,7 +288,8 @@ def fit_spread(
     parts.refuse_one_hypothesis(data)
     sums, counts = _curves(data, np.zeros(len(data.truth), dtype=np.intp), threads)
     factors = _best_factors(sums[0], counts[0], data.joints, per_joint=per_joint)
-    return SpreadMap(data.joints, factors, len(data.truth), parts.number_of_sequences(data), data.root)
+    sequences = parts.number_of_sequences(data)
+    return SpreadMap(data.joints, factors, len(data.truth), sequences, data.root, data.unit)
 
 
 def cross_fitted(
@@ -292,6 +335,6 @@ def cross_fitted(
         others = sums.sum(axis=0) - sums[fold], counts.sum(axis=0) - counts[fold]
         factors.append(_best_factors(*others, data.joints, per_joint=per_joint))
         held_out = data.select(np.flatnonzero(fold_of == fold))
-        rescaled_part = SpreadMap(data.joints, factors[-1], 0, 0).rescale(held_out)
+        rescaled_part = SpreadMap(data.joints, factors[-1], 0, 0, data_unit=data.unit).rescale(held_out)
         totals.append(evaluate(rescaled_part, protocol=protocol, threads=threads).totals)
     return evaluate(data, protocol=protocol, threads=threads), Report(merge_totals(totals)), factors

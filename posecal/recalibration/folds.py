@@ -14,6 +14,7 @@ from posecal.data.layout import HYPOTHESES, Layout, MemoryArray
 from posecal.data.pose_data import PoseData
 from posecal.data.root import resting_joints
 from posecal.data.stored_poses import Rows
+from posecal.data.units import PERIODS, quantity
 from posecal.engine.block import Block
 from posecal.engine.chunks import map_blocks
 from posecal.engine.prepare import refuse_non_finite
@@ -106,6 +107,40 @@ def values_for_joints(names: tuple[str, ...], values: FloatArray, joints: tuple[
     if missing:
         raise PoseDataError(f"{whose} has joints that the map lacks: {', '.join(missing)}. Fit a map on these joints.")
     return values[[matched[k] for k in range(len(joints))]]
+
+
+def factor_of_unit(unit: str | float | None, of_map: str) -> float:
+    """Give how many of a map's unit are in one of the hypotheses that it is applied to; 1 where none is declared.
+
+    Raises
+    ------
+    PoseDataError
+        For another quantity than the map's, and for angles of no declared unit.
+    """
+    if unit is None and of_map in PERIODS:
+        raise PoseDataError(f"hypotheses: angles; expected their unit. Pass {option('unit', 'deg')} or rad.")
+    measured, factor = (of_map, 1.0) if unit is None else quantity(unit)
+    refuse_another_unit("hypotheses", measured, of_map)
+    return factor
+
+
+def refuse_another_unit(name: str, unit: str, of_map: str) -> None:
+    """Refuse hypotheses of another quantity than a map's.
+
+    Raises
+    ------
+    PoseDataError
+        Where the two units differ.
+    """
+    if unit != of_map:
+        raise PoseDataError(
+            f"{name}: in {unit or 'no unit'}; expected {of_map or 'no unit'}, as what the map was fitted on."
+        )
+
+
+def period_in(of_map: str, factor: float) -> float | None:
+    """Give after how much hypotheses repeat, in their own unit; None where they don't."""
+    return None if of_map not in PERIODS else PERIODS[of_map] / factor
 
 
 def checked_for_map(

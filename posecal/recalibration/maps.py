@@ -14,16 +14,17 @@ import numpy as np
 import posecal
 from posecal.data.alone import resolve_hypotheses
 from posecal.data.arrays import FloatArray
-from posecal.data.declarations import Declarations
+from posecal.data.declarations import Declarations, quantity_of
 from posecal.data.read import read_poses
 from posecal.data.root import Root, parse_root, root_name
+from posecal.data.units import PERIODS, quantity
 from posecal.data.write import Archive, write_file
 from posecal.engine.chunks import WINDOW_BYTES
 from posecal.engine.storage import digest_of
 from posecal.errors import PoseDataError, PoseFileError, json_text
 from posecal.evaluation.sources import Source
 from posecal.recalibration.dispersion import SpreadMap, rescaled
-from posecal.recalibration.folds import values_for_joints
+from posecal.recalibration.folds import refuse_another_unit, values_for_joints
 from posecal.recalibration.radius import RadiusMap, balls
 
 FORMAT = 3
@@ -50,11 +51,11 @@ def write_map(map_: Map, path: str | os.PathLike[str]) -> None:
         Where the file can't be written.
     """
     values = {joint: None if math.isnan(value) else value for joint, value in _checked(map_).by_joint.items()}
-    about: dict[str, object] = {"posecal": posecal.__version__, "format": FORMAT}
+    about: dict[str, object] = {"posecal": posecal.__version__, "format": FORMAT, "unit": map_.data_unit or "none"}
     if isinstance(map_, SpreadMap):
         about |= {"kind": "spread", "factors": values}
     else:
-        about |= {"kind": "radius", "alpha": map_.alpha, "unit": map_.unit, "radii": values}
+        about |= {"kind": "radius", "alpha": map_.alpha, "scaled": map_.scaled, "radii": values}
     about["root"] = None if map_.root is None else root_name(map_.root, map_.joints)
     about["fitted_on"] = {"poses": map_.poses, "sequences": map_.sequences}
     about["digest"] = _digest(about)
@@ -99,12 +100,13 @@ def read_map(path: str | os.PathLike[str]) -> Map:
         numbers = about[{"spread": "factors", "radius": "radii"}[about["kind"]]]
         values = np.array([math.nan if value is None else float(value) for value in numbers.values()])
         root = None if about["root"] is None else parse_root(about["root"], tuple(numbers))
-        fitted = int(about["fitted_on"]["poses"]), int(about["fitted_on"]["sequences"]), root
+        unit, _ = quantity({"mm": "mm", "deg": "deg", "px": "px", "none": "none"}[about["unit"]])
+        fitted = int(about["fitted_on"]["poses"]), int(about["fitted_on"]["sequences"]), root, unit
         if about["kind"] == "spread":
             if not (np.isfinite(values) & (values > 0)).all():
                 raise PoseFileError(f"{name}: a factor is not above 0; expected positive numbers.")
             return SpreadMap(tuple(numbers), values, *fitted)
-        alpha, scaled = float(about["alpha"]), {"mm": False, "standard deviations": True}[about["unit"]]
+        alpha, scaled = float(about["alpha"]), {False: False, True: True}[about["scaled"]]
         if (values < 0).any() or np.isinf(values).any() or not 0 < alpha < 1:
             raise PoseFileError(f"{name}: a radius is below 0 or alpha is {alpha:g}; expected 0 < alpha < 1.")
         return RadiusMap(tuple(numbers), values, alpha, scaled, *fitted)
@@ -139,8 +141,8 @@ def apply_map(
     hypotheses : array or path
         What it is applied to.
     path : path
-        An ``.npz`` file: ``hypotheses`` (M, N, K, D), or ``centre`` (M, K, D) and ``radius`` (M, K), mm; and whatever
-        else the file of the hypotheses says about their frames.
+        An ``.npz`` file: ``hypotheses`` (M, N, K, D), or ``centre`` (M, K, D) and ``radius`` (M, K), in mm, degrees,
+        pixels or no unit; and whatever else the file of the hypotheses says about their frames.
     axes, unit, joints, root_joint
         Of hypotheses that don't declare them; as for :class:`posecal.PoseData`.
     progress : callable, optional
@@ -154,7 +156,7 @@ def apply_map(
     Raises
     ------
     PoseDataError
-        Where the map lacks a joint, and for declarations that don't fit.
+        Where the map lacks a joint or is of another quantity, and for declarations that don't fit.
     PoseFileError
         Where a file can't be read or written.
     """
@@ -164,8 +166,9 @@ def apply_map(
     declared = Declarations(axes=axes, unit=unit, joints=joints, root_joint=root_joint)
     poses = read_poses(hypotheses, "hypotheses")
     source, names, root = resolve_hypotheses(poses, declared)
+    refuse_another_unit(poses.name, quantity_of(poses, "unit", unit)[0], map_.data_unit)
     values = values_for_joints(map_.joints, values, names, poses.name)
-    first, m = source.read(0, 1), len(source.rows)
+    first, m, period = source.read(0, 1), len(source.rows), PERIODS.get(map_.data_unit)
     n, _, k, d = first.shape
     window = max(1, WINDOW_BYTES // first.nbytes)
 
@@ -177,14 +180,14 @@ def apply_map(
                 progress(stop, m)
 
     def write(file: BinaryIO) -> None:
-        members = {"joints": np.array(names), "unit": np.array("mm"), **poses.frame_members}
+        members = {"joints": np.array(names), "unit": np.array(map_.data_unit or "none"), **poses.frame_members}
         with Archive(file) as archive:
             if isinstance(map_, SpreadMap):
-                pieces = (rescaled(part, values, root).swapaxes(0, 1) for part in windows())
+                pieces = (rescaled(part, values, root, period).swapaxes(0, 1) for part in windows())
                 archive.add_pieces("hypotheses", (m, n, k, d), first.dtype, pieces)
                 members["axes"] = np.array("MNKD")
             else:
-                parts = [balls(part, values, root, scaled=map_.scaled) for part in windows()]
+                parts = [balls(part, values, root, scaled=map_.scaled, period=period) for part in windows()]
                 members["centre"], members["radius"] = map(np.concatenate, zip(*parts, strict=True))
                 members["alpha"] = np.array(map_.alpha)
             for name, array in members.items():

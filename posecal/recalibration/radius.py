@@ -28,7 +28,7 @@ class RadiusMap:
     joints : tuple of str
         K names.
     radii : array (K,)
-        mm, or where ``scaled`` multiples of the predicted standard deviation.
+        In the unit of the data, or where ``scaled`` multiples of the predicted standard deviation.
     alpha : float
         The share of truths that may lie outside.
     scaled : bool
@@ -37,6 +37,8 @@ class RadiusMap:
         What it was fitted on.
     root : int, Root or None
         What positions were relative to.
+    data_unit : str
+        Of what it was fitted on: ``mm``, ``deg``, ``px``, or empty.
     """
 
     joints: tuple[str, ...]
@@ -46,6 +48,7 @@ class RadiusMap:
     poses: int
     sequences: int
     root: AnyRoot = None
+    data_unit: str = "mm"
 
     @property
     def by_joint(self) -> dict[str, float]:
@@ -55,48 +58,59 @@ class RadiusMap:
     @property
     def unit(self) -> str:
         """The unit of the radii."""
-        return "standard deviations" if self.scaled else "mm"
+        return "standard deviations" if self.scaled else self.data_unit
 
-    def apply(self, hypotheses: npt.ArrayLike, /, *, axes: str | None = None) -> tuple[FloatArray, FloatArray]:
+    def apply(
+        self, hypotheses: npt.ArrayLike, /, *, axes: str | None = None, unit: str | float | None = None
+    ) -> tuple[FloatArray, FloatArray]:
         """Give the balls of some poses.
 
         Parameters
         ----------
         hypotheses : array (N, M, K, D), or as ``axes`` says
-            Hypotheses with the joints of the map, mm.
+            Hypotheses with the joints of the map.
         axes : str, optional
             Their layout, as for :func:`posecal.evaluate`; ``NMKD`` by default.
+        unit : str or float, optional
+            Their unit, that of the map by default; of angles ``deg`` or ``rad`` is needed.
 
         Returns
         -------
         centre : array (M, K, D)
-            The per-coordinate median, relative to the root, mm.
+            The per-coordinate median, relative to the root, in their unit; of angles within half a turn of 0.
         radius : array (M, K)
-            mm; NaN for joints without.
+            In their unit; NaN for joints without. Of angles, more than half a turn holds all.
 
         Raises
         ------
         PoseDataError
             As :meth:`SpreadMap.apply`.
         """
+        factor = parts.factor_of_unit(unit, self.data_unit)
         x, _, _ = parts.checked_for_map(hypotheses, axes, self.joints, self.poses)
-        return balls(x, self.radii, self.root, scaled=self.scaled)
+        radii = self.radii if self.scaled else self.radii / factor
+        return balls(x, radii, self.root, scaled=self.scaled, period=parts.period_in(self.data_unit, factor))
 
 
-def balls(hypotheses: FloatArray, radii: FloatArray, root: AnyRoot, *, scaled: bool) -> tuple[FloatArray, FloatArray]:
+def balls(
+    hypotheses: FloatArray, radii: FloatArray, root: AnyRoot, *, scaled: bool, period: float | None = None
+) -> tuple[FloatArray, FloatArray]:
     """Centres (M, K, D) and radii (M, K) of some poses, mm, relative to the root."""
-    blocks = (lay_out() for lay_out in iter_blocks(hypotheses, np.zeros(hypotheses.shape[1:]), root=root))
-    centres_and_widths = [(b.median, joint_deviations(b) if scaled else np.ones(b.where.shape)) for b in blocks]
+    zeros = np.zeros(hypotheses.shape[1:])
+    blocks = (lay_out() for lay_out in iter_blocks(hypotheses, zeros, root=root, period=period))
+    centres_and_widths = [
+        (b.shortest(b.median), joint_deviations(b) if scaled else np.ones(b.where.shape)) for b in blocks
+    ]
     centre, width = map(np.concatenate, zip(*centres_and_widths, strict=True))
     return centre, radii * width
 
 
 def _distances(data: PoseData, *, scaled: bool, threads: int | None) -> FloatArray:
-    """Distance of the truth from the median, (M, K), mm or predicted standard deviations; NaN for uncounted ones."""
+    """Distance of the truth from the median, (M, K), also in predicted standard deviations; NaN for uncounted ones."""
     mask = parts.movable_joints(data)
 
     def measure(block: Block) -> FloatArray:
-        distances = np.linalg.norm(block.median.astype(np.float64), axis=-1)
+        distances = np.linalg.norm(block.shortest(block.median).astype(np.float64), axis=-1)
         if scaled:
             with np.errstate(divide="ignore", invalid="ignore"):
                 distances = distances / joint_deviations(block)
@@ -169,7 +183,8 @@ def fit_radius(
     """
     data = _checked(as_pose_data(hypotheses, truth, described), alpha, scaled=scaled)
     radii = _radii(_distances(data, scaled=scaled, threads=threads), alpha)
-    return RadiusMap(data.joints, radii, alpha, scaled, len(data.truth), parts.number_of_sequences(data), data.root)
+    sequences = parts.number_of_sequences(data)
+    return RadiusMap(data.joints, radii, alpha, scaled, len(data.truth), sequences, data.root, data.unit)
 
 
 def _checked(data: PoseData, alpha: float, *, scaled: bool) -> PoseData:

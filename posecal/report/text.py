@@ -237,7 +237,9 @@ def spread_sheet(factors: Mapping[str, float], poses: int, judged: tuple[Report,
         tables.append(Table("Held-out sequences", (f"held out, {parts} parts", "before", "after"), compared))
         cost = after["min_mpjpe"] - before["min_mpjpe"]
         if cost > 0:
-            sentences.append(f"It costs {cost:.1f} mm of minMPJPE, which rewards a spread that is too narrow.")
+            unit = before.metrics["min_mpjpe"].unit
+            costs = f"{short_number(cost, unit)} {unit}".rstrip()
+            sentences.append(f"It costs {costs} of minMPJPE, which rewards a spread that is too narrow.")
     return Sheet("Recalibrated spread", sentences, tables=tables)
 
 
@@ -255,13 +257,16 @@ def radius_sheet(
     alpha : float
         The share of truths outside.
     unit : str
-        ``mm``, or ``standard deviations``.
+        Of the radii; empty where the data have none.
     coverage : mapping of float, optional
         Of held-out sequences: the share of truths within, by joint.
     """
     known = {joint: radius for joint, radius in radii.items() if not math.isnan(radius)}
     sentences = [f"Radii about the median that hold {1 - alpha:.0%} of the truths of {poses:,} poses."]
-    headings, rows = ["joint", f"radius, {unit}"], [(joint, f"{radius:.2f}") for joint, radius in known.items()]
+    headings, rows = (
+        ["joint", f"radius, {unit}" if unit else "radius"],
+        [(joint, f"{radius:.2f}") for joint, radius in known.items()],
+    )
     if coverage is not None:
         judged = [(joint, radius, f"{coverage[joint]:.3f}") for joint, radius in rows]
         return Sheet("Conformal radii", sentences, tables=[Table("Radii", [*headings, "held-out coverage"], judged)])

@@ -25,7 +25,17 @@ SPREAD = SpreadMap(JOINTS, np.array([1.0, 0.7, 2.125]), 120, 6, 0)
 RADIUS = RadiusMap(JOINTS, np.array([math.nan, 80.5, 120.25]), 0.1, False, 120, 6)
 
 
-@pytest.mark.parametrize("map_", [SPREAD, RADIUS, replace(RADIUS, scaled=True)], ids=["spread", "mm", "deviations"])
+MAPS = {
+    "spread": SPREAD,
+    "mm": RADIUS,
+    "deviations": replace(RADIUS, scaled=True),
+    "degrees": replace(SPREAD, data_unit="deg"),
+    "pixels": replace(RADIUS, data_unit="px"),
+    "no unit": replace(RADIUS, data_unit=""),
+}
+
+
+@pytest.mark.parametrize("map_", MAPS.values(), ids=MAPS)
 def test_a_map_that_is_written_is_read_as_it_was(map_: SpreadMap | RadiusMap, tmp_path: Path) -> None:
     write_map(map_, tmp_path / "map.json")
     found = read_map(tmp_path / "map.json")
@@ -51,8 +61,9 @@ def test_a_person_can_read_it(tmp_path: Path) -> None:
 def broken(kind: str, /, **changed: Any) -> str:
     """A map of which something is otherwise, with the digest of what it holds."""
     about: dict[str, Any] = {"format": 3, "kind": kind, "root": None, "fitted_on": {"poses": 9, "sequences": 3}}
+    about["unit"] = "mm"
     if kind == "radius":
-        about |= {"alpha": 0.1, "unit": "mm", "radii": {"Head": 80.0}}
+        about |= {"alpha": 0.1, "scaled": False, "radii": {"Head": 80.0}}
     else:
         about |= {"factors": {"Head": 1.5}}
     about |= changed
@@ -95,6 +106,10 @@ NO_MAP = r"map\.json: no map of posecal recalibrate fit, or not a whole one"
         (broken("radius", alpha=-0.5), r"alpha is -0\.5; expected"),
         (broken("radius", alpha=1), r"alpha is 1; expected"),
         (broken("radius", unit="cm"), NO_MAP),
+        (broken("spread", unit="rad"), NO_MAP),
+        (broken("spread", unit=...), NO_MAP),
+        (broken("radius", scaled="yes"), NO_MAP),
+        (broken("radius", scaled=...), NO_MAP),
         (broken("radius", alpha=7), r"alpha is 7; expected 0 < alpha < 1"),
         (broken("radius", alpha=...), NO_MAP),
     ],
