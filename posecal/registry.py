@@ -307,10 +307,19 @@ def unmeasured(name: str, protocol: Protocol, spec: DataSpec) -> str:
     return f"was not measured. Evaluate with {option('metrics', ', '.join([*protocol.wanted, more]))}."
 
 
-def _lacks(name: str, protocol: Protocol, spec: DataSpec, known: dict[str, Metric]) -> str:
-    for metric in _plain_metrics(protocol, spec):
-        if metric.name == name and (lacking := needs.unmet(metric, Scope(protocol, spec))):
+def lacks(name: str, protocol: Protocol, spec: DataSpec) -> str:
+    """Say what the data lack that a metric or a curve needs; nothing where they lack nothing."""
+    scope = Scope(protocol, spec)
+    numbers: tuple[Metric | Curve, ...] = (*_plain_metrics(protocol, spec), *_all_curves(scope))
+    for number in numbers:
+        if number.name == name and (lacking := needs.unmet(number, scope)):
             return f"needs {' and '.join(lacking)}; the data are {spec.unit or 'no unit'}, D = {spec.n_coordinates}."
+    return ""
+
+
+def _lacks(name: str, protocol: Protocol, spec: DataSpec, known: dict[str, Metric]) -> str:
+    if lacking := lacks(name, protocol, spec):
+        return lacking
     in_world = Scope(Protocol(), changed(spec, root=None, labels=("sequence",)))
     if name in {metric.name for metrics in (velocity_metrics, world_metrics) for metric in metrics(in_world)}:
         if "sequence" not in spec.labels:
@@ -340,13 +349,16 @@ def curves_of(protocol: Protocol, spec: DataSpec) -> dict[str, Curve]:
         Curves by name.
     """
     scope = Scope(protocol, spec)
-    curves = subset_curve(scope), pck_curve(scope), cps_curve(scope)
     unit = f" [{spec.unit}]" if spec.unit else ""
     return {
         curve.name: changed(curve, axes=(curve.axes[0].replace(" [mm]", unit), curve.axes[1].replace(" [mm]", unit)))
-        for curve in curves
+        for curve in _all_curves(scope)
         if not needs.unmet(curve, scope)
     }
+
+
+def _all_curves(scope: Scope) -> tuple[Curve, ...]:
+    return subset_curve(scope), pck_curve(scope), cps_curve(scope)
 
 
 def statistics_of(

@@ -55,7 +55,8 @@ def accuracy_and_calibration(comparison: Comparison, *, ax: Axes | None = None) 
         ax.plot(x, y, marker=markers[number % len(markers)], color=INK, ms=5, ls="", gid=name)
         ax.annotate(name, (x, y), xytext=(6, 3), textcoords="offset points", fontsize=7.5)
     most = max(comparison.value("ece", name) for name in comparison.names)
-    ax.set(xlabel="ECE (exchangeable)", ylabel="minMPJPE [mm]")
+    unit = comparison.metrics["min_mpjpe"].unit
+    ax.set(xlabel="ECE (exchangeable)", ylabel=f"minMPJPE [{unit}]" if unit else "minMPJPE")
     ax.set_xlim(0, 1.35 * max(most, 0.03 if math.isnan(limit) else limit))
     return ax
 

@@ -14,7 +14,7 @@ from posecal.engine.metric import Curve
 from posecal.errors import PoseDataError, did_you_mean, is_among, option
 from posecal.metrics.brier import Reliability, reliability
 from posecal.metrics.uncertainty import sparsification as sparsification_curves
-from posecal.registry import curves_of
+from posecal.registry import curves_of, lacks
 
 if TYPE_CHECKING:
     from posecal.report.report import Report
@@ -68,7 +68,9 @@ def curve(report: Report, name: str) -> tuple[Curve, FloatArray]:
     """
     curves = curves_of(report.totals.protocol, report.totals.spec)
     if not is_among(name, curves):
-        raise PoseDataError(f"curve: {name!r} is not known. {did_you_mean(name, curves)}")
+        lacking = lacks(name, report.totals.protocol, report.totals.spec)
+        unknown = f"{name!r} is not known. {did_you_mean(name, curves)}"
+        raise PoseDataError(f"curve: {f'{name} {lacking}' if lacking else unknown}")
     if name not in report.totals.sums:
         raise PoseDataError(f"curve: the report has no {name}; it is among the default metrics.")
     return curves[name], report.totals.averaged(curves[name].statistic)

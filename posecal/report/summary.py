@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from posecal.data.frames import DIFFERENT_FRAMES
 from posecal.errors import first_few, for_python
 from posecal.registry import left_out
-from posecal.report.format import p_value
+from posecal.report.format import counted, p_value
 from posecal.stats.resampling import LEVEL, MIN_SEQUENCES
 
 if TYPE_CHECKING:
@@ -141,8 +141,8 @@ def _of_joints(report: Report) -> Iterator[str]:
         if p < LEVEL:
             sides[side_of(area, report.value("ece", joint=joint))].append(joint)
     named = [f"{side}{',' * (side == NEITHER)} at {_several(joints)}" for side, joints in sides.items() if joints]
-    if named and len(tests) > 1:
-        yield f"Joint by joint: {', '.join(named)} (adjusted for {len(tests)} joints)."
+    if named:
+        yield f"Joint by joint: {', '.join(named)} (adjusted for {counted(len(tests), 'joint')})."
     if "ece_mean" in report.metrics and report.test("ece").p >= LEVEL > (p := report.test("ece_mean").p):
         mean = report["ece_mean"]
         yield f"The median over joints hides it: the joints' own errors average {mean:.3f} ({p_value(p)})."

@@ -128,7 +128,12 @@ def _by_label(report: Report, label: str) -> Table:
         poses = max(report.count(name, group) for name in metrics or report.metrics_in(group))
         values = (short_number(report.value(name, group), metric.unit) for name, metric in metrics.items())
         rows.append((str(group).partition("=")[2], f"{poses:,}", *values))
-    return Table(f"By {label}", (label, "poses", *(metric.label for metric in metrics.values())), rows)
+    return Table(f"By {label}", (label, "poses", *map(_heading, metrics.values())), rows)
+
+
+def _heading(metric: Metric) -> str:
+    """Name a column of a wide table, with the unit where that is not the usual one."""
+    return f"{metric.label} [{metric.unit}]" if metric.unit not in {"", "mm"} else metric.label
 
 
 def _by_joint(report: Report) -> Table:
@@ -137,7 +142,7 @@ def _by_joint(report: Report) -> Table:
         (joint, *(short_number(report.value(name, joint=joint), metric.unit) for name, metric in metrics.items()))
         for joint in report.totals.spec.joints
     ]
-    return Table("By joint", ("joint", *(metric.label for metric in metrics.values())), rows)
+    return Table("By joint", ("joint", *map(_heading, metrics.values())), rows)
 
 
 def comparison_sheet(comparison: Comparison) -> Sheet:

@@ -1,6 +1,8 @@
 """Angles, pixels and numbers without a unit, of one, two or three coordinates."""
 
 import json
+import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,6 +11,7 @@ import pytest
 import posecal
 from posecal.engine.circular import unwrapped, wrapped
 from posecal.errors import PoseDataError
+from tests.helpers.shell import done, run
 
 Array = np.ndarray[Any, Any]
 N, M, K = 20, 48, 3
@@ -125,6 +128,43 @@ def test_a_default_report_of_every_quantity_prints_its_unit_and_no_other(unit: s
     assert units <= {"", shown.strip()}
     assert [remark for remark in report.remarks if remark.startswith("left out: ")]
     assert ("pa_min_mpjpe" in report.metrics) == (d == 3 and unit != "deg")
+
+
+@pytest.mark.parametrize(("unit", "shown"), [("deg", "deg"), ("rad", "deg"), ("px", "px"), ("none", "")])
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_the_commands_report_draw_and_compare_every_quantity_in_its_unit(
+    unit: str, shown: str, d: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    x, y = pixels(d)
+    np.savez("hyps.npz", hypotheses=np.radians(x) if unit == "rad" else x, axes="NMKD", unit=unit)
+    np.savez("gt.npz", truth=np.radians(y) if unit == "rad" else y, unit=unit, sequence=SEQUENCE)
+    wanted = ["--by", "sequence", "--per-joint", "--definitions", "--save", "result.npz", "--html", "page.html"]
+    printed = done("evaluate", "hyps.npz", "gt.npz", *wanted)
+    report = posecal.evaluate("hyps.npz", "gt.npz", threads=1)
+    assert f"{report['mpjpe']:.3f} {shown}".rstrip() in printed if shown else f"{report['mpjpe']:.5f}" in printed
+    assert printed.count("left out: ") == 1
+    heading = f"MPJPE [{shown}]" if shown else "MPJPE "
+    pages = {form: done("report", "result.npz", "--per-joint", "--format", form) for form in ("markdown", "latex")}
+    assert heading in pages["markdown"]
+    done("plot", "errors", "result.npz", "-o", "errors.svg")
+    done("compare", "hyps.npz", "hyps.npz", "gt.npz", "--plot", "axes.svg")
+    done("plot", "intervals", "hyps.npz", "gt.npz", "-o", "intervals.svg")
+    pictures = {name: Path(name).read_text(encoding="utf-8") for name in ("errors.svg", "axes.svg", "intervals.svg")}
+    for text in (printed, Path("page.html").read_text(encoding="utf-8"), *pages.values(), *pictures.values()):
+        assert not re.search(r"\bmm\b", text)
+    for text in pictures.values():
+        assert (f"[{shown}]" in text) == bool(shown)
+    refusal = run("plot", "pck", "result.npz", "-o", "pck.svg")
+    assert refusal.exit_code == 3
+    assert f"the data are {shown or 'no unit'}, D = {d}." in refusal.output
+
+
+def test_skills_need_what_their_scores_need() -> None:
+    x, y = angles()
+    report = report_of(x, y, "deg", "scores", reference="climatology")
+    assert {"crps_skill", "energy_skill"} <= report.metrics.keys()
+    assert not {"variogram_skill", "brier_skill", "variogram_score", "brier"} & report.metrics.keys()
 
 
 def test_a_line_says_which_metrics_are_left_out_and_why() -> None:

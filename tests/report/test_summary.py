@@ -196,7 +196,8 @@ def test_joints_are_sorted_to_their_sides_by_the_same_rule_the_largest_area_firs
 @pytest.mark.parametrize(("number", "words"), [(1, "j0"), (2, "j0 and j1"), (6, "j0, j1, j2, j3, j4 and j5")])
 def test_up_to_six_joints_are_named(number: int, words: str) -> None:
     _, joints = sentences(0.04, 0.0, 0.5, **{f"j{k}": (0.04, 0.03, 0.01) for k in range(number)})
-    assert joints == f"Joint by joint: underconfident at {words} (adjusted for {number} joints)."
+    of = "1 joint" if number == 1 else f"{number} joints"
+    assert joints == f"Joint by joint: underconfident at {words} (adjusted for {of})."
 
 
 def test_of_more_joints_six_are_named_and_the_rest_counted() -> None:

@@ -333,7 +333,7 @@ class Numbers(dict[str, float]):
     """A report of known numbers, 0.5 each but those that are given."""
 
     metrics: ClassVar = {
-        name: SimpleNamespace(name=name, label=name, unit="")
+        name: SimpleNamespace(name=name, label=name, unit="mm" if "mpjpe" in name else "")
         for name in ("ece", "signed_area", "coverage_50", "coverage_90", "radius_50", "min_mpjpe", "mpjpe")
     }
 
