@@ -14,14 +14,17 @@ hypotheses and truth together.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import FloatArray, checked_number
+from posecal.data.units import PERIODS, quantity
 from posecal.engine.block import Block
+from posecal.engine.circular import unwrapped
 from posecal.engine.metric import Metric, Statistic, mean_over_joints, per_joint
 from posecal.engine.per_pose import per_pose
 from posecal.engine.scope import Scope
@@ -60,6 +63,38 @@ def ends(ordered: FloatArray, level: float) -> tuple[FloatArray, FloatArray]:
         for at in (ordered, ordered[..., ::-1])
     )
     return low, high
+
+
+@dataclass(frozen=True)
+class CentralIntervals:
+    """Central intervals of one coordinate over time, and the truth.
+
+    Attributes
+    ----------
+    truth : array (M,)
+        The true coordinate, of angles without jumps; NaN where it or a hypothesis is not known.
+    ends : mapping of two arrays (M,)
+        Both ends of the interval of each level, by the share of truths that it holds for a perfect sampler.
+    """
+
+    truth: FloatArray
+    ends: Mapping[float, tuple[FloatArray, FloatArray]]
+
+    @classmethod
+    def of(
+        cls, hypotheses: FloatArray, truth: FloatArray, levels: Sequence[float], unit: str | float = "none"
+    ) -> CentralIntervals:
+        """Find the intervals of hypotheses (N, M) and a truth (M,), angles where the unit is ``deg`` or ``rad``."""
+        measured, factor = quantity(unit)
+        offsets: FloatArray = (hypotheses - truth).T
+        known = np.asarray(np.isfinite(offsets).all(axis=1))
+        shown = np.where(known, truth, np.nan)
+        if (period := PERIODS.get(measured)) is not None:
+            offsets = unwrapped(offsets, period / factor)
+            shown[known] = np.unwrap(truth[known], period=period / factor)
+        ordered = np.where(known[:, None], np.sort(offsets, axis=1), np.nan)
+        found = {attained(len(hypotheses), level): ends(ordered, level) for level in levels}
+        return cls(shown, {level: (shown + low, shown + high) for level, (low, high) in found.items()})
 
 
 def held(block: Block, level: float) -> FloatArray:

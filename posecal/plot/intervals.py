@@ -6,13 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from posecal.calibration.intervals import attained, ends
+from posecal.calibration.intervals import CentralIntervals
 from posecal.data.arrays import BoolArray, FloatArray
 from posecal.data.joint_names import find_joint
 from posecal.data.root import origin, resting_joints, root_name
 from posecal.data.stored_poses import Rows
-from posecal.data.units import PERIODS
-from posecal.engine.circular import unwrapped
 from posecal.errors import PoseDataError, did_you_mean, first_few
 from posecal.plot.style import ORANGE, STYLE, UNDER, given
 
@@ -36,8 +34,8 @@ def intervals(
     hypotheses: FloatArray,
     truth: FloatArray,
     *,
+    unit: str | float = "none",
     at: FloatArray | None = None,
-    period: float | None = None,
     ax: Axes | None = None,
 ) -> Axes:
     """Draw the central 50 % and 90 % intervals of one coordinate over time, and the truth.
@@ -48,10 +46,10 @@ def intervals(
         Hypotheses of the coordinate.
     truth : array (M,)
         The true coordinate; blue, and orange where it lies outside the wider interval.
+    unit : str or float
+        ``deg`` or ``rad`` for angles, which are drawn without jumps; any other is the same.
     at : array (M,), optional
         Time, or the number of each frame; 0, 1, … by default.
-    period : float, optional
-        After how much the coordinate repeats, such as 360 for degrees.
     ax : matplotlib Axes, optional
         Where to draw; the current axes by default.
 
@@ -67,25 +65,18 @@ def intervals(
     """
     ax = given(ax)
     frames = np.arange(len(truth)) if at is None else at
-    offsets: FloatArray = (hypotheses - truth).T
-    known = np.asarray(np.isfinite(offsets).all(axis=1))
-    shown = np.where(known, truth, np.nan)
-    if period is not None:
-        offsets, shown[known] = unwrapped(offsets, period), np.unwrap(truth[known], period=period)
-    ordered = np.where(known[:, None], np.sort(offsets, axis=1), np.nan)
-    drawn = {attained(len(hypotheses), level): colour for level, colour in SHADES.items()}
-    for level, colour in drawn.items():
-        low, high = ends(ordered, level)
+    found = CentralIntervals.of(hypotheses, truth, [*SHADES], unit)
+    for (level, (low, high)), colour in zip(found.ends.items(), SHADES.values(), strict=False):
         name = f"{100 * level:.0f} % interval"
-        ax.fill_between(frames, shown + low, shown + high, color=colour, lw=0, gid=name, label=name)
-    widest = max(drawn)
-    low, high = ends(ordered, widest)
-    outside = known & ((low > 0) | (high < 0))
-    ax.plot(frames, shown, color=UNDER, lw=1.4, label="truth", gid="truth")
+        ax.fill_between(frames, low, high, color=colour, lw=0, gid=name, label=name)
+    widest = max(found.ends)
+    low, high = found.ends[widest]
+    outside = (found.truth < low) | (found.truth > high)
+    ax.plot(frames, found.truth, color=UNDER, lw=1.4, label="truth", gid="truth")
     points: dict[str, Any] = {"ls": "", "marker": "o", "ms": 2.6, "color": ORANGE}
-    ax.plot(frames[outside], shown[outside], label="truth outside", gid="outside", **points)
-    held = 1 - outside.sum() / max(known.sum(), 1)
-    ax.set_title(f"{100 * held:.0f} % within the {100 * widest:.0f} % interval", fontsize=7.5)
+    ax.plot(frames[outside], found.truth[outside], label="truth outside", gid="outside", **points)
+    share = 1 - outside.sum() / max(np.isfinite(found.truth).sum(), 1)
+    ax.set_title(f"{100 * share:.0f} % within the {100 * widest:.0f} % interval", fontsize=7.5)
     ax.margins(x=0)
     return ax
 
@@ -144,7 +135,7 @@ def draw_intervals(
             these = slice(start, start := start + len(rows))
             x = np.where(counted[these], hypotheses[:, these], np.nan)
             frames = (data.order[rows] - data.order[rows[0]]) / (1 if rate is None else rate)
-            intervals(x, truth[these], at=frames, period=PERIODS.get(data.unit), ax=ax)
+            intervals(x, truth[these], unit=data.unit or "none", at=frames, ax=ax)
             ax.set_title(f"{name}\n{ax.get_title()}".lstrip("\n"), fontsize=7.5)
         for ax in panels.flat[len(parts) :]:
             ax.set_axis_off()

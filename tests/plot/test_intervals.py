@@ -55,7 +55,7 @@ def test_angles_are_drawn_without_jumps(write: Any) -> None:
     x, y = angles(175)
     plain, wrapped = (Figure().add_subplot() for _ in range(2))
     intervals(x, y, ax=plain)
-    intervals(write(x), write(y), period=360.0, ax=wrapped)
+    intervals(write(x), write(y), unit="deg", ax=wrapped)
     turns = line(wrapped, "truth")[:, 1] - y
     assert np.ptp(turns) < 1e-9
     assert turns[0] / 360 == pytest.approx(round(turns[0] / 360), abs=1e-12)
@@ -72,7 +72,7 @@ def test_few_hypotheses_have_the_interval_that_they_span() -> None:
 def test_frames_that_do_not_count_are_gaps() -> None:
     x, y = angles()
     x[:, 4], y[7] = np.nan, np.nan
-    ax = intervals(x, y, period=360.0, ax=Figure().add_subplot())
+    ax = intervals(x, y, unit="deg", ax=Figure().add_subplot())
     assert np.flatnonzero(np.isnan(line(ax, "truth")[:, 1])).tolist() == [4, 7]
 
 
