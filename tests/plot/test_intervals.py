@@ -26,11 +26,13 @@ def angles(centre: float = 0.0) -> tuple[Array, Array]:
     return middle + random.normal(0, 10, (N, M)), middle + random.normal(0, 10, M)
 
 
-def band(ax: Axes, name: str) -> Array:
+def band(ax: Axes, name: str, frames: int = M) -> Array:
     """The ends of a filled interval at each frame, (M, 2)."""
     (found,) = (c for c in ax.collections if c.get_gid() == name)
     points = np.asarray(found.get_paths()[0].vertices)
-    return np.array([[points[points[:, 0] == at, 1].min(), points[points[:, 0] == at, 1].max()] for at in range(M)])
+    return np.array(
+        [[points[points[:, 0] == at, 1].min(), points[points[:, 0] == at, 1].max()] for at in range(frames)]
+    )
 
 
 def line(ax: Axes, name: str) -> Array:
@@ -96,7 +98,11 @@ def test_a_position_is_drawn_as_it_is_evaluated_and_labelled_with_its_unit() -> 
     data = walk()
     figure = draw_intervals(data, joint="RWrist", coordinate="z", sequence="b")
     (ax,) = panels(figure)
-    np.testing.assert_allclose(line(ax, "truth")[:, 1], (data.truth[:, 2] - data.truth[:, 0])[10:20, 2])
+    true = (data.truth[:, 2] - data.truth[:, 0])[10:20, 2]
+    np.testing.assert_allclose(line(ax, "truth"), np.stack([np.arange(10), true], axis=1))
+    x = data.hypotheses.read(10, 20)
+    rising = np.sort(x[:, :, 2, 2] - x[:, :, 0, 2], axis=0)
+    np.testing.assert_allclose(band(ax, "90 % interval", 10), rising[[1, 37]].T)
     assert figure.get_supylabel() == "RWrist, z relative to Hip [mm]"
     assert ax.get_title().startswith("b\n")
     assert ax.get_xlabel() == "frame"
@@ -116,6 +122,16 @@ def test_all_sequences_stand_side_by_side_and_a_size_is_taken() -> None:
     assert [ax.get_title().partition("\n")[0] for ax in panels(figure)] == ["a", "b", "c"]
     assert figure.get_size_inches().tolist() == [7, 4]
     assert [ax.get_xlabel() for ax in panels(figure)] == ["", "frame", "frame"]
+
+
+def test_without_sequences_all_frames_are_drawn_up_to_the_largest_size() -> None:
+    y = np.random.default_rng(2).normal(0, 9, (M, 4, 2))
+    data = PoseData(y + np.ones((N, 1, 1, 1)), y, unit="px", axes="NMKD")
+    figure = draw_intervals(data, joint="1", coordinate="1", size=(40, 0.5))
+    (ax,) = panels(figure)
+    np.testing.assert_allclose(line(ax, "truth")[:, 1], y[:, 1, 1])
+    assert ax.get_title() == "0 % within the 90 % interval"
+    assert figure.get_supylabel() == "joint 1, y [px]"
 
 
 def test_a_masked_joint_is_not_drawn() -> None:
