@@ -178,10 +178,8 @@ def left_out(protocol: Protocol, spec: DataSpec) -> str:
 
 def _with_functions(metric: Metric) -> Metric:
     """Give a metric that was loaded without its functions as it is registered, where both are described alike."""
-    registered = _REGISTERED.get(metric.name)
-    if registered is None or not metric.lacks_functions or registered.description != metric.description:
-        return metric
-    return registered
+    registered = _REGISTERED.get(metric.name, metric)
+    return registered if metric.lacks_functions and registered.description == metric.description else metric
 
 
 def _averaged(metric: Metric, protocol: Protocol) -> str:
@@ -294,8 +292,7 @@ def _known_anywhere() -> frozenset[str]:
 def any_metrics(protocol: Protocol, spec: DataSpec, own: Sequence[Metric] = ()) -> dict[str, Metric]:
     """Every metric of such data, of positions in the world and of vertices as well."""
     protocol = changed(protocol, metrics=f"{protocol.metrics}, pve, pa_pve")
-    in_world = known_metrics(protocol, changed(spec, root=None), own=own)
-    return {**in_world, **known_metrics(protocol, spec, own=own)}
+    return {**known_metrics(protocol, changed(spec, root=None), own=own), **known_metrics(protocol, spec, own=own)}
 
 
 def unmeasured(name: str, protocol: Protocol, spec: DataSpec) -> str:
@@ -303,8 +300,8 @@ def unmeasured(name: str, protocol: Protocol, spec: DataSpec) -> str:
     metric = known_metrics(protocol, spec).get(name)
     if metric is None:
         return ""
-    more = metric.family if metric.family in GROUPS else name
-    return f"was not measured. Evaluate with {option('metrics', ', '.join([*protocol.wanted, more]))}."
+    wanted = [*protocol.wanted, metric.family if metric.family in GROUPS else name]
+    return f"was not measured. Evaluate with {option('metrics', ', '.join(wanted))}."
 
 
 def lacks(name: str, protocol: Protocol, spec: DataSpec) -> str:
@@ -326,8 +323,8 @@ def _lacks(name: str, protocol: Protocol, spec: DataSpec, known: dict[str, Metri
             return "needs sequences. Store a label sequence in the truth's file."
         return f"needs positions in the world, not relative to a root; expected {option('root_joint', 'none')}."
     if not spec.has_scores and ("weighted_pose" in name or "mode_mpjpe" in name):
-        otherwise = ", or set mode to an index" if "mode_mpjpe" in name else ""
-        return f"needs the model's scores. Store scores beside the hypotheses{otherwise}."
+        mode = ", or set mode to an index" * ("mode_mpjpe" in name)
+        return f"needs the model's scores. Store scores beside the hypotheses{mode}."
     if spec.n_hypotheses < 2 and name in {*GROUPS, *known_metrics(Protocol(), changed(spec, n_hypotheses=2))}:
         return "needs at least 2 hypotheses; there is 1."
     return f"is not known. {did_you_mean(name, known)}"

@@ -8,8 +8,8 @@ block, when it is first asked for.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from functools import cache, cached_property, partial
+from collections.abc import Callable
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -337,55 +337,7 @@ def _relative(truth: FloatArray, root: AnyRoot, dtype: np.dtype[np.floating]) ->
         return (wide if root is None else wide - origin(wide, root)).astype(dtype)
 
 
-# --- blocks of arrays ---------------------------------------------------------------------------------------------
-
-
 def block_length(shape: tuple[int, ...], dtype: npt.DTypeLike) -> int:
     """Give the number of poses in a block of hypotheses of shape (N, M, K, D)."""
     n, _, k, d = shape
     return max(1, min(MOST_POSES, BLOCK_BYTES // (n * k * d * working_dtype(dtype).itemsize)))
-
-
-def iter_blocks(
-    hypotheses: FloatArray,
-    truth: FloatArray,
-    where: BoolArray | None = None,
-    *,
-    root: AnyRoot = None,
-    follows: BoolArray | None = None,
-    sequence: npt.NDArray[np.intp] | None = None,
-    period: float | None = None,
-) -> Iterator[Callable[[], Block]]:
-    """Cut checked arrays in the paper's layout into blocks, in the order of their poses.
-
-    Parameters
-    ----------
-    hypotheses, truth, where, root, follows, sequence, period
-        As for :class:`Block`, of M poses instead of B.
-
-    Yields
-    ------
-    callable
-        Lays out the next few poses as a :class:`Block`: a copy, so better done by the thread that needs it.
-    """
-    limits = cache(partial(coordinate_range, truth, where, root=root, sequence=sequence))
-    step = block_length(hypotheses.shape, hypotheses.dtype)
-    for start in range(0, len(truth), step):
-        before, poses = (
-            partial(
-                Block,
-                hypotheses[:, part],
-                truth[part],
-                None if where is None else where[part],
-                root=root,
-                follows=None if follows is None else follows[part],
-                period=period,
-            )
-            for part in (slice(max(0, start - MOST_EARLIER), start), slice(start, start + step))
-        )
-        yield partial(
-            poses,
-            previous=before,
-            limits=limits,
-            sequence=(np.arange(len(truth)) if sequence is None else sequence)[start : start + step],
-        )

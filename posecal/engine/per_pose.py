@@ -1,15 +1,18 @@
-"""Statistics of every pose of two arrays, block by block: what functions of arrays are made of."""
+"""Blocks of two arrays, and statistics of every pose: what functions of arrays are made of."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import cache, partial
 
 import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arguments import checked, period_of
 from posecal.data.arrays import BoolArray, FloatArray, checked_root
-from posecal.engine.block import Block, block_length, iter_blocks
+from posecal.data.root import AnyRoot
+from posecal.engine.block import MOST_EARLIER, Block, block_length
+from posecal.engine.coordinate_range import coordinate_range
 from posecal.errors import PoseDataError
 
 
@@ -67,3 +70,48 @@ def per_pose(
             )
         parts.append(np.asarray(statistic(block), dtype=np.float64))
     return np.concatenate(parts)
+
+
+def iter_blocks(
+    hypotheses: FloatArray,
+    truth: FloatArray,
+    where: BoolArray | None = None,
+    *,
+    root: AnyRoot = None,
+    follows: BoolArray | None = None,
+    sequence: npt.NDArray[np.intp] | None = None,
+    period: float | None = None,
+) -> Iterator[Callable[[], Block]]:
+    """Cut checked arrays in the paper's layout into blocks, in the order of their poses.
+
+    Parameters
+    ----------
+    hypotheses, truth, where, root, follows, sequence, period
+        As for :class:`Block`, of M poses instead of B.
+
+    Yields
+    ------
+    callable
+        Lays out the next few poses as a :class:`Block`: a copy, so better done by the thread that needs it.
+    """
+    limits = cache(partial(coordinate_range, truth, where, root=root, sequence=sequence))
+    step = block_length(hypotheses.shape, hypotheses.dtype)
+    for start in range(0, len(truth), step):
+        before, poses = (
+            partial(
+                Block,
+                hypotheses[:, part],
+                truth[part],
+                None if where is None else where[part],
+                root=root,
+                follows=None if follows is None else follows[part],
+                period=period,
+            )
+            for part in (slice(max(0, start - MOST_EARLIER), start), slice(start, start + step))
+        )
+        yield partial(
+            poses,
+            previous=before,
+            limits=limits,
+            sequence=(np.arange(len(truth)) if sequence is None else sequence)[start : start + step],
+        )

@@ -21,9 +21,10 @@ from posecal.data.pose_data import PoseData
 from posecal.data.root import AnyRoot, origin
 from posecal.data.stored_poses import Hypotheses, Rows
 from posecal.data.units import PERIODS
-from posecal.engine.block import Block, iter_blocks
+from posecal.engine.block import Block
 from posecal.engine.circular import wrapped
 from posecal.engine.merge import merge_totals
+from posecal.engine.per_pose import iter_blocks
 from posecal.engine.protocol import Protocol
 from posecal.errors import PoseDataError
 from posecal.evaluation.call import evaluate

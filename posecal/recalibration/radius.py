@@ -11,7 +11,8 @@ import numpy.typing as npt
 from posecal.data.arrays import FloatArray, checked_number
 from posecal.data.pose_data import PoseData
 from posecal.data.root import AnyRoot
-from posecal.engine.block import Block, iter_blocks
+from posecal.engine.block import Block
+from posecal.engine.per_pose import iter_blocks
 from posecal.engine.sums import mean_of
 from posecal.errors import PoseDataError
 from posecal.evaluation.sources import Source, as_pose_data

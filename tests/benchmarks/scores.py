@@ -19,8 +19,9 @@ from scipy.spatial.distance import cdist, pdist
 
 from posecal.calibration import LEVELS
 from posecal.data.arrays import FloatArray
-from posecal.engine.block import Block, iter_blocks
+from posecal.engine.block import Block
 from posecal.engine.metric import Deviation
+from posecal.engine.per_pose import iter_blocks
 from posecal.metrics.brier import fair_brier
 from posecal.metrics.proper import joint_crps, joint_energies, variograms
 from posecal.stats.resampling import sign_flips

@@ -24,7 +24,8 @@ import posecal
 from posecal.calibration import DEFINITIONS, LEVELS
 from posecal.calibration.ranks import inside
 from posecal.data.arrays import FloatArray
-from posecal.engine.block import Block, iter_blocks
+from posecal.engine.block import Block
+from posecal.engine.per_pose import iter_blocks
 from posecal.engine.threads import available_cores, run_in_order
 from posecal.geometry.procrustes import aligned_errors
 from posecal.metrics.pck import correct_joints

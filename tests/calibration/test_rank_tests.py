@@ -17,7 +17,8 @@ from scipy import stats
 
 from posecal.calibration import LEVELS
 from posecal.calibration.rank_tests import RANK_TESTS, Pool, rank_test_metrics, user_weights, weights_of_ranks
-from posecal.engine.block import Block, iter_blocks
+from posecal.engine.block import Block
+from posecal.engine.per_pose import iter_blocks
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec, Scope
 from posecal.errors import PoseDataError

@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 
 from posecal.data.arrays import squared_norms
 from posecal.data.skeleton import JOINT_SETS
-from posecal.engine.block import BLOCK_BYTES, MOST_POSES, Block, block_length, iter_blocks
-from posecal.engine.per_pose import per_pose
+from posecal.engine.block import BLOCK_BYTES, MOST_POSES, Block, block_length
+from posecal.engine.per_pose import iter_blocks, per_pose
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec
 from posecal.errors import PoseDataError
