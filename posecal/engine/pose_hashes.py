@@ -20,10 +20,18 @@ MOST_HASHES = 65_536
 
 _MOST_PARTS = 1000
 
+_FEWEST_COORDINATES = 9
+"""Poses of fewer, such as a joint's angle, may be equal by chance."""
+
 
 def pose_hashes(data: PoseData) -> PoseHashes:
-    """Hash the poses, (M, 2): truth and labels of each, and the name of its frame, 0 where it has none."""
+    """Hash the poses, (M, 2): truth and labels of each, and the name of its frame, 0 where it has none.
+
+    Poses of few coordinates, of which many may be equal, have 0 alone unless their frames have names.
+    """
     hashes = np.zeros((len(data.truth), 2), dtype=np.uint64)
+    if data.truth[0].size < _FEWEST_COORDINATES and not data.has_frame_id:
+        return hashes
     hashes[:, 0] = _hash(data.truth.astype(np.float32) + np.float32(0))  # -0 as 0
     for name, values in data.labels.items():
         if not SPREAD.match(name):  # of the hypotheses
@@ -41,8 +49,9 @@ def add_hashes(parts: list[PoseHashes], more: PoseHashes) -> None:
 
 
 def smallest_hashes(parts: Sequence[PoseHashes]) -> PoseHashes:
-    """Put hashes together, in ascending order; of more than :data:`MOST_HASHES` the smallest."""
+    """Put hashes other than 0 together, in ascending order; of more than :data:`MOST_HASHES` the smallest."""
     hashes = np.concatenate([np.zeros((0, 2), dtype=np.uint64), *parts])
+    hashes = hashes[hashes.any(axis=1)]
     return hashes[np.lexsort(hashes.T[::-1])][:MOST_HASHES]
 
 

@@ -141,7 +141,7 @@ def _of_joints(report: Report) -> Iterator[str]:
         if p < LEVEL:
             sides[side_of(area, report.value("ece", joint=joint))].append(joint)
     named = [f"{side}{',' * (side == NEITHER)} at {_several(joints)}" for side, joints in sides.items() if joints]
-    if named:
+    if named and len(tests) > 1:
         yield f"Joint by joint: {', '.join(named)} (adjusted for {counted(len(tests), 'joint')})."
     if "ece_mean" in report.metrics and report.test("ece").p >= LEVEL > (p := report.test("ece_mean").p):
         mean = report["ece_mean"]

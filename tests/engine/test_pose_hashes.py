@@ -113,3 +113,15 @@ def test_of_many_poses_the_smallest_hashes_are_kept(monkeypatch: pytest.MonkeyPa
     kept = smallest_hashes([hashes[:11], hashes[11:]])
     np.testing.assert_array_equal(kept[:, 0], np.sort(hashes[:, 0])[:5])
     np.testing.assert_array_equal(smallest_hashes([smallest_hashes([hashes[:11]]), hashes[11:]]), kept)
+
+
+def test_few_coordinates_that_are_equal_by_chance_say_nothing_without_frame_ids() -> None:
+    """Such as whole degrees of one angle."""
+    angles = np.random.default_rng(0).integers(0, 20, (30, 1, 1)).astype(float)
+    samples = angles + np.random.default_rng(1).normal(0, 5, (9, 30, 1, 1))
+    one, other = (posecal.evaluate(samples, angles, unit="deg", axes="NMKD", labels={"sequence": "a"}) for _ in "ab")
+    assert not any("count twice" in remark for remark in one.remarks)
+    assert merge_totals([one.totals, other.totals]).poses.sum() == 60
+    named = posecal.evaluate(samples, angles, unit="deg", axes="NMKD", frame_id=range(30)).totals
+    with pytest.raises(PoseDataError, match="hold the same poses: 30"):
+        merge_totals([named, named])

@@ -171,8 +171,12 @@ def test_the_first_sentence_names_the_side_by_that_rule(area: float, word: str) 
 def test_beyond_chance_is_below_five_percent(p: float, rejected: bool) -> None:
     (first,) = sentences(0.04, 0.03, p)
     assert first.startswith("Not miscalibrated beyond chance") is not rejected
-    (_, *joints) = sentences(0.04, 0.03, 0.5, Head=(0.04, 0.03, p))
+    (_, *joints) = sentences(0.04, 0.03, 0.5, Head=(0.04, 0.03, p), Hip=(0.04, 0.03, 0.5))
     assert bool(joints) is rejected
+
+
+def test_nothing_is_said_of_the_only_joint_beside_what_is_said_of_all() -> None:
+    assert len(sentences(0.04, 0.03, 0.01, Head=(0.04, 0.03, 0.01))) == 1
 
 
 def test_joints_are_sorted_to_their_sides_by_the_same_rule_the_largest_area_first() -> None:
@@ -193,11 +197,10 @@ def test_joints_are_sorted_to_their_sides_by_the_same_rule_the_largest_area_firs
     )
 
 
-@pytest.mark.parametrize(("number", "words"), [(1, "j0"), (2, "j0 and j1"), (6, "j0, j1, j2, j3, j4 and j5")])
+@pytest.mark.parametrize(("number", "words"), [(2, "j0 and j1"), (6, "j0, j1, j2, j3, j4 and j5")])
 def test_up_to_six_joints_are_named(number: int, words: str) -> None:
     _, joints = sentences(0.04, 0.0, 0.5, **{f"j{k}": (0.04, 0.03, 0.01) for k in range(number)})
-    of = "1 joint" if number == 1 else f"{number} joints"
-    assert joints == f"Joint by joint: underconfident at {words} (adjusted for {of})."
+    assert joints == f"Joint by joint: underconfident at {words} (adjusted for {number} joints)."
 
 
 def test_of_more_joints_six_are_named_and_the_rest_counted() -> None:
