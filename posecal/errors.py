@@ -229,7 +229,9 @@ def raise_all(problems: Iterable[str | PosecalError], error: type[PosecalError] 
 
 @contextmanager
 def refuse_unreadable(
-    path: str | os.PathLike[str], sentence: str = "can't be read ({}). Was it cut off? Copy it again."
+    path: str | os.PathLike[str],
+    sentence: str = "can't be read ({}). Was it cut off? Copy it again.",
+    name: str | None = None,
 ) -> Iterator[None]:
     """Turn whatever the reading of a file can raise into a refusal: the file may be of any kind, and damaged anywhere.
 
@@ -239,6 +241,8 @@ def refuse_unreadable(
         The file.
     sentence : str
         What the message says of one that is there and can't be read; ``{}`` stands for the reason.
+    name : str, optional
+        What the message calls it, such as a member of the file; the file's name by default.
 
     Raises
     ------
@@ -255,13 +259,13 @@ def refuse_unreadable(
         raise PoseFileError(f"{path}: is a folder; expected a file.") from None
     except OSError as error:
         if error.strerror is None:
-            raise PoseFileError(f"{Path(path).name}: {sentence.format(_reason(error))}") from None
+            raise PoseFileError(f"{name or Path(path).name}: {sentence.format(reason(error))}") from None
         raise PoseFileError(f"{path}: can't be read ({error.strerror}).") from None
     except Exception as error:  # noqa: BLE001 (zipfile, zlib, tokenize, NumPy, … each raise what they like)
-        raise PoseFileError(f"{Path(path).name}: {sentence.format(_reason(error))}") from None
+        raise PoseFileError(f"{name or Path(path).name}: {sentence.format(reason(error))}") from None
 
 
-def _reason(error: BaseException) -> str:
+def reason(error: BaseException) -> str:
     """Describe in some words what a library raised."""
     if isinstance(error, MemoryError):
         return "it needs more memory than there is"

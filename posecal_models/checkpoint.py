@@ -13,13 +13,14 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 from safetensors.torch import save
 from torch import Tensor
 
 import posecal
+from posecal.conversion.containers import load_tensors
 from posecal.data.write import write_file
-from posecal.errors import PoseDataError, PoseFileError, did_you_mean, first_few
+from posecal.errors import PoseDataError, PoseFileError, did_you_mean, first_few, refuse_unreadable
 from posecal_models.cgnf.flow import FlowSize
 from posecal_models.cgnf.model import CGNF
 from posecal_models.cgnf.released import from_released
@@ -38,7 +39,7 @@ __all__ = [
 ]
 
 _FOLDER = Path(__file__).parent / "weights"
-_HEADER, _DIGEST = "posecal", "sha256"
+_HEADER, _DIGEST, _DIGEST_OF_NUMBERS = "posecal", "digest", "sha256"
 
 
 def named_weights() -> tuple[str, ...]:
@@ -95,13 +96,9 @@ def write_tensors(path: str | Path, tensors: Mapping[str, Tensor], about: dict[s
         Where it can't be written: no such folder, no permission, no space left.
     """
     on_cpu = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-    content = save(on_cpu, metadata={_HEADER: json.dumps(about), _DIGEST: _digest(on_cpu)})
-    end = 8 + int.from_bytes(content[:8], "little")
-    header = json.loads(content[8:end])
-    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))  # in any order, as they are written
-    text = json.dumps(header, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 8)
-    write_file(path, lambda file: file.writelines([len(text).to_bytes(8, "little"), text, memoryview(content)[end:]]))
+    text = json.dumps({**about, _DIGEST: _digest(on_cpu, json.dumps(about))})
+    content = save(on_cpu, metadata={_HEADER: text})  # one entry: safetensors writes several in any order
+    write_file(path, lambda file: file.write(content))
 
 
 def read_tensors(path: str | Path, *, device: torch.device | str = "cpu") -> tuple[dict[str, Tensor], dict[str, Any]]:
@@ -128,27 +125,34 @@ def read_tensors(path: str | Path, *, device: torch.device | str = "cpu") -> tup
     """
     if not Path(path).is_file():
         raise PoseFileError(f"{path}: is not there; expected a .safetensors file.")
-    try:
+    with refuse_unreadable(path, "damaged or no safetensors file ({}). Copy it again."):
         with safe_open(str(path), framework="pt") as file:
             header = file.metadata() or {}
-            about = json.loads(header[_HEADER])
+            if _HEADER not in header:
+                raise PoseFileError(
+                    f"{path}: a safetensors file without the header of posecal; expected one written by posecal-models."
+                )
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except KeyError as problem:
-        raise PoseFileError(
-            f"{path}: a safetensors file without the header of posecal; expected one written by posecal-models."
-        ) from problem
-    except (SafetensorError, OSError, ValueError) as problem:
-        raise PoseFileError(f"{path}: damaged or no safetensors file ({problem}). Copy it again.") from problem
-    if header.get(_DIGEST, digest := _digest(tensors)) != digest:
-        raise PoseFileError(f"{path}: damaged: its numbers differ from those that were written. Copy it again.")
+        about: dict[str, Any] = dict(json.loads(header[_HEADER]))
+        digest = about.pop(_DIGEST, None)
+        of_numbers = digest is None  # as in files before posecal 0.2
+        expected = _digest(tensors, None if of_numbers else json.dumps(about))
+        if expected != (header.get(_DIGEST_OF_NUMBERS) if of_numbers else digest):
+            raise PoseFileError(f"{path}: damaged: its numbers differ from those that were written. Copy it again.")
     return {name: tensor.to(device) for name, tensor in tensors.items()}, about
 
 
-def _digest(tensors: Mapping[str, Tensor]) -> str:
-    """Compute the SHA-256 of all numbers, which detects a single flipped bit."""
-    sha256 = hashlib.sha256()
+def _digest(tensors: Mapping[str, Tensor], about: str | None) -> str:
+    """Compute the SHA-256 of the header and of all tensors with their names, types and shapes.
+
+    Without a header, of the numbers alone, as files before posecal 0.2 have it.
+    """
+    sha256 = hashlib.sha256((about or "").encode())
     for name in sorted(tensors):
-        sha256.update(tensors[name].reshape(-1).view(torch.uint8).numpy().data)
+        tensor = tensors[name]
+        if about is not None:
+            sha256.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}\n".encode())
+        sha256.update(tensor.reshape(-1).view(torch.uint8).numpy().data)
     return sha256.hexdigest()
 
 
@@ -206,6 +210,7 @@ def load_estimator(name: str | Path, *, device: torch.device | str = "cpu") -> R
         raise PoseFileError(
             f"{name}: holds the state of a training; expected weights. Give weights.safetensors of the same folder."
         )
+    _check_size(about["estimator"], tensors, str(name))
     estimator = build(about["estimator"])
     _load_state(estimator, tensors, str(name))
     return estimator.to(device).eval()
@@ -258,19 +263,11 @@ def load_released(path: str | Path, *, blocks: int | None = None) -> tuple[CGNF,
     PoseFileError, PoseDataError
         Where the file can't be read, or is not such a checkpoint.
     """
-    try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
-    except FileNotFoundError as problem:
-        raise PoseFileError(f"{path}: is not there.") from problem
-    except Exception as problem:
-        raise PoseFileError(
-            f"{path}: can't be read as plain tensors ({type(problem).__name__}); expected a state_dict. "
-            "It was not loaded: a pickle with anything else can run code."
-        ) from problem
+    state = load_tensors(Path(path))
     if not isinstance(state, dict) or not all(isinstance(tensor, Tensor) for tensor in state.values()):
         raise PoseDataError(f"{path}: holds no state_dict; expected tensors by name.")
-    used, unused = from_released(state)
-    try:
+    with refuse_unreadable(path, "lacks {}; expected the complete state_dict of a cGNF."):
+        used, unused = from_released(state)
         hidden, context = used["couplings.first.from_context.weight"].shape[1:]
         size = FlowSize(
             blocks=len(used["couplings.actnorm_shift"]),
@@ -278,8 +275,6 @@ def load_released(path: str | Path, *, blocks: int | None = None) -> tuple[CGNF,
             context=context,
             embedding=used["embedding.first_own.bias"].shape[0],
         )
-    except KeyError as problem:
-        raise PoseDataError(f"{path}: lacks {problem}; expected the complete state_dict of a cGNF.") from problem
     if blocks is not None and size.blocks != blocks:
         raise PoseDataError(f"{path}: {size.blocks} blocks; expected {blocks}.")
     estimator = CGNF(size, scale="sigmoid", backward_weights=False)
@@ -288,16 +283,31 @@ def load_released(path: str | Path, *, blocks: int | None = None) -> tuple[CGNF,
     return estimator.eval(), unused
 
 
+def _check_size(description: Any, tensors: Mapping[str, Tensor], which: str) -> None:
+    """Refuse a description of numbers that no tensor of the file has, before an estimator of that size is built."""
+    most = max(len(tensors), *(length for tensor in tensors.values() for length in tensor.shape))
+    members = description.values() if isinstance(description, Mapping) else description
+    for value in members:
+        if isinstance(value, int) and value > most:
+            raise PoseDataError(
+                f"{which}: weights don't fit the estimator: a size of {value:,}; expected at most {most:,}."
+            )
+        if isinstance(value, Mapping):
+            _check_size(value, tensors, which)
+
+
 def _load_state(module: torch.nn.Module, tensors: Mapping[str, Tensor], which: str) -> None:
     """Load tensors into a module, or raise an error that lists all that don't fit."""
     expected = module.state_dict()
     mismatched = [f"{name} {tuple(tensors[name].shape)}, expected {tuple(expected[name].shape)}"
                   for name in expected if name in tensors and tensors[name].shape != expected[name].shape]  # fmt: skip
+    mismatched += [f"{name} {tensors[name].dtype}, expected {expected[name].dtype}"
+                   for name in expected if name in tensors and tensors[name].dtype != expected[name].dtype]  # fmt: skip
     missing = [name for name in expected if name not in tensors]
     unexpected = [name for name in tensors if name not in expected]
     if mismatched or missing or unexpected:
         parts = [
-            f"{len(mismatched)} tensors of another size ({first_few(mismatched, 1)})" if mismatched else "",
+            f"{len(mismatched)} tensors of another size or type ({first_few(mismatched, 1)})" if mismatched else "",
             f"{len(missing)} missing ({first_few(missing)})" if missing else "",
             f"{len(unexpected)} too many ({first_few(unexpected)})" if unexpected else "",
         ]

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
-from posecal.errors import PoseDataError, PoseFileError, did_you_mean, raise_all
+from posecal.errors import PoseDataError, PoseFileError, did_you_mean, raise_all, refuse_unreadable
 from posecal_models.data.detector import Detector
 from posecal_models.limits import LARGEST_SEED, Limit, check_limits
 
@@ -261,11 +261,8 @@ class Config:
             raise PoseFileError(
                 f"{name}: no such configuration ({problem.strerror}). {did_you_mean(name, named_configs())}"
             ) from problem
-        try:
-            table = tomllib.loads(content.decode("utf-8"))
-        except ValueError as problem:  # not TOML, not UTF-8, or a number of thousands of digits
-            raise PoseFileError(f"{name}: not valid TOML ({problem}).") from problem
-        return cls.from_table(table)
+        with refuse_unreadable(path, "not valid TOML ({})."):  # also a number of thousands of digits, in messages
+            return cls.from_table(tomllib.loads(content.decode("utf-8")))
 
     def with_changes(self, changes: Sequence[str]) -> Config:
         """Override single settings.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,7 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Column
 from rich.text import Text
 
-from posecal.errors import PoseFileError
+from posecal.errors import PoseFileError, refuse_unreadable
 from posecal_models.train import Training, TrainingProgress
 
 __all__ = ["TrainingProgressBar", "progress_bar", "read_losses", "training_progress"]
@@ -151,10 +152,13 @@ def read_losses(folder: Path) -> npt.NDArray[np.void]:
         Where the file is missing or holds no epoch.
     """
     path = folder / "losses.csv"
-    try:
+    sentence = "can't be read ({}); expected the losses.csv of a training."
+    with refuse_unreadable(path, sentence), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of an empty file
         rows: npt.NDArray[np.void] = np.genfromtxt(path, delimiter=",", names=True, ndmin=1)
-    except (OSError, ValueError) as problem:
-        raise PoseFileError(f"{path}: can't be read ({problem}); expected the losses.csv of a training.") from problem
-    if not len(rows) or "validation_loss" not in (rows.dtype.names or ()):
+        numbers = [rows[name] for name in ("step", "training_loss", "validation_loss")]
+        if np.isinf(numbers).any() or np.isnan(numbers[1]).any():
+            raise ValueError("a loss is no number")
+    if not len(rows):
         raise PoseFileError(f"{path}: holds no epoch; expected the losses.csv of a training. Train longer.")
     return rows

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from posecal.data.write import written_together
-from posecal.errors import PoseDataError, PoseFileError
+from posecal.errors import PoseDataError, PoseFileError, refuse_unreadable
 from posecal_models.checkpoint import read_tensors, save_estimator, write_tensors
 from posecal_models.config import Config
 from posecal_models.cuda_graph import CudaGraphObjective
@@ -315,23 +315,24 @@ class Training:
         tensors, about = read_tensors(path, device=self.data.device)
         if "training" not in about:
             raise PoseFileError(f"{path}: holds no training; expected a checkpoint.")
-        check_same(path, about["training"], self.config, self.digests)
-        self.step, self.epoch = about["training"]["step"], about["training"]["epoch"]
-        schedule = about["schedule"]
-        self.schedule.best, self.schedule.bad_epochs = schedule["best"], schedule["waited"]
-        self.schedule.drops = schedule["drops"]
-        self.estimator.load_state_dict(_with_prefix("weights.", tensors))
-        self.best = _with_prefix("best.", tensors)
-        for name, parameter in self.parameters.items():
-            moments = {
-                moment: tensors[f"adam.{moment}.{name}"]
-                for moment in ("step", "exp_avg", "exp_avg_sq")
-                if f"adam.{moment}.{name}" in tensors
-            }
-            if moments:
-                self.optimizer.state[parameter] = moments
-        self._step_losses = tensors["losses.steps"].tolist()
-        self._epochs = [tuple(row) for row in tensors["losses.epochs"].tolist()]
+        with refuse_unreadable(path, "holds no complete training ({}). Give another folder."):
+            check_same(path, about["training"], self.config, self.digests)
+            self.step, self.epoch = about["training"]["step"], about["training"]["epoch"]
+            schedule = about["schedule"]
+            self.schedule.best, self.schedule.bad_epochs = schedule["best"], schedule["waited"]
+            self.schedule.drops = schedule["drops"]
+            self.estimator.load_state_dict(_with_prefix("weights.", tensors))
+            self.best = _with_prefix("best.", tensors)
+            for name, parameter in self.parameters.items():
+                moments = {
+                    moment: tensors[f"adam.{moment}.{name}"]
+                    for moment in ("step", "exp_avg", "exp_avg_sq")
+                    if f"adam.{moment}.{name}" in tensors
+                }
+                if moments:
+                    self.optimizer.state[parameter] = moments
+            self._step_losses = tensors["losses.steps"].tolist()
+            self._epochs = [tuple(row) for row in tensors["losses.epochs"].tolist()]
 
     @property
     def step_losses(self) -> list[float]:

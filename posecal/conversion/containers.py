@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import struct
+import warnings
+import zipfile
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
@@ -12,7 +15,14 @@ import numpy as np
 from posecal.conversion.tables import of_multiindex
 from posecal.conversion.tracks import Tracks
 from posecal.data import pickles
-from posecal.errors import PosecalError, PoseDataError, PoseFileError, first_few
+from posecal.data.archive import read_archive
+from posecal.data.file_array import Source, open_array, opened
+from posecal.data.layout import LazyArray
+from posecal.data.lazy import DatasetArray, refuse_unwritten
+from posecal.errors import PoseDataError, PoseFileError, first_few, refuse_unreadable
+
+_LEAST_CLAIMED = 1 << 24
+"""Bytes up to which a tensor may repeat its numbers."""
 
 _EXTRAS = {"h5py": "convert", "pymatreader": "convert", "ezc3d": "c3d", "torch": "models"}
 _LIKELY = (
@@ -44,7 +54,7 @@ def library(name: str) -> Any:
         raise PoseDataError(f"{name}: not installed. pip install 'posecal[{_EXTRAS[name]}]' brings it.") from None
 
 
-def chosen_array(arrays: Mapping[str, Any], dataset: str | None, name: str) -> np.ndarray[Any, Any]:
+def chosen_array(arrays: Mapping[str, Any], dataset: str | None, name: str) -> Any:
     """Choose the coordinates among arrays by name.
 
     Raises
@@ -52,52 +62,59 @@ def chosen_array(arrays: Mapping[str, Any], dataset: str | None, name: str) -> n
     PoseDataError
         Where no name, or more than one, may be meant.
     """
-    known = {key: np.asarray(value) for key, value in arrays.items() if _is_numeric(value)}
+    known = {key: value for key, value in map(_as_numbers, arrays.items()) if value is not None}
     shown = ", ".join(f"{key} {value.shape}" for key, value in known.items()) or "no arrays of numbers"
     if dataset is not None:
         if dataset not in known:
             raise PoseDataError(f"{name}: no dataset {dataset!r}; it holds {shown}.")
         return known[dataset]
     likely = [key for key in _LIKELY if key in known]
-    large = likely[:1] or [key for key, value in known.items() if value.ndim >= 2]
+    large = likely[:1] or [key for key, value in known.items() if len(value.shape) >= 2]
     if len(large) != 1:
         raise PoseDataError(f"{name}: holds {shown}; expected one array of coordinates. Name it with --dataset.")
     return known[large[0]]
 
 
-def _is_numeric(value: Any) -> bool:
+def _as_numbers(item: tuple[str, Any]) -> tuple[str, Any]:
+    """Give an array, or a dataset that is not read yet; None in the place of one that holds no numbers."""
+    key, value = item
     try:
-        return np.asarray(value).dtype.kind in "fiu" and np.ndim(value) > 0
+        array = value if hasattr(value, "dtype") else np.asarray(value)
     except ValueError:
-        return False
+        return key, None
+    return key, array if array.dtype.kind in "fiu" and len(array.shape) > 0 else None
 
 
 def read_numpy(path: Path, dataset: str | None) -> Tracks:
     """Read an ``.npz`` or ``.npy`` file without pickles, such as mmpose's: S, with a confidence as fourth column."""
-    try:
-        loaded = np.load(path, allow_pickle=False)
-        arrays = {"array": loaded} if isinstance(loaded, np.ndarray) else {key: loaded[key] for key in loaded.files}
-    except (ValueError, OSError, EOFError, KeyError) as error:
-        raise PoseDataError(f"{path.name}: can't be read ({error}); pickled members are never loaded.") from None
+    with opened(path) as file:
+        if file.read(6) == b"\x93NUMPY":
+            arrays: dict[str, Any] = {"array": _whole(open_array(file, 0, path.name, Source.of(path, file)))}
+        else:
+            file.close()
+            arrays = dict(read_archive(path))
     poses = chosen_array(arrays, dataset, path.name)
     tracks = Tracks(poses.astype(np.float64))
     if poses.ndim == 3 and poses.shape[2] == 4:
         tracks = Tracks(tracks.poses[..., :3], confidence=tracks.poses[..., 3])
         tracks.assumed.append("the fourth column is a confidence")
     names = arrays.get("imgname")
-    if names is not None and len(names) == len(poses):
+    if names is not None and names.shape == poses.shape[:1]:
         tracks.frame_id = [str(value) for value in names]
     return tracks
 
 
+def _whole(array: LazyArray) -> np.ndarray[Any, Any]:
+    """Read all of an array that lies in a file."""
+    return array.part(tuple(slice(0, length) for length in array.shape))
+
+
 def read_mat(path: Path, dataset: str | None) -> Tracks:
     """Read a MATLAB file of version 7 or 7.3."""
-    try:
-        return Tracks(chosen_array(_flat(library("pymatreader").read_mat(path)), dataset, path.name).astype(np.float64))
-    except (ValueError, OSError, TypeError, KeyError, NotImplementedError) as error:
-        if isinstance(error, PoseDataError):
-            raise
-        raise PoseDataError(f"{path.name}: is no .mat file that can be read ({error}).") from None
+    with refuse_unreadable(path, "is no .mat file that can be read ({})."), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of numbers that no computer writes any more
+        arrays = _flat(library("pymatreader").read_mat(path))
+    return Tracks(chosen_array(arrays, dataset, path.name).astype(np.float64))
 
 
 def _flat(document: Mapping[str, Any], before: str = "") -> dict[str, Any]:
@@ -117,25 +134,23 @@ def read_hdf5(path: Path, dataset: str | None) -> Tracks:
 
     def keep(key: str, item: Any) -> None:
         if isinstance(item, h5py.Dataset):
-            arrays[key] = item[()]
+            arrays[key] = item
 
-    try:
-        with h5py.File(path) as file:
-            groups = [group for group in file.values() if "pandas_type" in group.attrs]
-            if groups:
-                return of_multiindex(_of_pandas(groups[0], path.name), path.name)
-            file.visititems(keep)
-    except (OSError, KeyError, IndexError, RuntimeError, MemoryError) as error:
-        if isinstance(error, PosecalError):
-            raise
-        raise PoseFileError(f"{path.name}: is no HDF5 file that can be read ({error}).") from None
-    return Tracks(chosen_array(arrays, dataset, path.name).astype(np.float64))
+    with refuse_unreadable(path, "is no HDF5 file that can be read ({})."), h5py.File(path) as file:
+        groups = [group for group in map(file.get, list(file)) if "pandas_type" in group.attrs]
+        if groups:
+            return of_multiindex(_of_pandas(groups[0], path.name), path.name)
+        file.visititems(keep)
+        return Tracks(_whole(DatasetArray(chosen_array(arrays, dataset, path.name))).astype(np.float64))
 
 
 def _of_pandas(group: Any, name: str) -> Any:
     """Read a data frame of numbers whose columns have several levels, stored as a table or in the fixed format."""
     import pandas as pd
 
+    for item in map(group.get, list(group)):
+        if hasattr(item, "shape"):
+            refuse_unwritten(item)
     if "table" in group:
         table = group["table"][()]
         if "values_block_0" not in table.dtype.names or "values_block_1" in table.dtype.names:
@@ -157,37 +172,53 @@ def _of_pandas(group: Any, name: str) -> Any:
 
 def read_torch(path: Path, dataset: str | None) -> Tracks:
     """Read tensors that PyTorch saved; nothing else in the file is loaded (``weights_only``)."""
+    tensors = {key: value for key, value in _named(load_tensors(path)).items() if hasattr(value, "untyped_storage")}
+    arrays = {key: _in_memory(value, f"{path.name}: {key}") for key, value in tensors.items()}
+    return Tracks(chosen_array(arrays, dataset, path.name).astype(np.float64))
+
+
+def load_tensors(path: Path) -> Any:
+    """Load what PyTorch saved, tensors only, after its checksums, which PyTorch does not compare.
+
+    Raises
+    ------
+    PoseFileError
+        For a file that holds anything else, or can't be read.
+    """
     torch = library("torch")
-    try:
-        loaded = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # noqa: BLE001  PyTorch raises of every kind
-        raise PoseDataError(
-            f"{path.name}: holds more than tensors, or is cut off ({str(error).splitlines()[0]})."
-        ) from None
-    return Tracks(chosen_array(_tensors(loaded), dataset, path.name).astype(np.float64))
+    with refuse_unreadable(path, "holds more than tensors, or is cut off."), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of pickles that are no tensors, which are refused
+        if zipfile.is_zipfile(path):
+            with zipfile.ZipFile(path) as archive:
+                if (damaged := archive.testzip()) is not None:
+                    raise PoseFileError(f"{path.name}: {damaged} is damaged. Copy it again.")
+        return torch.load(path, map_location="cpu", weights_only=True)
 
 
 def read_pickle(path: Path, dataset: str | None) -> Tracks:
     """Read a pickle of NumPy arrays in lists, tuples and dictionaries; one that asks for anything else is refused."""
-    return Tracks(
-        chosen_array(_tensors(pickles.read_pickled(path.read_bytes(), path.name)), dataset, path.name).astype(
-            np.float64
-        )
-    )
+    arrays = _named(pickles.read_pickled(path.read_bytes(), path.name))
+    return Tracks(chosen_array(arrays, dataset, path.name).astype(np.float64))
 
 
-def _tensors(loaded: Any) -> dict[str, Any]:
-    arrays = loaded if isinstance(loaded, Mapping) else {"array": loaded}
-    return {str(key): value.numpy(force=True) if hasattr(value, "numpy") else value for key, value in arrays.items()}
+def _named(loaded: Any) -> dict[str, Any]:
+    members = loaded if isinstance(loaded, Mapping) else {"array": loaded}
+    return {str(key): value for key, value in members.items()}
+
+
+def _in_memory(tensor: Any, name: str) -> np.ndarray[Any, Any]:
+    """Give a tensor as an array; one that repeats its numbers by strides of 0 may not be of many times their size."""
+    if tensor.numel() * tensor.element_size() > max(tensor.untyped_storage().nbytes(), _LEAST_CLAIMED):
+        raise PoseDataError(f"{name}: a tensor {tuple(tensor.shape)} of fewer numbers; expected as many as it has.")
+    array: np.ndarray[Any, Any] = tensor.numpy(force=True)
+    return array
 
 
 def read_c3d(path: Path, _dataset: str | None) -> Tracks:
     """Read the markers of a C3D file; those of a negative residual, or at the origin, are not known."""
-    ezc3d = library("ezc3d")
-    try:
-        content = ezc3d.c3d(str(path))
-    except Exception as error:  # noqa: BLE001  the library raises of every kind
-        raise PoseDataError(f"{path.name}: is no .c3d file that can be read ({error}).") from None
+    with refuse_unreadable(path, "is no .c3d file that can be read ({})."):
+        _refuse_cut_c3d(path)
+        content = library("ezc3d").c3d(str(path))
     point = content["parameters"]["POINT"]
     points = content["data"]["points"][:3].transpose(2, 1, 0)
     if not points.size:
@@ -198,6 +229,21 @@ def read_c3d(path: Path, _dataset: str | None) -> Tracks:
     assumed = ["markers at exactly 0, 0, 0 are not known"] if lost.any() else []
     unit, rate = first_few(point["UNITS"]["value"], 1), float(point["RATE"]["value"][0])
     return Tracks(points, joints, unit, rate, assumed=assumed)
+
+
+def _refuse_cut_c3d(path: Path) -> None:
+    """Refuse a file of fewer bytes than its header says, of which the library would never find the end."""
+    with path.open("rb") as file:
+        head, size = file.read(512), file.seek(0, 2)
+        file.seek(512 * (head[0] - 1) + 3)
+        is_little_endian = file.read(1) == b"\x54"
+    if head[1] != 0x50:
+        raise ValueError("it has no head of one")
+    points, analog, first, last, _, scale, start = struct.unpack_from("<5HfH", head, 2)
+    frames, width = last - first + 1, 4 if scale < 0 else 2
+    needed = 512 * (start - 1) + frames * (4 * points + analog) * width
+    if is_little_endian and size < needed:
+        raise ValueError(f"{size:,} of {needed:,} bytes are there")
 
 
 CONTAINERS: dict[str, Callable[[Path, str | None], Tracks]] = {

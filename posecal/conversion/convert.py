@@ -17,7 +17,17 @@ from posecal.data.arrays import FloatArray
 from posecal.data.layout import Layout, MemoryArray
 from posecal.data.units import quantity
 from posecal.data.write import write_file, write_members
-from posecal.errors import PoseDataError, PoseFileError, attempt, did_you_mean, first_few, for_python, option, raise_all
+from posecal.errors import (
+    PoseDataError,
+    PoseFileError,
+    attempt,
+    did_you_mean,
+    first_few,
+    for_python,
+    option,
+    raise_all,
+    refuse_unreadable,
+)
 
 TEXTS: dict[str, Callable[[Path, str], Tracks]] = {".csv": read_csv, ".tsv": read_csv, ".trc": read_trc}
 
@@ -147,19 +157,20 @@ def _read(path: Path, like: str, dataset: str | None, axes: str | None, person: 
         raise PoseFileError(f"{path}: no such file.")
     if person is not None and ending != ".json":
         raise PoseDataError(f"person: {person} for {path.name}; expected a .json file of several people in a frame.")
-    try:
+    with refuse_unreadable(path):
         if ending == ".json":
-            return _without_unseen(read_json(path, like, person))
-        if ending in TEXTS:
-            return _without_unseen(TEXTS[ending](path, like))
-        if ending not in CONTAINERS:
+            tracks = read_json(path, like, person)
+        elif ending in TEXTS:
+            tracks = TEXTS[ending](path, like)
+        elif ending in CONTAINERS:
+            tracks = CONTAINERS[ending](path, dataset)
+        else:
             known = ", ".join([*TEXTS, ".json", *CONTAINERS])
             raise PoseDataError(f"{path.name}: a file {ending or 'without an ending'}; expected one of {known}.")
-        tracks = CONTAINERS[ending](path, dataset)
-    except (OSError, MemoryError, RecursionError, OverflowError) as error:
-        if isinstance(error, PoseFileError):
-            raise
-        raise PoseFileError(f"{path.name}: can't be read ({error}).") from None
+    if not tracks.poses.size:
+        raise PoseDataError(f"{path.name}: nothing in it; its shape is {tracks.poses.shape}.")
+    if ending in TEXTS:
+        return _without_unseen(tracks)
     shape = tracks.poses.shape
     if axes is None and len(shape) == 4:
         choices = " or ".join(option("axes", text) for text in ("NMKD", "MNKD"))

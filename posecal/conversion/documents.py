@@ -11,15 +11,13 @@ import numpy as np
 from posecal.conversion.tracks import Tracks
 from posecal.data.arrays import FloatArray
 from posecal.data.skeleton import JOINT_SETS
-from posecal.errors import PoseDataError, first_few, option
+from posecal.errors import PoseDataError, first_few, option, refuse_unreadable
 
 
 def read_json(path: Path, like: str, person: str | int | None = None) -> Tracks:
     """Read a document of one of the tools above, as its keys say; of several people in a frame, the one asked for."""
-    try:
+    with refuse_unreadable(path, "is no JSON ({})."):
         document = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise PoseDataError(f"{path.name}: is no JSON ({error}).") from None
     readers = {"openpose": _openpose, "panoptic": _panoptic, "mmpose": _mmpose, "interhand": _interhand}
     found = like if like in readers else _kind(document)
     if person is not None and found in ("lists", "interhand"):
@@ -31,10 +29,8 @@ def read_json(path: Path, like: str, person: str | int | None = None) -> Tracks:
         raise PoseDataError(
             f"{path.name}: holds {keys}; expected people, bodies, instance_info, frames, or nested lists."
         )
-    try:
+    with refuse_unreadable(path, f"is not as {found} writes it ({{}})."):
         return readers[found](document, path.name, person)
-    except (KeyError, TypeError, IndexError, AttributeError) as error:
-        raise PoseDataError(f"{path.name}: is not as {found} writes it ({type(error).__name__}: {error}).") from None
 
 
 def _kind(document: Any) -> str:
@@ -109,7 +105,7 @@ def _mmpose(document: Any, name: str, person: str | int | None) -> Tracks:
     scores = [person.get("keypoint_scores") for person in people]
     meta = document.get("meta_info", {}) if isinstance(document, dict) else {}
     named = meta.get("keypoint_id2name", {})
-    joints = [named[key] for key in sorted(named, key=int)] if named else []
+    joints = [str(named[key]) for key in sorted(named, key=int)] if named else []
     confidence = None if None in scores else _array(scores, name)
     unit = "px" if poses.shape[-1] == 2 else ""
     return Tracks(poses, joints, unit, confidence=confidence, frame_id=frame_id, assumed=assumed)

@@ -60,7 +60,7 @@ def _numbers(column: Any, name: str, what: Any) -> FloatArray:
     found: FloatArray = pd.to_numeric(column, errors="coerce").to_numpy(np.float64)
     bad = np.isnan(found) & pd.Series(column).notna().to_numpy()
     if bad.any():
-        first = pd.Series(column)[int(np.argmax(bad))]
+        first = pd.Series(column).iloc[int(np.argmax(bad))]
         raise PoseDataError(f"{name}: column {what} holds {first!r}; expected numbers, empty where one is not known.")
     return found
 

@@ -164,11 +164,12 @@ def pose_size(poses: FloatArray) -> float:
     float
         In that unit; 0 where no pose is finite.
     """
-    some = _sample(poses)
-    some = some[np.isfinite(some).all(axis=(1, 2))]
-    if not len(some):
-        return 0.0
-    return float(np.median(np.sqrt(((some - some.mean(axis=1, keepdims=True)) ** 2).sum(axis=2).mean(axis=1))))
+    with np.errstate(over="ignore", invalid="ignore"):  # of coordinates that are refused for their size
+        some = _sample(poses)
+        some = some[np.isfinite(some).all(axis=(1, 2))]
+        if not len(some):
+            return 0.0
+        return float(np.median(np.sqrt(((some - some.mean(axis=1, keepdims=True)) ** 2).sum(axis=2).mean(axis=1))))
 
 
 def _sample(poses: FloatArray) -> FloatArray:

@@ -12,7 +12,6 @@ import math
 import mmap
 import os
 import tempfile
-import warnings
 import weakref
 import zipfile
 from collections.abc import Iterator
@@ -26,9 +25,8 @@ from typing import IO, NamedTuple, cast
 import numpy as np
 import numpy.typing as npt
 
+from posecal.data.archive import Member, check_length, read_header
 from posecal.errors import PoseDataError, PoseFileError, refuse_unreadable
-
-Header = tuple[tuple[int, ...], bool, np.dtype[np.generic]]
 
 
 class Source(NamedTuple):
@@ -83,12 +81,6 @@ class FileArray:
 
     def __reduce__(self) -> tuple[object, ...]:
         return _open_again, (self.name, self.offset, self.shape, self.dtype, self.source, self.fortran)
-
-    @property
-    def bytes_missing(self) -> int:
-        """Number of bytes by which the file is too short for the array."""
-        length = self.file.seek(0, 2) - self.offset
-        return max(0, self.dtype.itemsize * math.prod(self.shape) - length)
 
     def part(self, where: tuple[slice, ...]) -> npt.NDArray[np.generic]:
         """Read a range of every axis.
@@ -169,20 +161,20 @@ def _open_again(
         if source.member is None:
             return FileArray(name, file, offset, shape, dtype, source, fortran)
         archive = zipfile.ZipFile(file)
-        array = open_member(archive, file, archive.getinfo(source.member), name, source.path)
+        array = open_member(Member(archive, archive.getinfo(source.member), name), file, source.path)
         file.close()
         return array
 
 
-def open_array(file: FileIO, offset: int, name: str, source: Source) -> FileArray:
-    """Find an array of real numbers, with its header, in an open file.
+def open_array(file: FileIO, offset: int, name: str, source: Source, length: int | None = None) -> FileArray:
+    """Find an array of real numbers, with its header, in an open file, of which it takes ``length`` bytes or the rest.
 
     Raises
     ------
     PoseDataError
         For an array of something else.
     PoseFileError
-        Where the header can't be read, or the file ends before the array.
+        Where the header can't be read, or does not fit the bytes that are there.
     """
     file.seek(offset)
     shape, fortran, dtype = read_header(cast(IO[bytes], file), name)
@@ -193,16 +185,13 @@ def open_array(file: FileIO, offset: int, name: str, source: Source) -> FileArra
         )
     if dtype.kind not in "fiu":
         raise PoseDataError(f"{name}: dtype {dtype}; expected real numbers such as float32.")
-    array = FileArray(name, file, file.tell(), shape, dtype, source, fortran)
-    missing, needed = array.bytes_missing, dtype.itemsize * math.prod(shape)
-    if missing:
-        raise PoseFileError(
-            f"{name}: {needed - missing:,} of {needed:,} bytes are there. Was the file cut off? Copy it again."
-        )
-    return array
+    start = file.tell()
+    end = file.seek(0, 2) if length is None else offset + length
+    check_length(name, shape, dtype, end - start)
+    return FileArray(name, file, start, shape, dtype, source, fortran)
 
 
-def open_member(archive: zipfile.ZipFile, file: FileIO, info: zipfile.ZipInfo, name: str, path: Path) -> FileArray:
+def open_member(member: Member, file: FileIO, path: Path) -> FileArray:
     """Find the array that is a member of an open ``.npz`` file, or unpack it.
 
     Raises
@@ -210,17 +199,19 @@ def open_member(archive: zipfile.ZipFile, file: FileIO, info: zipfile.ZipInfo, n
     PoseDataError, PoseFileError
         As :func:`open_array`, and where there is no space to unpack.
     """
+    archive, info, name = member.archive, member.info, member.name
     if info.compress_type == zipfile.ZIP_STORED:
-        with archive.open(info) as member:
-            while member.read(1 << 20):  # to its end, where zipfile compares the checksum
+        with archive.open(info) as stored:
+            while stored.read(1 << 20):  # to its end, where zipfile compares the checksum
                 pass
         file.seek(info.header_offset + 26)  # the lengths of the name and of the extra field, just before them
         lengths = np.frombuffer(file.read(4), dtype="<u2")
-        return open_array(file, info.header_offset + 30 + int(lengths.sum()), name, Source.of(path, file))
+        start = info.header_offset + 30 + int(lengths.sum())
+        return open_array(file, start, name, Source.of(path, file), info.file_size)
     unpacked = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 (it lives as long as the array)
     try:
-        with archive.open(info) as member:
-            while data := member.read(1 << 20):
+        with archive.open(info) as packed:
+            while data := packed.read(1 << 20):
                 _write(unpacked, data, name)
         return open_array(unpacked, 0, name, Source.of(path, file, info.filename))
     except BaseException:
@@ -234,24 +225,3 @@ def _write(unpacked: FileIO, data: bytes, name: str) -> None:
             data = data[unpacked.write(data) :]
     except OSError as error:
         raise PoseFileError(f"{name}: can't be unpacked into {tempfile.gettempdir()} ({error.strerror}).") from None
-
-
-def read_header(file: IO[bytes], name: str) -> Header:
-    """Read shape, order and dtype of an array.
-
-    Raises
-    ------
-    PoseFileError
-        Where they can't be read.
-    """
-    try:
-        version = np.lib.format.read_magic(file)
-        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # NumPy's remark on files of Python 2, which are as good as any
-            shape, fortran, dtype = read(file)
-    except (ValueError, SyntaxError, RecursionError, MemoryError) as error:
-        raise PoseFileError(f"{name}: no .npy header that can be read ({error}).") from None
-    if any(length < 0 for length in shape):
-        raise PoseFileError(f"{name}: its header says {shape}; expected lengths of 0 or more.")
-    return shape, fortran, dtype

@@ -55,7 +55,8 @@ def frame_remark(data: PoseData) -> str:
     _, m, k, d = some.shape
     if d < 2 or k < 3 or data.unit in PERIODS:
         return ""
-    x = some.hypotheses.read(0, m)[:_HYPOTHESES].mean(axis=0, dtype=np.float64)
+    with np.errstate(over="ignore", invalid="ignore"):  # of coordinates that are refused for their size
+        x = some.hypotheses.read(0, m)[:_HYPOTHESES].mean(axis=0, dtype=np.float64)
     y = some.truth.astype(np.float64)
     usable = np.isfinite(x).all(axis=(1, 2)) & np.isfinite(y).all(axis=(1, 2))
     if some.where is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
@@ -12,13 +13,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from posecal.errors import PoseDataError, PoseFileError
+from posecal.errors import PoseDataError, PoseFileError, refuse_unreadable
 
 LIBRARIES = {".h5": "h5py", ".hdf5": "h5py", ".zarr": "zarr"}
 _RATIO = 1100
 """What compression can save at most."""
 _LEAST_CLAIMED = 1 << 24
-"""Bytes up to which an array may be missing in its file: HDF5 stores no chunks that were never written."""
+"""Bytes up to which an array may be missing in its file: HDF5 stores no chunks that were never written.
+
+Of zarr, that is what its metadata takes: each chunk is a file, and one after another would be looked for."""
 _EXTRA = {"h5py": "convert", "zarr": "zarr"}
 
 
@@ -35,12 +38,9 @@ class DatasetArray:
     dataset: Any
 
     def __post_init__(self) -> None:
-        needed = math.prod(self.shape) * self.dtype.itemsize
         if self.dtype.kind not in "fiu":
             raise PoseDataError(f"{self.name}: dtype {self.dtype}; expected real numbers such as float32.")
-        if hasattr(self.dataset, "id") and needed > max(_RATIO * self.dataset.id.get_storage_size(), _LEAST_CLAIMED):
-            there = self.dataset.id.get_storage_size()
-            raise PoseFileError(f"{self.name}: {there:,} of {needed:,} bytes of {self.shape} are there; expected all.")
+        refuse_unwritten(self.dataset)
 
     def __reduce__(self) -> tuple[object, ...]:
         if hasattr(self.dataset, "file"):  # of h5py, which does not pickle
@@ -75,6 +75,21 @@ class DatasetArray:
             return np.asarray(self.dataset[where])
         except Exception as error:  # noqa: BLE001  the libraries raise of every kind
             raise PoseFileError(f"{self.name}: can't be read ({error}). Was the file closed, or cut off?") from None
+
+
+def refuse_unwritten(dataset: Any) -> None:
+    """Refuse a dataset of many more bytes than were ever written: it would be read as so many zeros.
+
+    Raises
+    ------
+    PoseFileError
+        With both numbers.
+    """
+    needed, is_hdf5 = math.prod(dataset.shape) * dataset.dtype.itemsize, hasattr(dataset, "id")
+    there = dataset.id.get_storage_size() if is_hdf5 else dataset.nbytes_stored()
+    if needed > max(_RATIO * there, _LEAST_CLAIMED if is_hdf5 else 0):
+        name, shape = str(dataset.name or "array").lstrip("/"), tuple(dataset.shape)
+        raise PoseFileError(f"{name}: {there:,} of {needed:,} bytes of {shape} are there; expected all.")
 
 
 def _reopened(path: str, dataset: str) -> DatasetArray:
@@ -127,14 +142,18 @@ def open_datasets(path: Path, dataset: str, names: tuple[str, ...]) -> tuple[Any
         raise PoseDataError(
             f"{path.name}: needs {library}, which is not installed. pip install 'posecal[{_EXTRA[library]}]' brings it."
         ) from None
-    try:
+    with refuse_unreadable(path, f"can't be read by {library} ({{}})."), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of files beside the arrays of a zarr group
         root = module.File(path, "r") if library == "h5py" else module.open(str(path), mode="r")
         if hasattr(root, "dtype"):  # a zarr array by itself
             return root, dict(root.attrs)
-        group = root[dataset.rpartition("/")[0] or "/"]
-        held = {str(key): group[key] for key in group if hasattr(group[key], "dtype")}
-    except Exception as error:  # noqa: BLE001  the libraries raise of every kind
-        raise PoseFileError(f"{path.name}: can't be read by {library} ({error}).") from None
+        inner = dataset.rpartition("/")[0]
+        group = root[inner or "/"]
+        # the names first: what is raised within an iteration leaves h5py locked, and zarr reads all members at once
+        folder = path / inner.strip("/")
+        found = list(group) if library == "h5py" else [each.name for each in folder.iterdir() if each.is_dir()]
+        nodes = {str(key): group[key] for key in found}
+        held = {key: node for key, node in nodes.items() if hasattr(node, "dtype")}
     name = dataset.rpartition("/")[2]
     large = [key for key, value in held.items() if len(value.shape) > 2]
     chosen = [name] if name else [key for key in names if key in held] or large

@@ -8,11 +8,10 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from posecal.data.joint_names import match_joints, repeated_names
 from posecal.data.skeleton import JOINT_SET_TABLE, Skeleton
-from posecal.errors import PoseDataError, PoseFileError, did_you_mean, first_few
+from posecal.errors import PoseDataError, PoseFileError, did_you_mean, first_few, refuse_unreadable
 
 Names = tuple[str, ...]
 
@@ -69,9 +68,18 @@ def as_skeleton(source: object) -> OwnSkeleton:
     if isinstance(source, str) and source in JOINT_SET_TABLE:
         entry = JOINT_SET_TABLE[source]
         return OwnSkeleton(entry.names, Skeleton(entry.names).parents, entry.root)
-    name, members = "skeleton", source
-    if isinstance(source, str | os.PathLike):
-        name, members = Path(source).name, _read(Path(source))
+    if not isinstance(source, str | os.PathLike):
+        return _of_members(source, "skeleton")
+    path = Path(source)
+    if not path.exists():
+        sets = ", ".join(JOINT_SET_TABLE)
+        raise PoseFileError(f"{path}: no such file; expected a skeleton, .json or .toml, or one of {sets}.")
+    with refuse_unreadable(path, "neither JSON nor TOML; expected names, parents and perhaps root."):
+        text = path.read_text(encoding="utf-8")
+        return _of_members(tomllib.loads(text) if path.suffix == ".toml" else json.loads(text), path.name)
+
+
+def _of_members(members: object, name: str) -> OwnSkeleton:
     if not isinstance(members, Mapping):
         raise PoseDataError(f"{name}: {type(members).__name__}; expected names, parents and perhaps root.")
     if unknown := sorted({*map(str, members)} - {"names", "parents", "root"}):
@@ -86,19 +94,6 @@ def as_skeleton(source: object) -> OwnSkeleton:
     if not isinstance(root, str | None):
         raise PoseDataError(f"{name}: root {root!r}; expected a name, such as {names[0]}.")
     return OwnSkeleton(tuple(names), checked_parents(parents, name, tuple(names)), root)
-
-
-def _read(path: Path) -> Any:
-    try:
-        text = path.read_text(encoding="utf-8")
-        return tomllib.loads(text) if path.suffix == ".toml" else json.loads(text)
-    except FileNotFoundError:
-        sets = ", ".join(JOINT_SET_TABLE)
-        raise PoseFileError(f"{path}: no such file; expected a skeleton, .json or .toml, or one of {sets}.") from None
-    except OSError as error:
-        raise PoseFileError(f"{path}: can't be read ({error.strerror}).") from None
-    except (ValueError, RecursionError):
-        raise PoseFileError(f"{path.name}: neither JSON nor TOML; expected names, parents and perhaps root.") from None
 
 
 def checked_parents(parents: object, name: str, names: Names) -> tuple[int, ...]:

@@ -9,52 +9,21 @@ arrays are built afterwards, of numbers and text alone, once their lengths are c
 from __future__ import annotations
 
 import io
-import lzma
 import math
 import pickle
 import re
-import struct
 import sys
-import tokenize
-import warnings
-import zipfile
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
-from numpy.lib import format as npy
 
-from posecal.errors import PoseFileError
+from posecal.data.archive import Member, open_archive, read_header
+from posecal.errors import refuse_unreadable
 
-__all__ = ["READ_ERRORS", "describe_error", "read_object_npz", "read_pickle", "read_pickled"]
-
-READ_ERRORS = (
-    *(OSError, EOFError, ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RuntimeError),
-    *(MemoryError, SyntaxError, zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, tokenize.TokenError),
-)
-"""Exceptions of the standard library and NumPy for damaged files."""
-
-
-def describe_error(problem: BaseException) -> str:
-    """Describe one of :data:`READ_ERRORS` in one line.
-
-    Parameters
-    ----------
-    problem : exception
-        The exception.
-
-    Returns
-    -------
-    str
-        Its message, or a default where that is empty.
-    """
-    if isinstance(problem, MemoryError):
-        return "it needs more memory than there is"
-    return " ".join(str(problem).split()) or "it is cut off or damaged"
-
+__all__ = ["read_object_npz", "read_pickle", "read_pickled"]
 
 _MAX_DEPTH = 100
 """Maximum nesting depth of plain data."""
@@ -196,36 +165,43 @@ class _PlainUnpickler(pickle._Unpickler):
 # --- from recorded calls to arrays ----------------------------------------------------------------------------
 
 _ATOMS = (str, int, float, bytes, bool, type(None))
-_UNFINISHED = object()
+_REPEATS = 16
+"""How many values a pickle may hold for each of its bytes: more are lists that hold one list many times."""
 
 
-def _plain(value: Any, memo: dict[int, Any], depth: int = 0) -> Any:
+class _Memo:
+    """Arrays that were built, by the identity of their records, and how many values may still be."""
+
+    def __init__(self, size: int) -> None:
+        self.arrays: dict[int, Any] = {}
+        self.left = _REPEATS * size + 1000
+
+    def take(self, number: int) -> None:
+        self.left -= number
+        if self.left < 0:
+            raise pickle.UnpicklingError("repeats its parts many times")
+
+
+def _plain(value: Any, memo: _Memo, depth: int = 0) -> Any:
     """Build the arrays of a loaded value, and raise an error for anything that is neither plain nor an array."""
     kind = type(value)
     if kind in _ATOMS:
         return value
     if depth > _MAX_DEPTH:
-        raise pickle.UnpicklingError(f"is nested more than {_MAX_DEPTH} deep")
-    if id(value) in memo:
-        if memo[id(value)] is _UNFINISHED:
-            raise pickle.UnpicklingError("holds an object that contains itself")
-        return memo[id(value)]
-    memo[id(value)] = _UNFINISHED
-    result: Any
+        raise pickle.UnpicklingError(f"is nested more than {_MAX_DEPTH} deep, or contains itself")
     if kind is dict:
-        result = {_plain(key, memo, depth + 1): _plain(member, memo, depth + 1) for key, member in value.items()}
-    elif kind is list:
-        result = [_plain(element, memo, depth + 1) for element in value]
-    elif kind is tuple:
-        result = tuple([_plain(element, memo, depth + 1) for element in value])
-    elif kind is _Array:
-        result = _array(value, memo, depth)
-    elif kind is _Scalar:
-        result = _scalar(value)
-    else:
-        raise pickle.UnpicklingError(f"holds a {kind.__name__.lstrip('_').lower()}")
-    memo[id(value)] = result
-    return result
+        memo.take(len(value))
+        return {_plain(key, memo, depth + 1): _plain(member, memo, depth + 1) for key, member in value.items()}
+    if kind in (list, tuple):
+        memo.take(len(value))
+        return kind([_plain(element, memo, depth + 1) for element in value])
+    if kind is _Array:
+        if id(value) not in memo.arrays:
+            memo.arrays[id(value)] = _array(value, memo, depth)
+        return memo.arrays[id(value)]
+    if kind is _Scalar:
+        return _scalar(value)
+    raise pickle.UnpicklingError(f"holds a {kind.__name__.lstrip('_').lower()}")
 
 
 def _dtype(record: object) -> np.dtype[np.generic]:
@@ -234,7 +210,7 @@ def _dtype(record: object) -> np.dtype[np.generic]:
     return record.build()
 
 
-def _array(record: _Array, memo: dict[int, Any], depth: int) -> npt.NDArray[Any]:
+def _array(record: _Array, memo: _Memo, depth: int) -> npt.NDArray[Any]:
     shape, order, axes = record.shape, record.order, record.axes
     if not (isinstance(shape, tuple) and all(type(length) is int and length >= 0 for length in shape)):
         raise pickle.UnpicklingError(f"asks for an array of shape {str(shape)[:40]}")
@@ -281,15 +257,17 @@ def _numbers(content: object, dtype: np.dtype[np.generic], count: int, shape: tu
 # --- files ----------------------------------------------------------------------------------------------------
 
 
-def _load(file: io.BufferedIOBase, which: str) -> Any:
-    try:
-        return _plain(_PlainUnpickler(file.read()).load(), {})
-    except (pickle.UnpicklingError, *READ_ERRORS) as problem:
-        what = "is no pickle" if isinstance(problem, KeyError) else describe_error(problem)
-        raise PoseFileError(
-            f"{which}: {what}; expected a pickle of plain arrays, dictionaries, lists "
-            "and text. It was not loaded: a pickle with anything else can run code."
-        ) from problem
+def _load(content: bytes, which: str | Path) -> Any:
+    sentence = (
+        "{}; expected a pickle of plain arrays, dictionaries, lists and text. It was not loaded: a pickle with "
+        "anything else can run code."
+    )
+    with refuse_unreadable(which, sentence, str(which)):
+        try:
+            loaded = _PlainUnpickler(content).load()
+        except KeyError:
+            raise pickle.UnpicklingError("is no pickle") from None
+        return _plain(loaded, _Memo(len(content)))
 
 
 def read_pickle(path: str | Path) -> Any:
@@ -311,18 +289,14 @@ def read_pickle(path: str | Path) -> Any:
     PoseFileError
         Where the file can't be read, holds anything else, or the content of an array does not fit its shape.
     """
-    try:
-        with open(path, "rb") as file:
-            return _load(file, str(path))
-    except PoseFileError:
-        raise
-    except OSError as problem:
-        raise PoseFileError(f"{path}: can't be read ({problem.strerror}).") from problem
+    with refuse_unreadable(path):
+        content = Path(path).read_bytes()
+    return _load(content, path)
 
 
 def read_pickled(content: bytes, which: str) -> Any:
     """Read a pickle in memory, as :func:`read_pickle` does a file."""
-    return _load(io.BytesIO(content), which)
+    return _load(content, which)
 
 
 def read_object_npz(path: str | Path) -> dict[str, Any]:
@@ -343,27 +317,16 @@ def read_object_npz(path: str | Path) -> dict[str, Any]:
     PoseFileError
         Where the file can't be read, or a pickle holds anything but plain data.
     """
-    members: dict[str, Any] = {}
-    try:
-        with zipfile.ZipFile(path) as archive:
-            for name in archive.namelist():
-                with archive.open(name) as file:
-                    members[name.removesuffix(".npy")] = _read_npy(io.BytesIO(file.read()), f"{path}: {name}")
-    except PoseFileError:
-        raise
-    except READ_ERRORS as problem:
-        raise PoseFileError(f"{path}: can't be read as .npz ({describe_error(problem)}).") from problem
-    return members
+    path = Path(path)
+    with refuse_unreadable(path, "can't be read as .npz ({})."), path.open("rb") as file:
+        return {key: _read_member(member) for key, member in open_archive(file, path.name).items()}
 
 
-def _read_npy(file: io.BytesIO, which: str) -> Any:
-    version = npy.read_magic(file)
-    read_header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # NumPy warns of files of Python 2, which are read all the same
-        shape, _, dtype = read_header(file)
-        if not dtype.hasobject:
-            file.seek(0)
-            return npy.read_array(file, allow_pickle=False)
-    loaded = _load(file, which)
+def _read_member(member: Member) -> Any:
+    shape, _, dtype = member.header
+    if not dtype.hasobject:
+        return member.read()
+    file = io.BytesIO(member.contents())
+    read_header(file, member.name)
+    loaded = _load(file.read(), member.name)
     return loaded.item() if isinstance(loaded, np.ndarray) and shape == () and loaded.size == 1 else loaded

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import zipfile
 from collections.abc import Callable, Mapping
@@ -12,19 +13,20 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from posecal.data.archive import Header, open_archive
 from posecal.data.arrays import LABEL_KINDS, as_labels, as_marks, as_scores, as_text, checked_choice, real_array
-from posecal.data.file_array import Header, Source, open_array, open_member, opened, read_header
+from posecal.data.file_array import Source, open_array, open_member, opened
 from posecal.data.layout import MemoryArray
 from posecal.data.lazy import LIBRARIES, DatasetArray, is_dataset, open_datasets, split_address
 from posecal.data.stored_poses import COMMON_LABELS, StoredPoses
-from posecal.errors import PosecalError, PoseDataError, PoseFileError, attempt, first_few, raise_all
+from posecal.errors import PosecalError, PoseDataError, PoseFileError, attempt, raise_all, refuse_unreadable
 
 T = TypeVar("T")
 Role = Literal["hypotheses", "truth"]
 
 _NAMES: dict[Role, tuple[str, ...]] = {"hypotheses": ("hypotheses", "hyps"), "truth": ("truth", "gt")}
-_DESCRIPTOR = 24
-"""The most bytes that may follow the contents of a member: its checksum and sizes."""
+_ALWAYS_READ = 1000
+"""Values of a member that are read whatever there are of coordinates, so that messages can say what they are."""
 
 _MARKS = ("occluded", "visible")
 _RESERVED = (*_MARKS, "axes", "unit", "joints", "frame_id", "scores", "fps", "valid", "parents")
@@ -96,56 +98,31 @@ def _foreign(path: Path, what: str) -> str:
 
 def _read_archive(file: FileIO, path: Path, role: Role) -> StoredPoses:
     """Read the members of an ``.npz`` file, but for the coordinates, and close it unless those lie in it."""
-    archive, name = zipfile.ZipFile(file), path.name
-    _refuse_damaged_directory(archive, file, name)
-    infos = {info.filename.removesuffix(".npy"): info for info in archive.infolist() if info.filename.endswith(".npy")}
-    if not infos and any(member.endswith("data.pkl") for member in archive.namelist()):
+    stored, name = open_archive(file, path.name), path.name
+    if not stored and any(member.endswith("data.pkl") for member in zipfile.ZipFile(file).namelist()):
         raise PoseFileError(_foreign(path, "is a file of PyTorch"))
-    others = [member for member in archive.namelist() if not member.endswith(".npy")]
-    if infos and others:  # one changed letter of a name would drop a member
-        raise PoseFileError(f"{name}: holds {first_few(others)} beside arrays; expected .npy members alone.")
-    headers = {key: _member_header(archive, info, f"{name}: {key}") for key, info in infos.items()}
+    headers = {key: member.header for key, member in stored.items()}
     chosen = _choose(headers, name, role)
-    members = _declared(headers, chosen, name, lambda key: _load(archive, infos[key], f"{name}: {key}"))
-    array = open_member(archive, file, infos[chosen], f"{name}: {chosen}", path)
+    members = _declared(headers, chosen, headers[chosen][0], name, lambda key: stored[key].read())
+    array = open_member(stored[chosen], file, path)
     if array.file is not file:
         file.close()
     return StoredPoses(name, array, **members)
 
 
-def _refuse_damaged_directory(archive: zipfile.ZipFile, file: FileIO, name: str) -> None:
-    """Refuse an archive whose directory does not name what lies in the file, each member once and one after another.
-
-    Raises
-    ------
-    PoseFileError
-        Where a member is named twice, or there are bytes between members that no member accounts for.
-    """
-    infos = sorted(archive.infolist(), key=lambda info: info.header_offset)
-    if len({info.filename for info in infos}) < len(infos):
-        raise PoseFileError(f"{name} names members more than once. Save it again.")
-    end = 0
-    for info in infos:
-        if not end <= info.header_offset <= end + _DESCRIPTOR:
-            raise PoseFileError(
-                f"{name}: its directory does not fit its contents. Was it cut off or edited? Copy it again."
-            )
-        file.seek(info.header_offset + 26)
-        lengths = file.read(4)
-        names = sum(int.from_bytes(lengths[at : at + 2], "little") for at in (0, 2))
-        end = info.header_offset + 30 + names + info.compress_size
-    if infos and not end <= archive.start_dir <= end + _DESCRIPTOR:
-        raise PoseFileError(f"{name}: its directory lacks members that lie in it. Was it edited? Copy it again.")
-
-
 def _read_datasets(path: Path, dataset: str, role: Role) -> StoredPoses:
     """Read what stands beside the coordinates of an HDF5 file or a zarr group; those are read where they lie."""
-    coordinates, others = open_datasets(path, dataset, _NAMES[role])
-    wanted = {key: value for key, value in others.items() if key in _RESERVED or key in COMMON_LABELS}
-    arrays = {key: _loaded(value) for key, value in wanted.items()}
-    headers: dict[str, Header] = {key: (array.shape, False, array.dtype) for key, array in arrays.items()}
-    members = _declared(headers, "", path.name, arrays.__getitem__)
-    return StoredPoses(path.name, DatasetArray(coordinates), **members)
+    with refuse_unreadable(path):
+        coordinates, others = open_datasets(path, dataset, _NAMES[role])
+        wanted = {key: value for key, value in others.items() if key in _RESERVED or key in COMMON_LABELS}
+        headers: dict[str, Header] = {key: (np.shape(value), False, _dtype(value)) for key, value in wanted.items()}
+        array = DatasetArray(coordinates)
+        members = _declared(headers, "", array.shape, path.name, lambda key: _loaded(wanted[key]))
+    return StoredPoses(path.name, array, **members)
+
+
+def _dtype(value: Any) -> np.dtype[np.generic]:
+    return np.dtype(value.dtype) if hasattr(value, "dtype") else np.asarray(value).dtype
 
 
 def _loaded(value: Any) -> npt.NDArray[Any]:
@@ -158,18 +135,33 @@ def _loaded(value: Any) -> npt.NDArray[Any]:
 
 
 def _declared(
-    headers: Mapping[str, Header], chosen: str, name: str, load: Callable[[str], npt.NDArray[Any]]
+    headers: Mapping[str, Header],
+    chosen: str,
+    coordinates: tuple[int, ...],
+    name: str,
+    load: Callable[[str], npt.NDArray[Any]],
 ) -> dict[str, Any]:
-    """Read what is declared beside the coordinates, all that is wrong with it at once."""
+    """Read what is declared beside the coordinates, all that is wrong with it at once.
+
+    Nothing declares more values than there are coordinates: what does is refused by its shape, and no memory used.
+    """
     problems: list[str | PosecalError] = []
+    most = max(math.prod(coordinates), _ALWAYS_READ)
+    larger = {key for key, (shape, _, _) in headers.items() if math.prod(shape) > most}
 
     def read(convert: Callable[[npt.NDArray[Any], str], T], key: str) -> T | None:
+        if key in larger:
+            shape = headers[key][0]
+            problems.append(
+                f"{name}: {key} {shape} for coordinates {coordinates}; expected one for each frame or joint."
+            )
+            return None
         return attempt(problems, lambda: convert(load(key), f"{name}: {key}")) if key in headers else None
 
     labels = {
         key: read(as_labels, key)
         for key, (shape, _, dtype) in headers.items()
-        if key not in (*_RESERVED, chosen) and len(shape) == 1
+        if key not in (*_RESERVED, chosen) and len(shape) == 1 and (key in COMMON_LABELS or key not in larger)
         if dtype.kind in LABEL_KINDS or (dtype.hasobject and key in COMMON_LABELS)
     }
     marks = {key: read(as_marks, key) for key in _MARKS}
@@ -189,13 +181,6 @@ def _declared(
     return members
 
 
-def _member_header(archive: zipfile.ZipFile, info: zipfile.ZipInfo, name: str) -> Header:
-    if info.flag_bits & 0x1:
-        raise PoseFileError(f"{name} is encrypted; expected a plain .npz file.")
-    with archive.open(info) as member:
-        return read_header(member, name)
-
-
 def _choose(headers: dict[str, Header], name: str, role: Role) -> str:
     """Choose the member that holds the coordinates."""
     for key in _NAMES[role]:
@@ -212,15 +197,6 @@ def _choose(headers: dict[str, Header], name: str, role: Role) -> str:
         return large[0]
     members = ", ".join(f"{key} {shape}" for key, (shape, _, _) in headers.items()) or "nothing"
     raise PoseDataError(f"{name} holds {members}; expected an array named {wanted}, or just one array of coordinates.")
-
-
-def _load(archive: zipfile.ZipFile, info: zipfile.ZipInfo, name: str) -> npt.NDArray[Any]:
-    with archive.open(info) as member:
-        try:
-            array: npt.NDArray[Any] = np.lib.format.read_array(member, allow_pickle=False)
-        except (ValueError, SyntaxError, RecursionError, MemoryError) as error:
-            raise PoseDataError(f"{name}: can't be read ({error}). Save text and numbers, not objects.") from None
-        return array
 
 
 def _word(array: npt.NDArray[Any], name: str) -> str:

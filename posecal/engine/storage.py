@@ -7,14 +7,17 @@ import json
 import os
 import zipfile
 from collections.abc import Mapping
-from dataclasses import asdict
+from contextlib import suppress
+from dataclasses import MISSING, asdict, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from posecal.data.archive import read_archive
 from posecal.data.remarks import remark_as_json, remark_of_json
+from posecal.data.root import Root
 from posecal.data.write import write_file, write_members
 from posecal.engine.metric import Metric
 from posecal.engine.protocol import Protocol
@@ -24,6 +27,9 @@ from posecal.errors import PoseDataError, PoseFileError, checked_type, refuse_un
 
 FORMAT = 4
 """The version of the file format."""
+
+_LARGEST = 1e30
+"""No sum of millions of squares of kilometres is larger."""
 
 
 def save_totals(totals: Totals, path: str | os.PathLike[str]) -> None:
@@ -87,9 +93,9 @@ def load_totals(path: str | os.PathLike[str]) -> Totals:
     """
     _check_path(path)
     name = Path(path).name
-    with refuse_unreadable(path, "no result of posecal evaluate --save, or not a whole one."):
-        with open(path, "rb") as file, np.load(file, allow_pickle=False) as stored:
-            members: dict[str, Any] = {key: stored[key] for key in stored.files}
+    sentence = "no result of posecal evaluate --save, or not a whole one."
+    with refuse_unreadable(path, sentence):
+        members: dict[str, Any] = {**read_archive(path, sentence)}
         digest, about = str(members.pop("digest", "")), json.loads(str(members["about"]))
         if about["format"] != FORMAT:
             raise PoseFileError(
@@ -152,6 +158,7 @@ def _check_members(totals: Totals, about: dict[str, Any]) -> None:
             raise KeyError(key)
     if "sequence" not in totals.cells or totals.sums.keys() != totals.counts.keys():
         raise KeyError("sequence")
+    _check_types(totals)
     of_cells = [totals.poses, *totals.cells.values(), *totals.sums.values(), *totals.counts.values()]
     lengths = {len(values) for values in of_cells}, {len(values) for values in totals.per_pose.values()}
     outside = totals.cell_of.max(initial=-1) >= len(totals.poses) or totals.cell_of.min(initial=0) < 0
@@ -163,17 +170,43 @@ def _check_members(totals: Totals, about: dict[str, Any]) -> None:
         raise ValueError("negative numbers of poses, or repeated joints")
     for key, counts in totals.counts.items():
         most = totals.poses.reshape(-1, *[1] * (counts.ndim - 1))
-        if (counts < 0).any() or (counts > most).any() or not np.isfinite(totals.sums[key]).all():
+        if (counts < 0).any() or (counts > most).any() or not (np.abs(totals.sums[key]) < _LARGEST).all():
             raise ValueError(f"{key}: counts beyond the poses, or sums that are not finite")
+    for key, values in totals.per_pose.items():
+        if (np.abs(values) > _LARGEST).any():
+            raise ValueError(f"{key}: values that are not finite")
+
+
+def _check_types(totals: Totals) -> None:
+    """Raise TypeError where a member, or something that is said of the data, is of another type."""
+    spec: Any = totals.spec
+    kinds = {field.name: type(field.default) for field in fields(spec) if field.default not in (None, MISSING)}
+    kinds |= {"n_hypotheses": int, "joints": tuple}
+    wrong = [name for name, kind in kinds.items() if type(getattr(spec, name)) is not kind]
+    words = [totals.version, *totals.remarks, *spec.joints, *spec.labels, *spec.preranks]
+    arrays: dict[str, list[npt.NDArray[Any]]] = {
+        "i": [totals.poses, totals.cell_of, *totals.counts.values()],
+        "U": [*totals.cells.values()],
+        "f": [*totals.sums.values(), *totals.per_pose.values()],
+    }
+    wrong += [
+        kind for kind, members in arrays.items() for array in members if array.dtype.kind != kind or array.itemsize < 4
+    ]
+    root, fps = spec.root, spec.fps
+    if not (root is None or isinstance(root, Root) or (type(root) is int and 0 <= root < len(spec.joints))):
+        wrong.append("root")
+    if not (fps is None or (isinstance(fps, float | int) and 0 < fps < np.inf)) or spec.n_hypotheses < 1:
+        wrong.append("fps or N")
+    wrong += [repr(word) for word in words if type(word) is not str]
+    if wrong or type(totals.has_sequences) is not bool:
+        raise TypeError(f"other types: {wrong}")
 
 
 def is_result(path: str | os.PathLike[str]) -> bool:
     """Whether a file looks like a saved result, rather than an array of poses."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return "about.npy" in archive.namelist()
-    except (OSError, zipfile.BadZipFile):
-        return False
+    with suppress(PoseFileError), refuse_unreadable(path), zipfile.ZipFile(path) as archive:
+        return "about.npy" in archive.namelist()
+    return False
 
 
 def _part(members: dict[str, Any], prefix: str) -> dict[str, Any]:

@@ -188,6 +188,8 @@ class Totals:
 
     def of_cells(self, statistic: Statistic, cells: Cells = None) -> tuple[FloatArray, npt.NDArray[np.int64]]:
         """Give the sums of a statistic of some cells, (C, …), and its counts, (C,) or (C, J)."""
+        if statistic.name not in self.sums:
+            raise PoseDataError(f"result: holds no sums of {statistic.name}. Evaluate again, with its metric.")
         sums, counts = self.sums[statistic.name], self.counts[statistic.name]
         return (sums, counts) if cells is None else (sums[cells], counts[cells])
 
@@ -306,6 +308,8 @@ class Totals:
 
     def known_poses(self, statistic: Statistic, cells: Cells = None) -> Indices:
         """Give the indices of the poses of some cells whose values per pose hold no NaN."""
+        if statistic.name not in self.per_pose:
+            raise PoseDataError(f"result: holds no values of {statistic.name}. Evaluate again, with its metric.")
         if cells is None:
             poses = np.arange(len(self.cell_of))
         else:

@@ -16,12 +16,12 @@ from posecal.data.alone import resolve_hypotheses
 from posecal.data.arrays import FloatArray
 from posecal.data.declarations import Declarations, quantity_of
 from posecal.data.read import read_poses
-from posecal.data.root import Root, parse_root, root_name
+from posecal.data.root import AnyRoot, Root, parse_root, root_name
 from posecal.data.units import PERIODS, quantity
 from posecal.data.write import Archive, write_file
 from posecal.engine.chunks import WINDOW_BYTES
 from posecal.engine.storage import digest_of
-from posecal.errors import PoseDataError, PoseFileError, json_text
+from posecal.errors import PoseDataError, PoseFileError, json_text, refuse_unreadable
 from posecal.evaluation.sources import Source
 from posecal.recalibration.dispersion import SpreadMap, rescaled
 from posecal.recalibration.folds import refuse_another_unit, values_for_joints
@@ -91,7 +91,7 @@ def read_map(path: str | os.PathLike[str]) -> Map:
         For a file that can't be read, is no map of this version, or was changed since it was written.
     """
     name = Path(path).name
-    try:
+    with refuse_unreadable(path, "no map of posecal recalibrate fit, or not a whole one."):
         about: dict[str, Any] = json.loads(Path(path).read_text(encoding="utf-8"))
         if about["format"] != FORMAT:
             raise PoseFileError(f"{name}: format {about['format']}; expected {FORMAT}. Fit it again.")
@@ -99,7 +99,7 @@ def read_map(path: str | os.PathLike[str]) -> Map:
             raise PoseFileError(f"{name}: was changed since posecal wrote it (its digest is another). Fit it again.")
         numbers = about[{"spread": "factors", "radius": "radii"}[about["kind"]]]
         values = np.array([math.nan if value is None else float(value) for value in numbers.values()])
-        root = None if about["root"] is None else parse_root(about["root"], tuple(numbers))
+        root = _root(about["root"], tuple(numbers))
         unit, _ = quantity({"mm": "mm", "deg": "deg", "px": "px", "none": "none"}[about["unit"]])
         fitted = int(about["fitted_on"]["poses"]), int(about["fitted_on"]["sequences"]), root, unit
         if about["kind"] == "spread":
@@ -110,14 +110,13 @@ def read_map(path: str | os.PathLike[str]) -> Map:
         if (values < 0).any() or np.isinf(values).any() or not 0 < alpha < 1:
             raise PoseFileError(f"{name}: a radius is below 0 or alpha is {alpha:g}; expected 0 < alpha < 1.")
         return RadiusMap(tuple(numbers), values, alpha, scaled, *fitted)
-    except FileNotFoundError:
-        raise PoseFileError(f"{path}: no such file.") from None
-    except PoseFileError:
-        raise
-    except OSError as error:
-        raise PoseFileError(f"{path}: can't be read ({error.strerror}).") from None
-    except (ValueError, KeyError, TypeError, AttributeError):
-        raise PoseFileError(f"{name}: no map of posecal recalibrate fit, or not a whole one.") from None
+
+
+def _root(text: str | None, joints: tuple[str, ...]) -> AnyRoot:
+    try:
+        return None if text is None else parse_root(text, joints)
+    except PoseDataError as error:
+        raise ValueError(error.message) from None
 
 
 def apply_map(
@@ -175,7 +174,10 @@ def apply_map(
     def windows() -> Iterator[FloatArray]:
         for start in range(0, m, window):
             stop = min(start + window, m)
-            yield source.read(start, stop)
+            part = source.read(start, stop)
+            if np.isinf(part).any():
+                raise PoseDataError(f"{poses.name} has infinite coordinates; expected numbers, NaN for what is absent.")
+            yield part
             if progress is not None:
                 progress(stop, m)
 

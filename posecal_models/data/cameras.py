@@ -186,7 +186,7 @@ def read_cameras(path: str | Path) -> dict[str, list[Camera]]:
         Where the file can't be read, a shape is wrong, a number is not finite, or a matrix is no rotation.
     """
     members = read_npz(path, required=("subject", "rotation", "position"))
-    subject = text_array(members["subject"], f"{path}: subject")
+    subject = text_array(members["subject"], f"{path}: subject", members["rotation"].shape[:1])
     count = len(subject)
     defaults = {"focal": np.full(count, H36M_FOCAL), "centre": np.tile(H36M_CENTRE, (count, 1))}
     shapes = {"rotation": (count, 3, 3), "position": (count, 3), "focal": (count,), "centre": (count, 2)}
@@ -199,8 +199,9 @@ def read_cameras(path: str | Path) -> dict[str, list[Camera]]:
             raise PoseDataError(f"{path}: {name} is not finite everywhere; expected the numbers of {count} cameras.")
         stored[name] = array
     rotation, position, focal, centre = stored.values()
-    error = np.abs(rotation @ rotation.mT - np.eye(3)).max(axis=(1, 2))
-    invalid = (error > 1e-3) | (np.linalg.det(rotation) < 0)
+    with np.errstate(over="ignore", invalid="ignore"):  # of numbers that are those of no rotation
+        error = np.abs(rotation @ rotation.mT - np.eye(3)).max(axis=(1, 2))
+    invalid = ~(error <= 1e-3) | (np.linalg.det(rotation) < 0)
     if invalid.any():
         first = int(invalid.argmax())
         raise PoseDataError(

@@ -15,9 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.skeleton import joint_set
-from posecal.errors import PoseDataError, PoseFileError
+from posecal.errors import PoseDataError, PoseFileError, refuse_unreadable
 from posecal_models.data.lifting_set import LiftingSet
-from posecal_models.data.npz import READ_ERRORS, describe_error
 from posecal_models.data.unit_checks import check_millimetres
 from posecal_models.data.videopose3d import OF_32
 
@@ -106,10 +105,8 @@ def _read(path: Path, dimensions: int) -> npt.NDArray[np.float64]:
         import cdflib
     except ImportError as problem:
         raise PoseFileError(f"{path}: reading .cdf needs cdflib. Install it: pip install cdflib.") from problem
-    try:
+    with refuse_unreadable(path, "can't be read as .cdf ({})."):
         values = np.asarray(cdflib.CDF(path).varget("Pose"), float)
-    except READ_ERRORS as problem:
-        raise PoseFileError(f"{path}: can't be read as .cdf ({describe_error(problem)}).") from problem
     if values.shape[-1:] != (32 * dimensions,):
         raise PoseDataError(f"{path}: Pose {values.shape}; expected (1, F, {32 * dimensions}).")
     return values.reshape(-1, 32, dimensions)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,15 +10,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from posecal.data.archive import read_archive
 from posecal.data.joint_names import repeated_names
 from posecal.data.layout import TRUTH, Layout, MemoryArray
-from posecal.data.pickles import READ_ERRORS, describe_error
-from posecal.errors import PoseDataError, PoseFileError, first_few
+from posecal.errors import PoseDataError, PoseFileError, first_few, reason
 
 __all__ = [
-    "READ_ERRORS",
     "boolean_array",
-    "describe_error",
     "joint_names",
     "numeric_array",
     "pose_array",
@@ -27,6 +24,9 @@ __all__ = [
     "text_array",
     "text_value",
 ]
+
+_MOST_JOINTS = 100_000
+"""More than the vertices of any mesh of a body."""
 
 Members = Mapping[str, npt.NDArray[np.generic]]
 
@@ -51,25 +51,7 @@ def read_npz(path: str | Path, *, required: Sequence[str] = ()) -> dict[str, npt
     PoseFileError
         Where the file is missing, damaged, pickled or lacks a member.
     """
-    path = Path(path)
-    try:
-        with open(path, "rb") as stored, warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # NumPy warns of files of Python 2, which are read all the same
-            file = np.load(stored, allow_pickle=False)
-            if isinstance(file, np.ndarray):
-                raise PoseFileError(
-                    f"{path}: holds one array without a name; expected an .npz of plain arrays. Save it with "
-                    "numpy.savez(file, name=array)."
-                )
-            with file:
-                members = {name: file[name] for name in file.files}
-    except PoseFileError:
-        raise
-    except READ_ERRORS as problem:
-        what = f"can't be read as .npz ({describe_error(problem)})" if path.exists() else "is not there"
-        raise PoseFileError(f"{path}: {what}; expected an .npz of plain arrays.") from problem
-    if others := [name for name, array in members.items() if not isinstance(array, np.ndarray)]:
-        raise PoseFileError(f"{path}: {others[0]} can't be read as .npy; expected an .npz of plain arrays.")
+    members = read_archive(path)
     missing = [name for name in required if name not in members]
     if missing:
         raise PoseFileError(f"{path}: lacks {', '.join(missing)}; it holds {', '.join(sorted(members)) or 'nothing'}.")
@@ -99,7 +81,7 @@ def numeric_array(value: object, which: str) -> npt.NDArray[Any]:
     try:
         array = np.asarray(value)
     except (ValueError, TypeError, RuntimeError) as problem:
-        raise PoseDataError(f"{which}: {describe_error(problem)}; expected an array of real numbers.") from problem
+        raise PoseDataError(f"{which}: {reason(problem)}; expected an array of real numbers.") from problem
     if array.dtype.kind not in "fiu" and array.size:
         raise PoseDataError(f"{which}: dtype {array.dtype}; expected real numbers such as float32.")
     return array
@@ -139,7 +121,7 @@ def text_array(
             raise ValueError("it holds code points that are no characters")
         "".join(text.ravel().tolist()).encode()
     except ValueError as problem:
-        raise PoseDataError(f"{which}: {describe_error(problem)}; expected text.") from problem
+        raise PoseDataError(f"{which}: {reason(problem)}; expected text.") from problem
     return text
 
 
@@ -188,6 +170,8 @@ def joint_names(value: npt.NDArray[np.generic], which: str) -> tuple[str, ...]:
     PoseDataError
         Where it is no text, or a joint is named twice, in any spelling.
     """
+    if value.size > _MOST_JOINTS:  # before they take memory as texts
+        raise PoseDataError(f"{which} {value.shape}; expected one for each joint.")
     names = tuple(text_array(value, which).tolist())
     if repeated := repeated_names(names):
         raise PoseDataError(f"{which} name {first_few(repeated)} more than once; expected each joint once.")

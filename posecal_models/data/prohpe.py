@@ -75,6 +75,9 @@ def read_prohpe(
     parts = [_part(table, name, every, path) for name, table in videos]
     poses, keypoints, sigma = (np.concatenate([part[i] for part in parts]) for i in range(3))
     check_millimetres(poses, f"{path}: 3d_gt")
+    for values, key in ((keypoints, "2d_hrnet"), (sigma, "gaussfit")):
+        if np.abs(values[~np.isnan(values)]).max(initial=0) > np.finfo(np.float32).max:
+            raise PoseDataError(f"{path}: {key} holds numbers beyond single precision; expected pixels.")
     frames = [frame for part in parts for frame in part[3]]
     labels = [name for (name, _), part in zip(videos, parts, strict=True) for _ in part[3]]
     pairs = LiftingSet(

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.checks import TINY, metres_message, pose_size
+from posecal.data.degenerate import LARGEST
 from posecal.errors import PoseDataError
 
 __all__ = ["check_millimetres"]
@@ -17,7 +18,7 @@ def check_millimetres(poses: npt.NDArray[np.floating], which: str, advice: str =
     Parameters
     ----------
     poses : ndarray
-        (M, K, 3), expected in mm. Poses with joints that are not finite are ignored.
+        (M, K, 3), expected in mm. Poses with joints that are NaN are ignored.
     which : str
         Their name in the message.
     advice : str
@@ -26,7 +27,8 @@ def check_millimetres(poses: npt.NDArray[np.floating], which: str, advice: str =
     Raises
     ------
     PoseDataError
-        Where the median size of the poses is below 10: the root mean square distance of the joints from their centre.
+        Where the median size of the poses is below 10: the root mean square distance of the joints from their centre;
+        and for coordinates beyond 10 km.
 
     Examples
     --------
@@ -35,6 +37,8 @@ def check_millimetres(poses: npt.NDArray[np.floating], which: str, advice: str =
     Traceback (most recent call last):
     posecal.errors.PoseDataError: m.npz looks like metres: joints lie 0.3 from the middle of the pose; expected...
     """
+    if np.abs(poses[~np.isnan(poses)]).max(initial=0) > LARGEST:
+        raise PoseDataError(f"{which} has coordinates beyond 10 km ({LARGEST:g} mm); expected poses of persons.")
     size = pose_size(poses)
     if 0 < size < TINY:
         raise PoseDataError(f"{metres_message(which, size)} {advice}".rstrip())

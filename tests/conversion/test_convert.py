@@ -191,7 +191,7 @@ def test_tensors_of_pytorch_and_nothing_else(poses: Array, tmp_path: Path) -> No
     members, _ = convert(tmp_path / "a.pt", axes="M(KD)", unit="mm", joints=JOINTS)
     np.testing.assert_allclose(members["truth"], poses)
     torch.save({"poses": Path("/tmp")}, tmp_path / "b.pt")
-    with pytest.raises(PoseDataError, match=r"^b\.pt: holds more than tensors"):
+    with pytest.raises(PoseFileError, match=r"^b\.pt: holds more than tensors"):
         convert(tmp_path / "b.pt", unit="mm")
 
 
@@ -310,3 +310,10 @@ def test_every_format_is_in_the_docs() -> None:
     page = (Path(__file__).parents[2] / "docs/convert.md").read_text(encoding="utf-8")
     for name, about in FORMATS.items():
         assert f"| `{name}` | {about} |" in page
+
+
+def test_the_command_names_flags_in_what_it_assumes(poses: Array, tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", poses)
+    done = CliRunner().invoke(app, ["convert", str(tmp_path / "a.npy"), "-o", str(tmp_path / "out.npz")])
+    assert done.exit_code == 0
+    assert "assumed: no unit is stated; --unit declares it." in done.stderr.splitlines()

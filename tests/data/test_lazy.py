@@ -4,6 +4,7 @@ import pickle
 import resource
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 
 import posecal
 from posecal.data.lazy import DatasetArray, split_address
+from posecal.data.read import read_poses
 from posecal.errors import PoseDataError, PoseFileError
 from tests.helpers.samplers import gaussian
 
@@ -121,3 +123,22 @@ def test_a_large_dataset_takes_little_memory(tmp_path: Path) -> None:
     unit = 1 if sys.platform == "darwin" else 1024
     assert int(done.stdout) * unit < 170e6
     assert resource.RUSAGE_SELF == 0
+
+
+def test_an_array_of_zarr_that_claims_numbers_which_were_never_written_is_refused(tmp_path: Path) -> None:
+    zarr = pytest.importorskip("zarr")
+    group = zarr.open_group(str(tmp_path / "a.zarr"), mode="w")
+    group.create_array("hypotheses", shape=(3_000_000, 4, 4, 3), chunks=(3, 4, 4, 3), dtype="float32")
+    with pytest.raises(PoseFileError, match=r"hypotheses: \S+ of 576,000,000 bytes of \(3000000, 4, 4, 3\) are there"):
+        read_poses(tmp_path / "a.zarr", "hypotheses")
+
+
+def test_a_damaged_member_leaves_hdf5_unlocked_for_other_threads(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["hypotheses"] = np.zeros((2, 3, 4, 3))
+        file["lost"] = h5py.SoftLink("/nowhere")
+    with pytest.raises(PoseFileError, match=r"^a\.h5: can't be read by h5py"):
+        read_poses(tmp_path / "a.h5", "hypotheses")
+    with ThreadPoolExecutor(1) as pool:
+        assert pool.submit(lambda: list(h5py.File(tmp_path / "a.h5"))).result(timeout=5) == ["hypotheses", "lost"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import zipfile
 from dataclasses import replace
 from functools import partial
@@ -140,6 +141,12 @@ def test_cells_of_poses_that_are_not_there_are_refused(cell: int, tmp_path: Path
         load_totals(changed("cell_of", lambda stored: np.append(stored[:-1], cell), tmp_path))
 
 
+def about(stored: Any, **changes: Any) -> Any:
+    """What a result says of itself, with other properties of the data."""
+    texts = json.loads(str(stored))
+    return np.array(json.dumps({**texts, "spec": {**texts["spec"], **changes}}))
+
+
 @pytest.mark.parametrize(
     ("name", "values", "words"),
     [
@@ -149,6 +156,19 @@ def test_cells_of_poses_that_are_not_there_are_refused(cell: int, tmp_path: Path
         ("poses", lambda stored: -stored, "no result of posecal evaluate --save"),
         ("count/height", lambda stored: stored + 1000, "no result of posecal evaluate --save"),
         ("sum/height", lambda stored: stored * np.nan, "no result of posecal evaluate --save"),
+        ("sum/height", lambda stored: stored.astype("M8[s]"), "no result of posecal evaluate --save"),
+        ("sum/height", lambda stored: stored + 1e300, "no result of posecal evaluate --save"),
+        ("per_pose/kept", lambda stored: stored + np.inf, "no result of posecal evaluate --save"),
+        ("count/height", lambda stored: stored.astype(float), "no result of posecal evaluate --save"),
+        ("cell_of", lambda stored: stored.astype(float), "no result of posecal evaluate --save"),
+        ("about", lambda stored: about(stored, n_hypotheses="seven"), "no result of posecal evaluate --save"),
+        ("about", lambda stored: about(stored, n_hypotheses=0), "no result of posecal evaluate --save"),
+        ("about", lambda stored: about(stored, joints=["Hip", 3]), "no result of posecal evaluate --save"),
+        ("about", lambda stored: about(stored, joints=["Hip"] * 2), "no result of posecal evaluate --save"),
+        ("about", lambda stored: about(stored, root=99), "no result of posecal evaluate --save"),
+        ("about", lambda stored: about(stored, fps=-1), "no result of posecal evaluate --save"),
+        ("about", lambda stored: about(stored, has_mask="yes"), "no result of posecal evaluate --save"),
+        ("about", lambda stored: np.array("[" * 100_000), "no result of posecal evaluate --save"),
     ],
 )
 def test_a_result_that_was_edited_is_refused(name: str, values: Any, words: str, tmp_path: Path) -> None:
@@ -187,7 +207,7 @@ def test_a_corrupted_member_is_refused(tmp_path: Path) -> None:
     whole = bytearray(path.read_bytes())
     whole[start + 60 : start + 90] = bytes(30)
     path.write_bytes(whole)
-    with pytest.raises(PoseFileError, match=r"bad\.npz: no result"):
+    with pytest.raises(PoseFileError, match=r"bad\.npz: sum/height: no \.npy header that can be read"):
         load_totals(path)
 
 

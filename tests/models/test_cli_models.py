@@ -112,7 +112,7 @@ def test_help_is_quick_and_needs_no_torch():
     ("arguments", "words"),
     [
         (("train", "cgnf-smal", "--data", "motion.npz", "-o", "x"), "Did you mean cgnf-small?"),
-        (("train", "cgnf-tiny", "--data", "none.npz", "-o", "x"), "none.npz: is not there"),
+        (("train", "cgnf-tiny", "--data", "none.npz", "-o", "x"), "none.npz: no such file"),
         (("train", "cgnf-tiny", "--data", "motion.npz", "-o", "tiny"), "holds a training already. Pass --resume"),
         (("train", "cgnf-tiny", "--data", "motion.npz", "-o", "a/b/c"), "can't be made"),
         (("train", "cgnf-tiny", "--data", "motion.npz", "-o", "x", "--device", "cuda"), "sees no GPU"),
@@ -121,7 +121,7 @@ def test_help_is_quick_and_needs_no_torch():
         (("sample", "tiny/checkpoint.safetensors", "test.npz", "-o", "h.npz"), "holds the state of a training"),
         (("sample", "tiny/weights.safetensors", "motion.npz", "-o", "h.npz"), "motion.npz: lacks keypoints_2d"),
         (("sample", "tiny/weights.safetensors", "test.npz", "-o", "no/h.npz"), "no"),
-        (("losses", "a=nowhere", "-o", "l.png"), "losses.csv: can't be read"),
+        (("losses", "a=nowhere", "-o", "l.png"), "losses.csv: no such file"),
         (("project", "motion.npz", "-o", "t.npz", "--subject", "S9"), "subjects: S9 not there"),
         (("import", "prohpe", "motion.npz", "-o", "p.npz"), "motion.npz"),
         (("convert", "motion.npz", "-o", "w.safetensors"), "motion.npz: "),

@@ -217,6 +217,15 @@ def test_a_table_of_prohpe_in_metres_is_refused(tmp_path):
         read_prohpe(path)
 
 
+def test_a_table_of_prohpe_with_pixels_beyond_single_precision_is_refused(tmp_path):
+    path = a_pickle_of_prohpe(tmp_path)
+    tree = pickle.loads(path.read_bytes())
+    tree["S9"]["Directions"]["0"]["54138969"]["2d_hrnet"][0, 3] = 1e200
+    path.write_bytes(pickle.dumps(tree))
+    with pytest.raises(PosecalError, match=r"2d_hrnet holds numbers beyond single precision; expected pixels"):
+        read_prohpe(path)
+
+
 @pytest.mark.parametrize(
     ("room", "views", "words"),
     [
@@ -238,7 +247,7 @@ def test_files_of_videopose3d_with_other_arrays_are_refused(tmp_path, room, view
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"subject": "S1"}, r"subject \(\); expected \(M,\)"),
+        ({"subject": "S1"}, r"subject \(\); expected \(1,\)"),
         ({"rotation": [np.full((3, 3), np.nan)]}, "rotation is not finite"),
         ({"position": [["a", "b", "c"]]}, "position: dtype <U1; expected real numbers"),
         ({"focal": [np.inf]}, "focal is not finite"),
@@ -262,7 +271,7 @@ def test_cameras_that_are_none_are_refused(tmp_path, changes, words):
         (("import", "prohpe", "large.pickle"), "large.pickle"),
         (("import", "videopose3d", "17.npz", "--keypoints", "2d.npz", "--cameras", "c.npz"), "expected (F, 32, 3)"),
         (("project", "one.npy"), "one array without a name"),
-        (("project", "packed.npz"), "packed.npz: can't be read as .npz"),
+        (("project", "packed.npz"), "packed.npz: poses: no .npy header"),
     ],
 )
 def test_a_broken_file_gives_one_message_exit_3_and_no_file(tmp_path, monkeypatch, capsys, arguments, words):

@@ -303,5 +303,5 @@ def test_a_damaged_npz_is_refused(tmp_path, content):
 
 def test_a_pickled_array_is_refused(tmp_path):
     np.savez(tmp_path / "a.npz", poses=np.array([{}], dtype=object))
-    with pytest.raises(PoseFileError, match=r"a\.npz: can't be read as \.npz"):
+    with pytest.raises(PoseDataError, match=r"a\.npz: poses: can't be read \(Objects are never unpickled"):
         read_npz(tmp_path / "a.npz")

@@ -15,6 +15,7 @@ from posecal_models.checkpoint import notes_of, read_tensors, write_tensors
 from posecal_models.cli import main
 from posecal_models.config import Config
 from posecal_models.preparation import prepare
+from posecal_models.progress import read_losses
 from posecal_models.training_folder import CHECKPOINT, LOSSES, WEIGHTS, digests
 
 TABLE = {
@@ -130,6 +131,31 @@ def test_a_checkpoint_from_before_data_had_digests_goes_on_and_then_has_them(mot
     assert run.step == 2
     run.run()
     assert read_tensors(tmp_path / "run" / CHECKPOINT)[1]["training"]["data"] == digests(motion_file)
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda about: about["training"]["config"].update(train=[]),
+        lambda about: about.pop("schedule"),
+        lambda about: about.update(training=5),
+    ],
+    ids=["a list as table", "no schedule", "a number as training"],
+)
+def test_a_checkpoint_that_lacks_what_a_training_needs_is_refused(motion_file, tmp_path, spoil):
+    training(motion_file, tmp_path / "run").run(max_steps=2)
+    tensors, about = read_tensors(tmp_path / "run" / CHECKPOINT)
+    spoil(about)
+    write_tensors(tmp_path / "run" / CHECKPOINT, tensors, about)
+    with pytest.raises(PoseFileError, match=r"checkpoint\.safetensors: holds no complete training \("):
+        training(motion_file, tmp_path / "run", resume=True)
+
+
+@pytest.mark.parametrize("text", ["", "epoch,step\n1,2\n", "epoch,step,training_loss,validation_loss\n1,2,inf,nan\n"])
+def test_losses_that_are_none_are_refused(tmp_path, text):
+    (tmp_path / "losses.csv").write_text(text)
+    with pytest.raises(PoseFileError, match=r"losses\.csv: can't be read \(.*\); expected the losses\.csv of"):
+        read_losses(tmp_path)
 
 
 # --- numbers that are not finite ----------------------------------------------------------------------------------

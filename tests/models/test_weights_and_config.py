@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pickle
 import resource
@@ -96,6 +97,58 @@ def test_damaged_weights_are_refused(tmp_path, cut):
     (tmp_path / "w.safetensors").write_bytes(content[:cut])
     with pytest.raises(PoseFileError, match=r"w\.safetensors: damaged or no safetensors file"):
         load_estimator(tmp_path / "w.safetensors")
+
+
+def edited(path, about=None, **entries):
+    """Write other words into the header of a weights file."""
+    content = path.read_bytes()
+    length = int.from_bytes(content[:8], "little")
+    header = json.loads(content[8 : 8 + length])
+    if about is not None:
+        stored = json.loads(header["__metadata__"]["posecal"])
+        header["__metadata__"]["posecal"] = json.dumps(about(stored) or stored)
+    for name, entry in entries.items():
+        header[name].update(entry)
+    text = json.dumps(header).encode()
+    path.write_bytes(len(text).to_bytes(8, "little") + text + content[8 + length :])
+
+
+@pytest.mark.parametrize(
+    ("about", "entries", "words"),
+    [
+        (lambda about: about["notes"].update(poses=13), {}, "its numbers differ from those that were written"),
+        (lambda about: about.pop("digest") and None, {}, "its numbers differ from those that were written"),
+        (lambda about: [1, 2], {}, "damaged or no safetensors file"),
+        (None, {"last.bias": {"dtype": "I32"}}, "its numbers differ from those that were written"),
+    ],
+    ids=["notes", "no digest", "a list", "another type"],
+)
+def test_an_edited_header_is_noticed(tmp_path, about, entries, words):
+    save_estimator(tmp_path / "w.safetensors", estimators()[2], notes={"poses": 12})
+    edited(tmp_path / "w.safetensors", about, **entries)
+    with pytest.raises(PoseFileError, match=rf"w\.safetensors: .*{words}"):
+        load_estimator(tmp_path / "w.safetensors")
+
+
+def test_the_same_weights_give_the_same_bytes(tmp_path):
+    for name in ("a", "b"):
+        save_estimator(tmp_path / f"{name}.safetensors", estimators()[2], notes={"poses": 12})
+    assert (tmp_path / "a.safetensors").read_bytes() == (tmp_path / "b.safetensors").read_bytes()
+
+
+@pytest.mark.parametrize("key", ["width", "residuals"])
+def test_a_description_of_millions_of_weights_is_refused_before_they_take_memory(tmp_path, key):
+    estimator = estimators()[2]
+    about = {"estimator": {**describe(estimator), key: 10**7}, "notes": {}}
+    write_tensors(tmp_path / "w.safetensors", estimator.state_dict(), about)
+    with pytest.raises(PoseDataError, match=r"weights don't fit the estimator: a size of 10,000,000; expected at most"):
+        load_estimator(tmp_path / "w.safetensors")
+
+
+def test_a_number_of_thousands_of_digits_is_no_setting(tmp_path):
+    (tmp_path / "a.toml").write_text("[train]\nepochs = 0x" + "f" * 4000)
+    with pytest.raises(PoseFileError, match=r"a\.toml: not valid TOML \(Exceeds the limit"):
+        Config.load(str(tmp_path / "a.toml"))
 
 
 def test_a_single_flipped_bit_is_noticed(tmp_path):
@@ -217,7 +270,7 @@ def test_a_hostile_checkpoint_is_refused_and_runs_nothing(tmp_path):
             return os.mkdir, (str(tmp_path / "it ran"),)
 
     torch.save({"weight": Runs()}, tmp_path / "model.pt")
-    with pytest.raises(PoseFileError, match=r"model\.pt: can't be read as plain tensors"):
+    with pytest.raises(PoseFileError, match=r"model\.pt: holds more than tensors"):
         load_released(tmp_path / "model.pt")
     assert not (tmp_path / "it ran").exists()
 
@@ -226,7 +279,7 @@ def test_a_hostile_checkpoint_is_refused_and_runs_nothing(tmp_path):
     ("content", "error", "words"),
     [
         ({"conv.weight": torch.zeros(1)}, PoseDataError, r"1 tensor is not part of a cGNF \(conv\.weight\)"),
-        ({"_embedding_net.adj": torch.zeros(2, 2)}, PoseDataError, "lacks 'couplings"),
+        ({"_embedding_net.adj": torch.zeros(2, 2)}, PoseFileError, "lacks 'couplings"),
         ([1, 2], PoseDataError, "holds no state_dict"),
     ],
 )

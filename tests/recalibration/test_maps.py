@@ -164,7 +164,7 @@ def test_a_radius_may_be_nought_and_an_alpha_anything_between(tmp_path: Path) ->
 def test_a_file_that_can_not_be_read_is_refused(tmp_path: Path) -> None:
     with pytest.raises(PoseFileError, match=r"none\.json: no such file"):
         read_map(tmp_path / "none.json")
-    with pytest.raises(PoseFileError, match=r"can't be read \(Is a directory\)"):
+    with pytest.raises(PoseFileError, match=r"is a folder; expected a file\."):
         read_map(tmp_path)
     (tmp_path / "map.json").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(PoseFileError, match=NO_MAP):
@@ -271,6 +271,23 @@ def test_progress_counts_the_poses_that_are_done(tmp_path: Path, monkeypatch: py
     calls.clear()
     applied(SPREAD, tmp_path, progress=lambda done, of: calls.append((done, of)))
     assert calls == [(m, 11) for m in range(1, 12)]
+
+
+def test_deep_and_huge_numbers_are_no_map(tmp_path: Path) -> None:
+    write_map(SPREAD, tmp_path / "map.json")
+    whole = json.loads((tmp_path / "map.json").read_text())
+    for text in ("[" * 100_000, json.dumps({**whole, "factors": dict.fromkeys(whole["factors"], 10**400)})):
+        (tmp_path / "map.json").write_text(text)
+        with pytest.raises(PoseFileError, match=NO_MAP):
+            read_map(tmp_path / "map.json")
+
+
+def test_infinite_hypotheses_are_refused_and_not_made_absent(tmp_path: Path) -> None:
+    x = X.copy()
+    x[0, 3, 0, 0] = np.inf
+    with pytest.raises(PoseDataError, match=r"has infinite coordinates; expected numbers, NaN for what is absent\.$"):
+        applied(SPREAD, tmp_path, x)
+    assert not (tmp_path / "out.npz").exists()
 
 
 @pytest.mark.parametrize("map_", [3, None, "map.json"])

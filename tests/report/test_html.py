@@ -155,6 +155,11 @@ def test_whatever_a_file_says_is_text_and_nothing_more() -> None:
     assert any(f"sitting{odd}" in row for row in fragment.cells)
 
 
+def test_a_name_that_is_no_utf8_can_be_written(tmp_path: Path) -> None:
+    write_html(report_of(), tmp_path / "page.html", "h\udcff.npz")
+    assert "h\\udcff.npz" in (tmp_path / "page.html").read_text(encoding="utf-8")
+
+
 def test_notebooks_show_sentences_remarks_and_tables() -> None:
     report = report_of(by=("action",))
     page = Page(report._repr_html_())
