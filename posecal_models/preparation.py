@@ -170,6 +170,8 @@ def _keypoints(config: ModelConfig, training: LiftingSet) -> tuple[str, ...] | N
     names = baseline_keypoints(config)
     keypoints = training.in_order_of(keypoint_joints=names).keypoints
     available = tuple(name for j, name in enumerate(names) if np.isfinite(keypoints[:, j]).any())
+    if not available:
+        raise PoseDataError(f"keypoints: no image has any of {', '.join(names)}; expected some of them in each.")
     if config.origin == "root" and names[0] not in available:
         raise PoseDataError(
             f"keypoints: no image has the {names[0]}'s, and model.origin = root reads the others relative to it; "

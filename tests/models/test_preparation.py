@@ -100,6 +100,12 @@ def test_the_root_is_never_hidden(augmentation):
     np.testing.assert_allclose(shares, [1, 3 / 16, 6 / 16, 10 / 16, 13 / 16])
 
 
+def test_a_baseline_needs_some_keypoint(pairs, tmp_path):
+    nothing = replace(pairs, keypoints=np.full_like(pairs.keypoints, np.nan), observed=np.zeros_like(pairs.observed))
+    with pytest.raises(PoseDataError, match=r"^keypoints: no image has any of RHip, .*; expected some of them in each"):
+        trained(nothing, tmp_path, BASELINE)
+
+
 def test_a_baseline_is_not_read_relative_to_another_joint_than_the_hip(motion_file, tmp_path):
     config = Config.from_table({**BASELINE, "model": {**BASELINE["model"], "origin": "root"}})
     with pytest.raises(PoseDataError, match=r"^keypoints: no image has the Hip's, and model\.origin = root reads"):

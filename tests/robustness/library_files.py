@@ -76,7 +76,8 @@ def library_cases(folder: Path) -> Iterator[Case]:
             whole = (folder / name).read_bytes()
             (folder / name).write_bytes(b"MATLAB 5.0 MAT-file".ljust(116) + whole[116:])  # of no date
             words = ("convert", name, "--dataset", "data/poses", "-o", "out.npz")
-            yield Case("posecal", words, name, BYTES, _never)
+            changes = BYTES if packed else (bytes_and_zips.cut,)  # flips in numbers that have no checksum crash SciPy
+            yield Case("posecal", words, name, changes, _never)
     if find_spec("ezc3d"):
         import ezc3d
 
