@@ -169,7 +169,7 @@ def _read(path: Path, like: str, dataset: str | None, axes: str | None, person: 
             raise PoseDataError(f"{path.name}: a file {ending or 'without an ending'}; expected one of {known}.")
     if not tracks.poses.size:
         raise PoseDataError(f"{path.name}: nothing in it; its shape is {tracks.poses.shape}.")
-    if ending in TEXTS:
+    if ending in {*TEXTS, ".json"}:
         return _without_unseen(tracks)
     shape = tracks.poses.shape
     if axes is None and len(shape) == 4:

@@ -197,8 +197,8 @@ def _check_types(totals: Totals) -> None:
         wrong.append("root")
     if not (fps is None or (isinstance(fps, float | int) and 0 < fps < np.inf)) or spec.n_hypotheses < 1:
         wrong.append("fps or N")
-    wrong += [repr(word) for word in words if type(word) is not str]
-    if wrong or type(totals.has_sequences) is not bool:
+    wrong += [repr(word) for word in words if not isinstance(word, str)]
+    if wrong or type(totals.has_sequences) is not bool or type(totals.n_frames) is not int:
         raise TypeError(f"other types: {wrong}")
 
 

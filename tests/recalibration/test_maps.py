@@ -276,7 +276,7 @@ def test_progress_counts_the_poses_that_are_done(tmp_path: Path, monkeypatch: py
 def test_deep_and_huge_numbers_are_no_map(tmp_path: Path) -> None:
     write_map(SPREAD, tmp_path / "map.json")
     whole = json.loads((tmp_path / "map.json").read_text())
-    for text in ("[" * 100_000, json.dumps({**whole, "factors": dict.fromkeys(whole["factors"], 10**400)})):
+    for text in ("[" * 100_000, broken("spread", factors=dict.fromkeys(whole["factors"], 10**400))):
         (tmp_path / "map.json").write_text(text)
         with pytest.raises(PoseFileError, match=NO_MAP):
             read_map(tmp_path / "map.json")

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 import posecal
-from posecal.engine.storage import _digest
+from posecal.engine.storage import digest_of
 from tests.helpers.tables import long, trc, wide
 from tests.robustness import arrays, bytes_and_zips, pickled, texts
 
@@ -75,7 +75,7 @@ def result_edited(whole: bytes, chance: Random) -> bytes:
             members[key] = arrays.edited(members[key], chance)
         else:
             members[key] = arrays.revalued(members[key], chance)
-    members["digest"] = np.array(_digest({key: value for key, value in members.items() if value.dtype.kind != "O"}))
+    members["digest"] = np.array(digest_of({key: value for key, value in members.items() if value.dtype.kind != "O"}))
     file = io.BytesIO()
     np.savez(file, **members)
     return file.getvalue()
@@ -96,6 +96,10 @@ _RAW = frozenset(bytes_and_zips.RAW_ZIP)
 
 def _raw(change: Change) -> bool:
     return change in _RAW
+
+
+def _always(_change: Change) -> bool:
+    return True
 
 
 def _never(_change: Change) -> bool:
@@ -237,8 +241,8 @@ def _core() -> list[Case]:
         posecal_("recalibrate fit hyps.npz gt.npz -o out.json", "hyps.npz", NPZ, _raw),
         posecal_("recalibrate fit hyps.npz gt.npz --radius 0.4 -o out.json", "gt.npz", NPZ, _raw),
         posecal_("recalibrate apply hyps.npz spread.json -o out.npz", "hyps.npz", NPZ, _raw),
-        posecal_("recalibrate apply hyps.npz spread.json -o out.npz", "spread.json", JSON),
-        posecal_("recalibrate apply hyps.npz radius.json -o out.npz", "radius.json", JSON),
+        posecal_("recalibrate apply hyps.npz spread.json -o out.npz", "spread.json", JSON, _always),
+        posecal_("recalibrate apply hyps.npz radius.json -o out.npz", "radius.json", JSON, _always),
     ]
     for kind in ("reliability", "joints", "errors", "pck", "rank-tests", "sparsification", "event"):
         cases.append(posecal_(f"plot {kind} full.npz -o out.svg", "full.npz", RESULT))
