@@ -275,33 +275,42 @@ class Block:
         """The offset of the mean of the hypotheses, (B, K, D, 1); the circular mean where they repeat."""
         return self.mean_of(self.offsets)
 
-    def differences(self, order: int, name: str = "offsets") -> tuple[FloatArray, FloatArray, BoolArray]:
+    @property
+    def poses(self) -> FloatArray:
+        """The hypotheses, (B, K, D, N), mm, relative to the root."""
+        return self.offsets + self.truth[..., None]
+
+    @property
+    def mean_poses(self) -> FloatArray:
+        """Their mean, (B, K, D, 1), likewise."""
+        return self.mean_offsets + self.truth[..., None]
+
+    def differences(self, order: int, name: str) -> tuple[FloatArray, BoolArray]:
         """Differences over time between each pose and the ``order`` poses before it, of some order.
 
         Parameters
         ----------
         order : int
-            1 for velocities, 2 for accelerations, 3 for jerks.
+            1 for velocities, 2 for accelerations, 3 for jerks; of angles these are of steps the shorter way round.
         name : str
-            ``offsets`` of the hypotheses, or ``mean_offsets``.
+            Of what: an attribute of this class, (B, K, D, …), such as ``offsets`` or ``truth``.
 
         Returns
         -------
-        offsets : array (B, K, D, N)
-            That of the offsets, mm per frame to the power of the order; 0 where it is not counted.
-        truth : array (B, K, D)
-            That of the true poses.
-        counted : bool array (B, K)
+        array (B, K, D, …)
+            mm per frame to the power of the order; 0 where it is not counted.
+        bool array (B, K)
             The joints that count in all these poses, which follow each other.
         """
 
-        def compute() -> tuple[FloatArray, FloatArray, BoolArray]:
+        def compute() -> tuple[FloatArray, BoolArray]:
             earlier = partial(self._with_earlier, order)
             where, follows = (sliding_window_view(earlier(name), order + 1, 0) for name in ("where", "follows"))
             counted: BoolArray = np.asarray(where.all(axis=-1) & follows[:, 1:].all(axis=-1, keepdims=True))
             with np.errstate(invalid="ignore"):  # what is not finite is found in its own block
-                offsets, truth = (self.shortest(np.diff(earlier(of), order, axis=0)) for of in (name, "truth"))
-            return np.where(counted[..., None, None], offsets, 0), np.where(counted[..., None], truth, 0), counted
+                changes = np.diff(self.shortest(np.diff(earlier(name), axis=0)), order - 1, axis=0)
+            changes[~counted] = 0
+            return changes, counted
 
         return self.share(("differences", order, name), compute)
 

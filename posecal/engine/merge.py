@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from posecal.data.remarks import join_remarks
+from posecal.data.remarks import Count, Example, Remark, join_remarks
 from posecal.engine.pose_hashes import shared_poses, smallest_hashes
 from posecal.engine.totals import Totals, difference_of_signatures, different_metrics
 from posecal.errors import PoseDataError, first_few, option, raise_all
 
 Cell = tuple[str, ...]
+
+_OVER_TIME = ("mpjve", "acceleration", "jitter", "wa_errors", "w_errors")
+"""Words in the names of statistics that are of several consecutive poses."""
 
 
 def merge_totals(parts: Sequence[Totals], names: Sequence[str] | None = None) -> Totals:
@@ -70,6 +74,8 @@ def merge_totals(parts: Sequence[Totals], names: Sequence[str] | None = None) ->
         pose_hashes=smallest_hashes([part.pose_hashes for part in parts]),
         own_metrics=first.own_metrics,
     )
+    if cut := _cut_sequences(parts):
+        total.remarks = (*total.remarks, cut)
     for part, cells in zip(parts, numbers, strict=True):
         np.add.at(total.poses, cells, part.poses)
         for statistic in first.sums:
@@ -78,6 +84,22 @@ def merge_totals(parts: Sequence[Totals], names: Sequence[str] | None = None) ->
     if total.per_pose:
         total.cell_of = np.concatenate([cells[part.cell_of] for part, cells in zip(parts, numbers, strict=True)])
     return total
+
+
+def _cut_sequences(parts: Sequence[Totals]) -> str:
+    """Remark on sequences that lie in several parts, where something is measured over time."""
+    is_over_time = any(word in name for name in parts[0].sums for word in _OVER_TIME)
+    if not is_over_time or not all(part.has_sequences for part in parts):
+        return ""
+    in_parts = Counter(name for part in parts for name in {*part.cells["sequence"].tolist()})
+    if cut := [name for name, number in in_parts.items() if number > 1]:
+        return Remark(
+            Count(len(cut), "sequence lies", "sequences lie"),
+            " in several results (first: ",
+            Example(first_few(cut)),
+            "): no difference over time and no segment reaches over a cut.",
+        )
+    return ""
 
 
 def _with_absent(parts: Sequence[Totals]) -> Sequence[Totals]:

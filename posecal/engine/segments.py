@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from posecal.engine.chunks import Chunk, join_chunks
 from posecal.engine.sums import Indices
+from posecal.errors import PoseDataError
 
 
 class Segments:
@@ -21,12 +22,23 @@ class Segments:
     length : int
         How many poses a segment has, counted from the first of each sequence; the last has those that are left. 0 for
         none.
+
+    Raises
+    ------
+    PoseDataError
+        By :meth:`add`, for a sequence that comes back after another one.
     """
 
     def __init__(self, length: int) -> None:
         self.length = length
         self._waiting: list[Chunk] = []
         self._sequence = ""
+        self._ended: set[str] = set()
+
+    def __copy__(self) -> Segments:
+        other = Segments(self.length)
+        other._waiting, other._sequence, other._ended = list(self._waiting), self._sequence, set(self._ended)
+        return other
 
     def add(self, chunk: Chunk, sequence: npt.NDArray[np.str_]) -> Iterator[Chunk]:
         """Give the segments that more poses, of these sequences (m,), complete."""
@@ -34,7 +46,13 @@ class Segments:
         for start, stop in pairwise(edges):
             if sequence[start] != self._sequence:
                 yield from self.rest()
+                self._ended.add(self._sequence)
                 self._sequence = str(sequence[start])
+                if self._sequence in self._ended:
+                    raise PoseDataError(
+                        f"sequence: {self._sequence} comes back after another one, and WA- and W-MPJPE align "
+                        "consecutive frames; expected the poses of each sequence one after another."
+                    )
             while start < stop:
                 more = min(self.length - sum(map(len, self._waiting)), stop - start)
                 part = replace(chunk.select(slice(start, start + more)), reference=None).copy()

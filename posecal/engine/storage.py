@@ -183,7 +183,7 @@ def _check_types(totals: Totals) -> None:
     kinds = {field.name: type(field.default) for field in fields(spec) if field.default not in (None, MISSING)}
     kinds |= {"n_hypotheses": int, "joints": tuple}
     wrong = [name for name, kind in kinds.items() if type(getattr(spec, name)) is not kind]
-    words = [totals.version, *totals.remarks, *spec.joints, *spec.labels, *spec.preranks]
+    words: list[Any] = [totals.version, *totals.remarks, *spec.joints, *spec.labels, *spec.preranks]
     arrays: dict[str, list[npt.NDArray[Any]]] = {
         "i": [totals.poses, totals.cell_of, *totals.counts.values()],
         "U": [*totals.cells.values()],

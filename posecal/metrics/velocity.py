@@ -23,6 +23,15 @@ Mover = Literal["hypotheses", "truth"]
 Moving = Literal["error", "mean_pose_error", "hypotheses", "mean_pose", "truth"]
 """What differences over time are of: the offsets from the truth, or positions."""
 
+_ATTRIBUTES: dict[Moving, str] = {
+    "error": "offsets",
+    "mean_pose_error": "mean_offsets",
+    "hypotheses": "poses",
+    "mean_pose": "mean_poses",
+    "truth": "truth",
+}
+"""What these are of a block."""
+
 
 def motion(block: Block, order: int, of: Moving = "error", body: BoolArray | None = None) -> FloatArray:
     """Mean over joints of the norm of differences over time, and over hypotheses.
@@ -45,11 +54,8 @@ def motion(block: Block, order: int, of: Moving = "error", body: BoolArray | Non
         ‖Δx − Δy‖ or ‖Δx‖ of that order, mm per frame to the power of it. NaN for the first poses of a sequence, and
         where no joint counts in all poses of the difference.
     """
-    changes, true, counted = block.differences(order, "mean_offsets" if of.startswith("mean_pose") else "offsets")
-    if of == "truth":
-        changes = true[..., None]
-    elif of in {"hypotheses", "mean_pose"}:
-        changes = block.shortest(changes + true[..., None])
+    changes, counted = block.differences(order, _ATTRIBUTES[of])
+    changes = changes.reshape(*changes.shape[:3], -1)
     weights = block.weights(counted if body is None else counted & body)
     means = np.einsum("bk,bkn->bn", weights, np.sqrt(squared_norms(changes))).mean(axis=-1, dtype=np.float64)
     return np.where(weights.any(axis=1), means, np.nan)

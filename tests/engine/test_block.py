@@ -252,7 +252,8 @@ def test_differences_start_anew_with_a_sequence_and_where_a_joint_did_not_count(
     where = np.ones((M, K), dtype=bool)
     where[2, 1] = where[5, 0] = False
     follows = np.array([False, True, True, True, False, True, True])
-    offsets, truth, counted = Block(x, y, where, follows=follows).differences(order)
+    block = Block(x, y, where, follows=follows)
+    (offsets, counted), (truth, _) = block.differences(order, "offsets"), block.differences(order, "truth")
     for m, k in np.ndindex(M, K):
         poses = [m - back for back in range(order + 1)]
         known = min(poses) >= 0 and follows[poses[:-1]].all() and where[poses, k].all()
@@ -265,7 +266,7 @@ def test_differences_start_anew_with_a_sequence_and_where_a_joint_did_not_count(
 
 @pytest.mark.parametrize("order", COEFFICIENTS)
 def test_the_first_poses_of_all_have_none_before(arrays: tuple[Array, Array], order: int) -> None:
-    counted = Block(*arrays).differences(order)[2]
+    counted = Block(*arrays).differences(order, "offsets")[1]
     assert not counted[:order].any()
     assert counted[order:].all()
 
@@ -276,8 +277,8 @@ def test_the_poses_before_may_come_from_an_earlier_read(arrays: tuple[Array, Arr
     x, y = arrays
     where = np.random.default_rng(5).random((M, K)) < 0.8
     before = partial(Block, x[:, 4 - earlier : 4], y[4 - earlier : 4], where[4 - earlier : 4])
-    rest = Block(x[:, 4:], y[4:], where[4:], previous=before).differences(order)
-    own = Block(x[:, 4 - earlier :], y[4 - earlier :], where[4 - earlier :]).differences(order)
+    rest = Block(x[:, 4:], y[4:], where[4:], previous=before).differences(order, "offsets")
+    own = Block(x[:, 4 - earlier :], y[4 - earlier :], where[4 - earlier :]).differences(order, "offsets")
     for found, expected in zip(rest, own, strict=True):
         np.testing.assert_array_equal(found, expected[earlier:])
 
@@ -391,7 +392,7 @@ def test_blocks_of_every_length_join_to_one_block(m: int, n: int, k: int, d: int
         blocks = [lay_out() for lay_out in iter_blocks(x, y, where, follows=follows, sequence=sequence)]
     assert [len(block.where) for block in blocks][:-1] == [max(length, 1)] * (len(blocks) - 1)
     for order in (1, 2, 3):
-        for whole, *parts in zip(*(block.differences(order) for block in (all_poses, *blocks)), strict=True):
+        for whole, *parts in zip(*(block.differences(order, "offsets") for block in (all_poses, *blocks)), strict=True):
             assert np.concatenate(parts).tobytes() == whole.tobytes(), order
     for name in ("offsets", "truth", "where"):
         joined = np.concatenate([getattr(block, name) for block in blocks])

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 import numpy.typing as npt
 import pytest
 
 from posecal.engine.chunks import Chunk
 from posecal.engine.segments import Segments
+from posecal.errors import PoseDataError
 
 M = 17
-SEQUENCE = np.array(["a"] * 7 + ["b"] * 3 + ["a"] * 2 + ["c"] * 5)
+SEQUENCE = np.array(["a"] * 7 + ["b"] * 3 + ["d"] * 2 + ["c"] * 5)
 
 
 def poses(numbers: npt.NDArray[np.float64]) -> Chunk:
@@ -51,3 +54,13 @@ def test_poses_that_wait_are_copies_with_cells_that_can_change() -> None:
     assert rest.truth.ravel().tolist() == [8, 9, 10]
     assert rest.hypotheses.ravel().tolist() == [8.5, 9.5, 10.5]
     assert rest.cells.tolist() == [5, 5, 3]
+
+
+def test_a_sequence_that_comes_back_is_refused() -> None:
+    """Its segment would hold some of its consecutive frames only, and be aligned better."""
+    segments = Segments(3)
+    assert len([*segments.add(poses(np.arange(4.0)), np.array(["a", "a", "b", "b"]))]) == 1
+    later = copy.copy(segments)
+    with pytest.raises(PoseDataError, match=r"^sequence: a comes back after another one, and WA- and W-MPJPE align"):
+        list(segments.add(poses(np.arange(2.0)), np.array(["b", "a"])))
+    assert [len(chunk) for chunk in later.add(poses(np.arange(2.0)), np.array(["b", "c"]))] == [3]

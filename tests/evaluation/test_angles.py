@@ -246,3 +246,12 @@ def test_a_function_of_posecal_inside_an_own_metric_knows_that_the_data_are_angl
     finally:
         posecal.unregister("widest")
     assert report["widest"] == pytest.approx(arc(x, y).mean(axis=(2, 3)).max(axis=0).mean())
+
+
+def test_rates_of_angles_are_no_angles() -> None:
+    """Steps of +100° and -100° differ by 200°, and not by the 160° that are left to a full turn."""
+    x, y = np.array([0.0, 100, 0, 100]).reshape(1, 4, 1, 1), np.zeros((4, 1, 1))
+    for turned in (x, (x + 170) % 360 - 180):
+        y = np.full((4, 1, 1), turned[0, 0, 0, 0])
+        np.testing.assert_allclose(metrics.acceleration_error(turned, y, unit="deg"), [np.nan, np.nan, 200, 200])
+        np.testing.assert_allclose(metrics.jitter(turned, y, unit="deg"), [np.nan, np.nan, np.nan, 400])
