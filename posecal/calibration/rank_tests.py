@@ -211,7 +211,7 @@ def user_weights(block: Block, joints: BoolArray, prerank: PreRank | None, name:
     """
     if prerank is None:
         raise PoseDataError(f"prerank: {name!r} is known from a saved result only; expected its function.")
-    points = Pool.of(block, joints).points + block.truth[:, joints].astype(np.float64)[..., None]
+    points = block.shortest(Pool.of(block, joints).points + block.truth[:, joints].astype(np.float64)[..., None])
     numbers = np.empty((len(points), points.shape[-1]))
     for b, poses in enumerate(points):
         try:

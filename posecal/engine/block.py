@@ -19,7 +19,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from posecal.data.arrays import BoolArray, FloatArray, squared_norms, working_dtype
 from posecal.data.degenerate import LARGEST, is_outside
 from posecal.data.root import AnyRoot, Root, origin
-from posecal.engine.circular import circular_mean, unwrapped, wrapped
+from posecal.engine.circular import circular_mean, turns_of_pool, unwrapped, wrapped
 from posecal.engine.coordinate_range import CoordinateRange, coordinate_range
 from posecal.engine.memory import reuse_freed_memory
 from posecal.errors import PoseDataError
@@ -197,8 +197,8 @@ class Block:
         """
         if self.period is None:
             return self.offsets
-        truth = np.zeros((*self.offsets.shape[:-1], 1), dtype=self.offsets.dtype)
-        return unwrapped(np.concatenate([self.offsets, truth], axis=-1), self.period)[..., :-1]
+        turns = turns_of_pool(np.concatenate([self.poses, self.truth[..., None]], axis=-1), self.period)
+        return self.offsets - (turns[..., :-1] - turns[..., -1:]) * self.offsets.dtype.type(self.period)
 
     @property
     def n_hypotheses(self) -> int:

@@ -6,6 +6,9 @@ import numpy as np
 
 from posecal.data.arrays import FloatArray
 
+_PARTS = 230_400
+"""Parts of a circle, 640 of each degree, in which points are compared."""
+
 
 def wrapped(offsets: FloatArray, period: float) -> FloatArray:
     """Bring offsets to within half a period of 0."""
@@ -23,6 +26,18 @@ def circular_mean(offsets: FloatArray, period: float, weights: FloatArray | floa
 def unwrapped(offsets: FloatArray, period: float) -> FloatArray:
     """Bring offsets (..., N) to within half a period of their circular mean, by whole periods."""
     return offsets - _turns(offsets - circular_mean(offsets, period)[..., None], period)
+
+
+def turns_of_pool(points: FloatArray, period: float) -> FloatArray:
+    """The whole periods to subtract from points (..., N) so that they lie about their circular mean.
+
+    Where the circle is cut depends on the set of the points alone, also where they cancel, or one lies opposite their
+    mean: it is found in whole numbers of parts of the circle, sorted.
+    """
+    parts = np.rint(points.astype(np.float64) * (_PARTS / period))
+    around = np.sort(parts % _PARTS, axis=-1)
+    mean = np.rint(circular_mean(around, _PARTS))[..., None]
+    return np.asarray(np.floor((parts - mean + _PARTS // 2) / _PARTS).astype(points.dtype))
 
 
 def _turns(offsets: FloatArray, period: float) -> FloatArray:

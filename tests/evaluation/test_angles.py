@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -255,3 +256,30 @@ def test_rates_of_angles_are_no_angles() -> None:
         y = np.full((4, 1, 1), turned[0, 0, 0, 0])
         np.testing.assert_allclose(metrics.acceleration_error(turned, y, unit="deg"), [np.nan, np.nan, 200, 200])
         np.testing.assert_allclose(metrics.jitter(turned, y, unit="deg"), [np.nan, np.nan, np.nan, 400])
+
+
+@pytest.mark.parametrize("directions", [3, 4, 5, 6, 8])
+@pytest.mark.parametrize("turned", [0.0, 17.3])
+def test_coverage_is_exact_for_angles_of_few_directions(directions: int, turned: float) -> None:
+    """Of all ways to put four points on as many directions, each as the truth in turn: many cancel, or tie."""
+    points = np.array([*itertools.product(range(directions), repeat=4)]) * (360 / directions) + turned
+    x, y = points[:, 1:].T.reshape(3, -1, 1, 1), points[:, 0].reshape(-1, 1, 1)
+    curve = posecal.calibration_curve(x, y, axes="NMKD", unit="deg")
+    for q in np.arange(21) / 20:
+        assert curve.coverage(q) == pytest.approx(q, abs=1e-9)
+    assert interval_coverage(x, y, level=0.4, axes="NMKD", unit="deg").mean() == pytest.approx(0.4, abs=1e-9)
+
+
+@pytest.mark.parametrize("convention", CONVENTIONS)
+def test_a_users_prerank_gets_angles_within_half_a_turn_of_0_however_they_are_written(convention: str) -> None:
+    """So a perfect sampler of angles about 180° passes one that depends on the cut of the circle."""
+    random, write = np.random.default_rng(3), CONVENTIONS[convention]
+    x, y = (180 + random.normal(0, 30, shape) for shape in ((9, 600, 1, 1), (600, 1, 1)))
+    options: dict[str, Any] = {"axes": "NMKD", "unit": "deg", "labels": {"sequence": np.arange(600) // 20}}
+    preranks = {"size": lambda poses: np.abs(poses).max(axis=(1, 2))}
+    report = posecal.evaluate(write(x), write(y), metrics="size", preranks=preranks, **options)
+    assert report.test("size").p > 0.05
+    plain = posecal.evaluate(
+        arc(x, 0 * x), arc(y, 0 * y), metrics="size", preranks=preranks, **{**options, "unit": "none"}
+    )
+    assert report["size"] == pytest.approx(plain["size"], abs=1e-12)
