@@ -257,14 +257,15 @@ class Accumulator:
         """Read the poses with their cells, and with the numbers of their sequences in the coordinate range."""
         sequence, start = data.labels.get("sequence"), 0
         continues = sequence is not None and str(sequence[0]) == self._last_sequence and int(data.order[0]) == 0
-        hashes = pose_hashes(data)
         for chunk in read_chunks(data, self._length):
             stop = start + len(chunk)
             follows = chunk.follows.copy()
             follows[0] |= continues and start == 0
             self._coinciding.add(data.names[0], chunk.hypotheses, chunk.where, data.frame_id[start:stop])
             part = slice(start, stop)
-            yield replace(chunk, cells=cells[part], sequence=numbers[part], hashes=hashes[part], follows=follows)
+            labels = {name: values[part] for name, values in data.labels.items()}
+            hashes = pose_hashes(chunk.truth, labels, data.frame_id[part] if data.has_frame_id else None)
+            yield replace(chunk, cells=cells[part], sequence=numbers[part], hashes=hashes, follows=follows)
             start = stop
 
     def _measure(self, tasks: Iterable[Callable[[], Measured]]) -> Iterator[Measured]:

@@ -9,8 +9,9 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.pose_data import PoseData
+from posecal.data.arrays import FloatArray
 from posecal.data.remarks import Count, Remark
+from posecal.data.stored_poses import Labels
 from posecal.engine.cells import SPREAD
 
 PoseHashes = npt.NDArray[np.uint64]
@@ -24,20 +25,20 @@ _FEWEST_COORDINATES = 9
 """Poses of fewer, such as a joint's angle, may be equal by chance."""
 
 
-def pose_hashes(data: PoseData) -> PoseHashes:
+def pose_hashes(truth: FloatArray, labels: Labels, frame_id: npt.NDArray[np.str_] | None) -> PoseHashes:
     """Hash the poses, (M, 2): truth and labels of each, and the name of its frame, 0 where it has none.
 
     Poses of few coordinates, of which many may be equal, have 0 alone unless their frames have names.
     """
-    hashes = np.zeros((len(data.truth), 2), dtype=np.uint64)
-    if data.truth[0].size < _FEWEST_COORDINATES and not data.has_frame_id:
+    hashes = np.zeros((len(truth), 2), dtype=np.uint64)
+    if truth[0].size < _FEWEST_COORDINATES and frame_id is None:
         return hashes
-    hashes[:, 0] = _hash(data.truth.astype(np.float32) + np.float32(0))  # -0 as 0
-    for name, values in data.labels.items():
+    hashes[:, 0] = _hash(truth.astype(np.float32) + np.float32(0))  # -0 as 0
+    for name, values in labels.items():
         if not SPREAD.match(name):  # of the hypotheses
             hashes[:, 0] += _hash(values) * np.uint64(2 * zlib.crc32(name.encode(errors="surrogatepass")) + 1)
-    if data.has_frame_id:
-        hashes[:, 1] = _hash(data.frame_id)
+    if frame_id is not None:
+        hashes[:, 1] = _hash(frame_id)
     return hashes
 
 
@@ -71,6 +72,12 @@ def repeated_remarks(hashes: PoseHashes, name: str) -> list[str]:
             "give all frames a frame_id.",
         )
     ]
+
+
+def dropped_remarks(number: int) -> list[str]:
+    """Remark on poses that were dropped because frames of their names came before."""
+    more = " came more than once, by frame_id; each frame is counted once."
+    return [Remark(Count(number, "pose"), more)] if number else []
 
 
 def shared_poses(parts: Sequence[PoseHashes]) -> tuple[int, int, int]:

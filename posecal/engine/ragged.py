@@ -50,17 +50,24 @@ def present(hypotheses: FloatArray, scores: FloatArray | None) -> BoolArray:
 
 def has_absent(data: PoseData) -> bool:
     """Whether some hypotheses of a pose are absent and others not, among some poses that lie evenly."""
-    rows = sample_rows(len(data.truth), _SAMPLE)
-    scores = data.scores
+    rows, scores = sample_rows(len(data.truth), _SAMPLE), data.scores
     if scores is not None and (scores >= 0).all() and (scores == 0).any():
         if (scores > 0).sum(axis=0).max() == 1:
             return False  # one score above 0 for each pose marks a hypothesis, and is no weight
         lacking = np.flatnonzero((scores == 0).any(axis=0))
         rows = np.union1d(rows, lacking[:: max(1, len(lacking) // _SAMPLE)])
-    hypotheses = data.hypotheses.select(rows).read(0, len(rows))
+    return _some_absent(data.hypotheses.select(rows).read(0, len(rows)), None if scores is None else scores[:, rows])
+
+
+def has_absent_anywhere(data: PoseData) -> bool:
+    """Whether NaN stand for some hypotheses of any pose."""
+    return any(_some_absent(chunk.hypotheses, None) for chunk in read_chunks(data.replace(reference=None)))
+
+
+def _some_absent(hypotheses: FloatArray, scores: FloatArray | None) -> bool:
     if scores is None and not np.isnan(hypotheses[:, :, 0, 0]).any():
         return False
-    there = present(hypotheses, None if scores is None else scores[:, rows])
+    there = present(hypotheses, scores)
     return bool((there.any(axis=0) & ~there.all(axis=0)).any())
 
 

@@ -198,7 +198,8 @@ def _check_types(totals: Totals) -> None:
     if not (fps is None or (isinstance(fps, float | int) and 0 < fps < np.inf)) or spec.n_hypotheses < 1:
         wrong.append("fps or N")
     wrong += [repr(word) for word in words if not isinstance(word, str)]
-    if wrong or type(totals.has_sequences) is not bool or type(totals.n_frames) is not int:
+    numbers: list[Any] = [totals.has_sequences, totals.n_frames]
+    if wrong or [*map(type, numbers)] != [bool, int]:
         raise TypeError(f"other types: {wrong}")
 
 

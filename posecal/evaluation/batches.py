@@ -6,6 +6,7 @@ import copy
 import inspect
 import os
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -17,9 +18,10 @@ from posecal.data.declarations import Declarations
 from posecal.data.frames import frame_remark
 from posecal.data.layout import HYPOTHESES
 from posecal.data.pose_data import PoseData
-from posecal.data.remarks import Count, Remark, join_remarks
+from posecal.data.remarks import join_remarks
 from posecal.engine.accumulate import Accumulator, Pending
 from posecal.engine.merge import merge_totals
+from posecal.engine.pose_hashes import dropped_remarks
 from posecal.engine.prepare import (
     Prepared,
     add_spread_labels,
@@ -29,7 +31,7 @@ from posecal.engine.prepare import (
 )
 from posecal.engine.presets import as_protocol
 from posecal.engine.protocol import Protocol
-from posecal.engine.ragged import is_ragged, live_remark
+from posecal.engine.ragged import has_absent_anywhere, is_ragged, live_remark
 from posecal.engine.scope import DataSpec
 from posecal.engine.totals import Totals
 from posecal.errors import PoseDataError, checked_type, first_few
@@ -174,7 +176,7 @@ class Evaluation:
             raise PoseDataError("frame_id: missing in this batch; expected one in every batch, or in none.")
         if len(data.truth):
             self.add(data, hold_back=frame_id is not None, n_given=n_given)
-        self._remark_on_repeated(n_given - len(data.truth))
+        self._remarks = join_remarks([*self._remarks, *dropped_remarks(n_given - len(data.truth))])
         if self._options["axes"] is None and not is_stored:
             self._axes = HYPOTHESES  # what arrays are read in that declare none
 
@@ -184,18 +186,12 @@ class Evaluation:
         if names.shape != (len(data.truth),):
             raise PoseDataError(f"frame_id: {names.shape}; expected one name per pose, ({len(data.truth)},).")
         if self._has_frames is False:
-            raise PoseDataError(
-                "frame_id: given for this batch and not for the earlier ones; expected one in every batch."
-            )
+            found = "given for this batch and not for the earlier ones"
+            raise PoseDataError(f"frame_id: {found}; expected one in every batch.")
         known = self._frames.keys() | self._frames_of_others if self._frames_of_others else self._frames
         first = {name: row for row, name in reversed(list(enumerate(names.tolist()))) if name not in known}
         rows = np.sort(np.array(list(first.values()), dtype=np.intp))
         return data.replace(frame_id=names, has_frame_id=True).select(rows)
-
-    def _remark_on_repeated(self, number: int) -> None:
-        if number:
-            remark = Remark(Count(number, "pose"), " came more than once, by frame_id; each frame is counted once.")
-            self._remarks = join_remarks([*self._remarks, remark])
 
     def add(
         self,
@@ -236,14 +232,17 @@ class Evaluation:
         lack = lack_of_scored(data, self.protocol)
         if lack and complete:
             raise PoseDataError(lack)
-        ragged = len(data.truth) > 0 and is_ragged(data, self._accumulator)
         remarks = [*data.remarks]
-        if not complete and not ragged:  # all poses are checked as they are measured
-            refuse_non_finite_hypotheses(data)
         if len(data.truth):
-            remarks.append(live_remark(data) if ragged else frame_remark(data) if self._accumulator is None else "")
-            spec = DataSpec.of(data, has_mask=has_mask, preranks=tuple(self._preranks), is_ragged=ragged)
-            self._count(data, spec, progress, "all" if hold_back else "none" if complete else "rest", n_given)
+            pending: Pending = "all" if hold_back else "none" if complete else "rest"
+            count = partial(self._count, data, progress, pending, n_given, has_mask)
+            ragged = is_ragged(data, self._accumulator)
+            try:
+                remarks.append(count(ragged))
+            except PoseDataError:
+                if ragged or not has_absent_anywhere(data):
+                    raise
+                remarks.append(count(True))
         elif self._accumulator is not None:
             self._accumulator.end_run()
         self._remarks = join_remarks([*self._remarks, *filter(None, remarks)])
@@ -252,14 +251,19 @@ class Evaluation:
         self._has_frames = hold_back
         self._batches += 1
 
-    def _count(self, data: PoseData, spec: DataSpec, progress: Progress | None, pending: Pending, n_given: int) -> None:
-        """Add poses that count to the sums."""
+    def _count(
+        self, data: PoseData, progress: Progress | None, pending: Pending, n_given: int, has_mask: bool, ragged: bool
+    ) -> str:
+        """Add poses that count to the sums, and give a remark on them, or none."""
         complete = pending == "none"
+        spec = DataSpec.of(data, has_mask=has_mask, preranks=tuple(self._preranks), is_ragged=ragged)
+        if not complete and not ragged:  # all poses are checked as they are measured
+            refuse_non_finite_hypotheses(data)
+        remark = live_remark(data) if ragged else frame_remark(data) if self._accumulator is None else ""
         data = add_spread_labels(data, self.by, predicted_spread, self._threads, is_all=complete)
         if self._accumulator is None:
-            accumulator = start_accumulator(
-                spec, self.protocol, data, self.by, self._preranks, self._prepared, self._threads, complete=complete
-            )
+            options = self.by, self._preranks, self._prepared, self._threads
+            accumulator = start_accumulator(spec, self.protocol, data, *options, complete=complete)
         else:
             number = self._batches + 1
             accumulator = continue_accumulator(self._accumulator, spec, self.by, self._preranks, number)
@@ -269,6 +273,7 @@ class Evaluation:
             names = data.frame_id.tolist()
             self._held = [*self._held, *names][-accumulator.n_pending :]
             self._frames |= dict.fromkeys(names)
+        return remark
 
     def totals(self) -> Totals:
         """Give the sums of all batches.
@@ -366,7 +371,7 @@ class Evaluation:
             self._accumulator.select_pending(np.array([name not in dropped for name in pending]))
             self._frames = dict.fromkeys(name for name in self._frames if name not in dropped)
             self._held = [name for name in pending if name not in dropped]
-            self._remark_on_repeated(len(dropped))
+            self._remarks = join_remarks([*self._remarks, *dropped_remarks(len(dropped))])
         return [name for name in names if name not in dropped]
 
     def __setstate__(self, state: dict[str, Any]) -> None:

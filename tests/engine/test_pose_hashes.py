@@ -94,7 +94,7 @@ def test_frames_that_are_told_apart_and_views_of_one_moment_are_not_remarked_on(
 def test_the_hash_depends_on_every_coordinate_and_label_and_not_on_precision_or_the_width_of_text() -> None:
     def hashes(truth: Any, **labels: Any) -> Any:
         some = posecal.PoseData(truth[None].repeat(3, 0), truth, axes="NMKD", unit="mm", labels=labels)
-        return pose_hashes(some)[:, 0]
+        return pose_hashes(some.truth, some.labels, None)[:, 0]
 
     truth = TRUTH[:4].astype(np.float32)
     expected = hashes(truth, action="sit")

@@ -159,3 +159,20 @@ def test_scores_that_are_no_weights_make_nothing_absent() -> None:
     scores[0, 0] = 0
     report = posecal.evaluate(X, Y, scores=scores, unit="mm", axes="NMKD", root_joint="none", metrics="default")
     assert "ece" in report.metrics
+
+
+def test_absent_hypotheses_of_few_poses_are_found_wherever_they_are() -> None:
+    """Few poses are looked at beforehand; the others are when coordinates are found that are not finite."""
+    x, y = (np.concatenate([poses] * 6, axis=poses.ndim - 3) for poses in (X, Y))
+    live = np.ones(x.shape[:2], dtype=bool)
+    live[3:, 300:310] = False
+    padded_ = np.where(live[..., None, None], x, np.nan)
+    options: dict[str, Any] = {"unit": "mm", "axes": "NMKD", "root_joint": "none", "metrics": "mpjpe"}
+    right = np.nanmean(np.nanmean(np.linalg.norm(padded_ - y, axis=-1).mean(axis=-1), axis=0))
+    report = posecal.evaluate(padded_, y, **options)
+    assert report["mpjpe"] == pytest.approx(right, rel=1e-9)
+    assert any("40 hypotheses are absent" in remark for remark in report.remarks)
+    evaluation = posecal.Evaluation(**options)
+    for start in (0, 270):
+        evaluation.update(padded_[:, start : start + 270], y[start : start + 270])
+    assert evaluation.compute()["mpjpe"] == pytest.approx(right, rel=1e-9)
