@@ -265,8 +265,7 @@ class Evaluation:
             options = self.by, self._preranks, self._prepared, self._threads
             accumulator = start_accumulator(spec, self.protocol, data, *options, complete=complete)
         else:
-            number = self._batches + 1
-            accumulator = continue_accumulator(self._accumulator, spec, self.by, self._preranks, number)
+            accumulator = continue_accumulator(self._accumulator, spec, self.by, self._preranks, self._batches + 1)
         accumulator.add(data, progress, pending=pending, n_given=n_given)
         self._accumulator = accumulator
         if pending == "all":
