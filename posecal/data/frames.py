@@ -10,7 +10,8 @@ import numpy as np
 from posecal.data.arrays import FloatArray
 from posecal.data.joint_names import letters, side_of
 from posecal.data.pose_data import PoseData
-from posecal.data.root import origin
+from posecal.data.remarks import Example, Remark
+from posecal.data.root import AnyRoot, origin
 from posecal.data.stored_poses import sample_rows
 from posecal.data.units import PERIODS
 
@@ -21,8 +22,14 @@ _POSES, _HYPOTHESES, _JOINTS = 64, 32, 4096
 """How many are looked at, joints of all poses together."""
 
 _LARGE, _REMOVES, _AGREE, _FEWEST = 0.3, 0.6, 0.9, 5
-"""A mean error above this share of the size of the poses, of which one change removes this share, in this share of at
-least so many poses, is suspicious."""
+"""A mean error above this share of the size of the poses, of which one change removes this share, is suspicious, if in
+this share of at least so many poses …"""
+
+_BETTER = 0.75
+"""… the error falls below this share of what it was."""
+
+_KNOWN = 0.5
+"""Poses of which fewer joints are known than this share are not looked at."""
 
 _FAR = 1.0
 """A shift of this share of the size of the poses is one of frames, as between absolute and relative positions."""
@@ -33,62 +40,88 @@ _OF_A_MODEL = 2.4
 _AXES = "xyz"
 
 
-def frame_remark(data: PoseData) -> str:
-    """Find a simple change of the hypotheses that removes most of a large error.
+class FrameCheck:
+    """The mean hypothesis and the truth of some poses, and a simple change that removes most of a large error.
 
-    The mean of some hypotheses of some poses is compared with the truth as it stands and after each change: axes
-    negated or exchanged, left and right joints exchanged, both, a shift where no root is subtracted, and a factor.
-
-    Parameters
-    ----------
-    data : PoseData
-        Positions of two or three coordinates.
-
-    Returns
-    -------
-    str
-        A remark; empty where the error is small or no change removes most of it.
+    Errors are compared as they stand and after each change: axes negated or exchanged, left and right joints exchanged,
+    both, a shift where no root is subtracted, and a factor.
     """
-    number = min(len(data.truth), _POSES, max(4, _JOINTS // data.shape[2]))
-    rows = sample_rows(len(data.truth), number)
-    some = data.replace(reference=None).select(rows)
-    _, m, k, d = some.shape
-    if d < 2 or k < 3 or data.unit in PERIODS:
-        return ""
-    with np.errstate(over="ignore", invalid="ignore"):  # of coordinates that are refused for their size
-        x = some.hypotheses.read(0, m)[:_HYPOTHESES].mean(axis=0, dtype=np.float64)
-    y = some.truth.astype(np.float64)
-    usable = np.isfinite(x).all(axis=(1, 2)) & np.isfinite(y).all(axis=(1, 2))
-    if some.where is not None:
-        usable &= some.where.all(axis=1)
-    x, y = x[usable], y[usable]
-    if data.root is not None:
-        x, y = x - origin(x, data.root), y - origin(y, data.root)
-    if len(x) < _FEWEST:
-        return ""
-    centred = y - y.mean(axis=1, keepdims=True)
-    size, errors = np.sqrt((centred**2).sum(axis=2).mean()), _errors(x, y)
-    if errors.mean() < _LARGE * size:
-        return ""
-    after = {
-        words: _errors(changed, y) for words, changed in _changes(x, y, data.joints, is_absolute=data.root is None)
-    }
-    words = min(
-        after, key=lambda key: after[key].mean() * (1 + len(key) / 50)
-    )  # of those that are as good, the simplest
-    left, agree = after[words].mean(), (after[words] < errors / 2).mean()
-    if left > (1 - _REMOVES) * errors.mean() or agree < _AGREE:
-        return ""
-    return (
-        f"{DIFFERENT_FRAMES}: {words} in {data.names[0]} turns the error of the mean hypothesis from "
-        f"{errors.mean():,.0f} into {left:,.0f} {data.unit or 'units'} ({len(x)} frames looked at). Check axes, "
-        "sides and units before reading anything else; no sentence about calibration is given."
-    )
+
+    def __init__(self) -> None:
+        self._poses: list[tuple[FloatArray, FloatArray]] = []
+        self._looked_at = 0
+        self._about: tuple[tuple[str, ...], AnyRoot, str, str] | None = None
+
+    def add(self, data: PoseData) -> None:
+        """Look at some more poses, as many as are wanted still.
+
+        Parameters
+        ----------
+        data : PoseData
+            Positions of two or three coordinates; others are not looked at.
+        """
+        _, _, k, d = data.shape
+        wanted = min(_POSES, max(4, _JOINTS // k)) - self._looked_at
+        if d < 2 or k < 3 or data.unit in PERIODS or wanted <= 0:
+            return
+        some = data.replace(reference=None).select(sample_rows(len(data.truth), wanted))
+        m = len(some.truth)
+        hypotheses = some.hypotheses.read(0, m)[:_HYPOTHESES].astype(np.float64)
+        if some.scores is not None and (some.scores >= 0).all():  # of which 0 is that of an absent hypothesis
+            hypotheses[some.scores[:_HYPOTHESES] == 0] = np.nan
+        known = np.isfinite(hypotheses)
+        number = known.sum(axis=0)
+        x = np.where(number > 0, np.where(known, hypotheses, 0).sum(axis=0) / np.maximum(number, 1), np.nan)
+        y = some.truth.astype(np.float64)
+        counted = np.asarray(np.isfinite(x).all(axis=2) & np.isfinite(y).all(axis=2))
+        if some.where is not None:
+            counted &= some.where
+        x, y = (np.where(counted[..., None], poses, np.nan) for poses in (x, y))
+        if data.root is not None:
+            x, y = x - origin(x, data.root), y - origin(y, data.root)
+        usable = np.isfinite(x[..., 0]).mean(axis=1) >= _KNOWN
+        self._poses.append((x[usable], y[usable]))
+        self._looked_at += m
+        self._about = data.joints, data.root, data.unit or "units", data.names[0]
+
+    def remarks(self) -> list[str]:
+        """Give a remark where one change removes most of a large error."""
+        if self._about is None:
+            return []
+        joints, root, unit, name = self._about
+        x, y = (np.concatenate(poses) for poses in zip(*self._poses, strict=True))
+        if len(x) < _FEWEST:
+            return []
+        centred = y - _mean(y, axis=1)
+        size, errors = np.sqrt(np.nanmean((centred**2).sum(axis=2))), _errors(x, y)
+        if errors.mean() < _LARGE * size:
+            return []
+        changes = _changes(x, y, joints, is_absolute=root is None)
+        after = {words: _errors(changed, y) for words, changed in changes}
+        words = min(after, key=lambda key: after[key].mean() * (1 + len(key) / 50))  # of the best, the simplest
+        left, agree = after[words].mean(), (after[words] < _BETTER * errors).mean()
+        if left > (1 - _REMOVES) * errors.mean() or agree < _AGREE:
+            return []
+        found = f"{errors.mean():,.0f} into {left:,.0f} {unit} ({len(x)} frames looked at)"
+        return [
+            Remark(
+                f"{DIFFERENT_FRAMES}: {words} in {name} turns the error of the mean hypothesis from ",
+                Example(found),
+                ". Check axes, sides and units before reading anything else; no sentence about calibration is given.",
+            )
+        ]
+
+
+def _mean(poses: FloatArray, axis: int) -> FloatArray:
+    """Mean over joints that are known, with the axis kept."""
+    known = np.isfinite(poses)
+    sums: FloatArray = np.where(known, poses, 0).sum(axis=axis, keepdims=True)
+    return np.asarray(sums / np.maximum(known.sum(axis=axis, keepdims=True), 1))
 
 
 def _errors(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Mean error over the joints of each pose, (M,)."""
-    return np.asarray(np.linalg.norm(x - y, axis=-1).mean(axis=1))
+    """Mean error over the joints that are known of each pose, (M,)."""
+    return _mean(np.linalg.norm(x - y, axis=-1), axis=1)[:, 0]
 
 
 def _changes(
@@ -102,11 +135,11 @@ def _changes(
             yield words, turned
         if exchanged is not None:
             yield " and ".join(["exchanging left and right joints", *([words] if words else [])]), turned[:, exchanged]
-    shift = (y - x).mean(axis=1, keepdims=True)
-    if is_absolute and np.linalg.norm(shift) > _FAR * np.linalg.norm(y - y.mean(axis=1, keepdims=True)):
+    shift = _mean(y - x, axis=1)
+    if is_absolute and np.linalg.norm(shift) > _FAR * np.sqrt(np.nansum((y - _mean(y, axis=1)) ** 2)):
         yield "a shift of each pose", x + shift
-    square = (x * x).sum()
-    factor = float((x * y).sum() / square) if square > 0 else 1.0
+    square = np.nansum(x * x)
+    factor = float(np.nansum(x * y) / square) if square > 0 else 1.0
     if factor > 0 and not 1 / _OF_A_MODEL < factor < _OF_A_MODEL:
         yield f"a factor of {factor:.3g}", x * factor
 

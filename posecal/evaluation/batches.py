@@ -15,7 +15,7 @@ import numpy.typing as npt
 from posecal.calibration.rank_tests import PreRank
 from posecal.data.arrays import as_labels
 from posecal.data.declarations import Declarations
-from posecal.data.frames import frame_remark
+from posecal.data.frames import FrameCheck
 from posecal.data.layout import HYPOTHESES
 from posecal.data.pose_data import PoseData
 from posecal.data.remarks import join_remarks
@@ -123,7 +123,7 @@ class Evaluation:
         self._held: list[str] = []  # those of them that are pending
         self._frames_of_others: set[str] = set()
         self._others: list[Totals] = []
-        self._remarks: tuple[str, ...] = ()
+        self._remarks, self._frame_check = join_remarks([]), FrameCheck()
         self._batches = self._n_frames = 0
 
     def update(
@@ -226,8 +226,7 @@ class Evaluation:
         check_callable("progress", progress)
         n_given = len(checked_type(data, "data", PoseData).truth) if n_given is None else n_given
         has_mask = data.where is not None
-        if not wants_reference(self.protocol):
-            data = data.replace(reference=None)
+        data = data if wants_reference(self.protocol) else data.replace(reference=None)
         data = select_scored(data, self.protocol)
         lack = lack_of_scored(data, self.protocol)
         if lack and complete:
@@ -248,8 +247,7 @@ class Evaluation:
         self._remarks = join_remarks([*self._remarks, *filter(None, remarks)])
         self._n_frames += n_given
         self._lack = lack if self._lack is None else self._lack and lack
-        self._has_frames = hold_back
-        self._batches += 1
+        self._has_frames, self._batches = hold_back, self._batches + 1
 
     def _count(
         self, data: PoseData, progress: Progress | None, pending: Pending, n_given: int, has_mask: bool, ragged: bool
@@ -259,7 +257,7 @@ class Evaluation:
         spec = DataSpec.of(data, has_mask=has_mask, preranks=tuple(self._preranks), is_ragged=ragged)
         if not complete and not ragged:  # all poses are checked as they are measured
             refuse_non_finite_hypotheses(data)
-        remark = live_remark(data) if ragged else frame_remark(data) if self._accumulator is None else ""
+        remark = live_remark(data) if ragged else ""
         data = add_spread_labels(data, self.by, predicted_spread, self._threads, is_all=complete)
         if self._accumulator is None:
             options = self.by, self._preranks, self._prepared, self._threads
@@ -268,6 +266,7 @@ class Evaluation:
             accumulator = continue_accumulator(self._accumulator, spec, self.by, self._preranks, self._batches + 1)
         accumulator.add(data, progress, pending=pending, n_given=n_given)
         self._accumulator = accumulator
+        self._frame_check.add(data)
         if pending == "all":
             names = data.frame_id.tolist()
             self._held = [*self._held, *names][-accumulator.n_pending :]
@@ -294,7 +293,8 @@ class Evaluation:
             raise PoseDataError("evaluation: no batch so far; expected at least one update before compute.")
         totals = parts[0] if len(parts) == 1 else merge_totals(parts)
         totals.n_frames = self._n_frames
-        totals.remarks = join_remarks([*self._remarks, *totals.remarks], self._n_frames if self._batches > 1 else None)
+        remarks = [*self._remarks, *self._frame_check.remarks(), *totals.remarks]
+        totals.remarks = join_remarks(remarks, self._n_frames if self._batches > 1 else None)
         return totals
 
     def _parts(self) -> list[Totals]:
@@ -352,7 +352,7 @@ class Evaluation:
         self.__dict__.update(kept.__dict__)
         self._others = [*self._others, *other._parts()]
         self._frames_of_others = self._frames_of_others | frames
-        self._remarks = join_remarks([*self._remarks, *other._remarks])
+        self._remarks = join_remarks([*self._remarks, *other._remarks, *other._frame_check.remarks()])
         self._n_frames += other._n_frames
         self._batches += other._batches
         self._has_frames = other._has_frames if self._has_frames is None else self._has_frames

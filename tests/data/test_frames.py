@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import posecal
-from posecal.data.frames import DIFFERENT_FRAMES, frame_remark
+from posecal.data.frames import DIFFERENT_FRAMES, FrameCheck
 from posecal.data.pose_data import PoseData
 from tests.situations.people import JOINTS, about, people
 
@@ -19,7 +19,9 @@ SIDES = [
 
 def remark_of(x: Array, y: Array, **options: Any) -> str:
     given = {"unit": "mm", "joints": JOINTS, "axes": "NMKD", **options}
-    return frame_remark(PoseData(x, y, **given))
+    check = FrameCheck()
+    check.add(PoseData(x, y, **given))
+    return "".join(check.remarks())
 
 
 def model(seed: int = 0, spread: float = 40.0) -> tuple[Array, Array]:
@@ -62,15 +64,45 @@ def test_a_factor_and_a_shift_are_named() -> None:
     assert remark_of(x, there) == ""  # relative to the root they agree
 
 
-def test_masked_poses_and_those_that_are_not_finite_are_not_looked_at() -> None:
+def test_joints_that_do_not_count_are_left_out_and_poses_of_few() -> None:
     x, y = model()
     where = np.ones(y.shape[:2], dtype=bool)
-    y[:25, 4], where[:25, 4] = np.nan, False
-    found = remark_of(x * [1, -1, -1], y, where=where)
-    assert "negating y and z" in found
-    assert "(25 frames looked at)" in found
+    where[np.arange(50), 1 + np.arange(50) % 16] = False
+    y[~where] = np.nan
+    assert "(50 frames looked at)" in remark_of(x * [1, -1, -1], y, where=where)
+    where[:25, 4:] = False
+    assert "(25 frames looked at)" in remark_of(x * [1, -1, -1], y, where=where)
     where[:] = False
     assert remark_of(x * [1, -1, -1], y, where=where) == ""
+
+
+def test_hypotheses_that_are_absent_are_left_out() -> None:
+    x, y = model()
+    x *= [1, -1, -1]
+    padded, scores = x.copy(), np.full(x.shape[:2], 1 / 8)
+    padded[2:4], scores[2:4] = 0, 0
+    expected = remark_of(np.delete(x, [2, 3], axis=0), y)
+    assert expected
+    assert remark_of(padded, y, scores=scores) == expected
+    padded[2:4] = np.nan
+    assert remark_of(padded, y) == expected
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_mirrored_person_is_named_although_some_poses_are_nearly_symmetric(seed: int) -> None:
+    x, y = model(seed)
+    assert "negating y in hypotheses" in remark_of(x * [1, -1, 1], y)
+
+
+def test_small_batches_are_looked_at_together() -> None:
+    x, y = model()
+    parts = [posecal.Evaluation(unit="mm", joints=JOINTS, axes="NMKD") for _ in range(2)]
+    for start in range(0, 50, 2):
+        rows = slice(start, start + 2)
+        parts[start % 4 // 2].update(x[:, rows] * [1, -1, -1], y[rows])
+    parts[0].merge(parts[1])
+    (remark,) = [r for r in parts[0].totals().remarks if r.startswith(DIFFERENT_FRAMES)]
+    assert " frames looked at)" in remark
 
 
 def test_nothing_is_said_about_calibration_before_frames_agree() -> None:
