@@ -14,7 +14,7 @@ from posecal.data.declarations import choose_layouts, refuse_ambiguous
 from posecal.data.layout import HYPOTHESES, Layout, MemoryArray, plausible_layouts
 from posecal.data.stored_poses import StoredPoses, in_millimetres
 from posecal.data.units import PERIODS, quantity
-from posecal.errors import PoseDataError
+from posecal.errors import PoseDataError, option
 
 _DECLARED: ContextVar[str | None] = ContextVar("declared", default=None)
 
@@ -105,17 +105,26 @@ def checked(
     expected = "expected (N, M, K, D) and (M, K, D)"
     if x.ndim == 3 and y.ndim == 4:
         raise PoseDataError(f"{shapes}: {expected}. The two look swapped.")
+    if x.ndim == y.ndim == 3:
+        raise PoseDataError(f"{shapes}: {expected}. Of one prediction of each pose pass hypotheses[None].")
     if x.ndim != 4 or y.ndim != 3:
         raise PoseDataError(f"{shapes}: {expected}.")
     differing = [f"{letter} is {a} and {b}" for letter, a, b in zip("MKD", x.shape[1:], y.shape, strict=True) if a != b]
     if differing:
-        raise PoseDataError(f"{shapes}: {expected}, but {', '.join(differing)}.")
+        fitting = [] if axes else plausible_layouts(x.shape, y.shape)
+        hint = f" The shapes fit {option('axes', fitting[0])}." if fitting else ""
+        raise PoseDataError(f"{shapes}: {expected}, but {', '.join(differing)}.{hint}")
     if 0 in x.shape:
         empty = [letter for letter, size in zip("NMKD", x.shape, strict=True) if size == 0]
         raise PoseDataError(f"{shapes}: {', '.join(empty)} is 0; expected at least one of each.")
     is_declared = _DECLARED.get() is not None
     if axes is None and not is_declared:
         refuse_ambiguous(f"{shapes}: {expected}", x.shape, plausible_layouts(x.shape, y.shape))
+        if x.shape[3] > 3:
+            raise PoseDataError(
+                f"{shapes}: D = {x.shape[3]}; expected at most 3 coordinates of a position, last. Leave out a "
+                "confidence (hypotheses[..., :3]), or exchange the axes."
+            )
     _, factor = quantity_of(unit)
     x, y = (in_millimetres(array, factor) if factor != 1 or array.dtype.kind != "f" else array for array in (x, y))
     if unit is None and not is_declared:

@@ -25,8 +25,8 @@ _LARGE, _REMOVES, _AGREE, _FEWEST = 0.3, 0.6, 0.9, 5
 """A mean error above this share of the size of the poses, of which one change removes this share, is suspicious, if in
 this share of at least so many poses …"""
 
-_BETTER = 0.75
-"""… the error falls below this share of what it was."""
+_BETTER = 0.75, 0.5
+"""… the error falls below this share of what it was: by axes and sides, as some poses are nearly symmetric, or else."""
 
 _KNOWN = 0.5
 """Poses of which fewer joints are known than this share are not looked at."""
@@ -99,7 +99,8 @@ class FrameCheck:
         changes = _changes(x, y, joints, is_absolute=root is None)
         after = {words: _errors(changed, y) for words, changed in changes}
         words = min(after, key=lambda key: after[key].mean() * (1 + len(key) / 50))  # of the best, the simplest
-        left, agree = after[words].mean(), (after[words] < _BETTER * errors).mean()
+        better = _BETTER[words.startswith("a ")]  # a shift or a factor
+        left, agree = after[words].mean(), (after[words] < better * errors).mean()
         if left > (1 - _REMOVES) * errors.mean() or agree < _AGREE:
             return []
         found = f"{errors.mean():,.0f} into {left:,.0f} {unit} ({len(x)} frames looked at)"

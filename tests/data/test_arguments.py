@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -106,3 +108,18 @@ def test_a_metric_of_the_user_s_own_gets_blocks_of_declared_poses_whatever_their
 
 def upper_of(x: np.ndarray, y: np.ndarray, unit: str) -> np.ndarray:
     return metrics.min_mpjpe(x[:, :, 2:], y[:, 2:], axes="NMKD", unit=unit)
+
+
+def test_what_arrays_alone_can_show_is_answered_with_what_to_do() -> None:
+    random = np.random.default_rng(0)
+    y = random.normal(0, 300, (9, 6, 3))
+    x = y + random.normal(0, 40, (4, 9, 6, 3))
+    four = [np.concatenate([poses, np.full((*poses.shape[:-1], 1), 0.5)], axis=-1) for poses in (x, y)]
+    for hypotheses, truth, words in (
+        (*four, "D = 4; expected at most 3 coordinates of a position, last. Leave out a confidence"),
+        (x.swapaxes(2, 3), y.swapaxes(1, 2), "D = 6; expected at most 3 coordinates of a position, last."),
+        (x[0], y, "Of one prediction of each pose pass hypotheses[None]."),
+        (x.swapaxes(0, 1), y, 'M is 4 and 9. The shapes fit axes="MNKD".'),
+    ):
+        with pytest.raises(PoseDataError, match=re.escape(words)):
+            metrics.mpjpe(hypotheses, truth)
