@@ -118,7 +118,8 @@ def written_together() -> Iterator[list[_Output]]:
     Raises
     ------
     PoseFileError
-        Where one can't be written. What was there before stays.
+        Where one can't be written. What was there before stays, unless it is the renaming of complete files that fails
+        part way: then those before it are new.
     """
     if (outer := _outputs.get()) is not None:
         yield outer
