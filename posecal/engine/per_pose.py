@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from posecal.data.arguments import checked, period_of
 from posecal.data.arrays import BoolArray, FloatArray, checked_root
+from posecal.data.degenerate import is_outside
 from posecal.data.root import AnyRoot
 from posecal.engine.block import MOST_EARLIER, Block, block_length
 from posecal.engine.coordinate_range import coordinate_range
@@ -64,8 +65,14 @@ def per_pose(
         block = lay_out()
         if block.non_finite.any():
             pose, joint = np.argwhere(block.non_finite)[0] + np.array([number * length, 0])
+            if root is not None and not (np.isfinite(x[:, pose, root]).all() and np.isfinite(y[pose, root]).all()):
+                joint = root  # which makes all others so
+            of_both = x[:, pose, joint], y[pose, joint]
+            which = "hypotheses" if is_outside(of_both[0]).any() else "truth"
+            is_finite = all(np.isfinite(coordinates).all() for coordinates in of_both)
+            what = "coordinates beyond 10 km (1e7 mm)" if is_finite else "non-finite coordinates"
             raise PoseDataError(
-                f"hypotheses or truth: non-finite coordinates (first: pose {pose}, joint {joint}). "
+                f"{which}: {what} (first: pose {pose}, joint {joint}). "
                 "Mask those joints with where, or leave those poses out."
             )
         parts.append(np.asarray(statistic(block), dtype=np.float64))

@@ -215,8 +215,8 @@ def refuse_non_finite(data: PoseData, name: str, bad: Indices) -> None:
         what = "coordinates beyond 10 km (1e7 mm)" if is_finite else "non-finite coordinates"
         raise PoseDataError(
             f"{name} has {what} in {frames:,} of {len(data.truth):,} frames (first: frame "
-            f"{data.frame_id[frame]}, joint {data.joints[joint].removeprefix('joint ')}). Mask those joints with "
-            "where (in a file, a member valid (M, K)), or leave those frames out."
+            f"{data.frame_id[frame]}, joint {data.joints[joint].removeprefix('joint ')}). Mask those joints (in a "
+            "file by a member valid (M, K), in Python also by where), or leave those frames out."
         )
 
 

@@ -15,7 +15,8 @@ from posecal.data.root import AnyRoot, Root, resting_joints
 from posecal.data.skeleton import JOINT_SETS, known_set
 from posecal.data.units import PERIODS
 from posecal.engine.protocol import Protocol, named_joints
-from posecal.errors import PoseDataError
+from posecal.errors import PoseDataError, first_few
+from posecal.errors import option as named
 
 MESHES = (6890, 10475, 778)
 """How many vertices the meshes of SMPL, SMPL-X and MANO have."""
@@ -158,7 +159,9 @@ class Scope:
             ("joints without the root", self.moving),
         ):
             if not mask.any():
-                raise PoseDataError(f"{option}: none is left; the poses have {', '.join(self.spec.joints)}.")
+                positions = f" Of positions as they are, pass {named('root_joint', 'none')}." if self.fit.any() else ""
+                joints = first_few(self.spec.joints, MOST_NAMED)
+                raise PoseDataError(f"{option}: none is left; the poses have {joints}.{positions}")
 
     def _mask(self, option: str, text: str) -> BoolArray:
         names = frozenset(named_joints(option, text, self.spec.joints))

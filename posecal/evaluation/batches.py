@@ -47,8 +47,8 @@ class Evaluation:
     """Evaluation in batches: the sums of all that came so far, never the hypotheses.
 
     The numbers are those of one call of :func:`evaluate` over all batches together. Memory does not grow with the
-    number of batches, but for two numbers a pose (predicted spread and error, whose order over poses some metrics need),
-    the frame ids, where they are given, and at most 1 MB of hashes of poses.
+    number of batches, but for two numbers a pose (predicted spread and error, whose order over poses some metrics
+    need), the frame ids, where they are given, and at most 1 MB of hashes of poses.
 
     Parameters
     ----------

@@ -42,7 +42,8 @@ def _of_statistics(report: Report) -> Iterator[str]:
     totals, units = report.totals, report.totals.units()
     if not totals.has_sequences:
         consecutive = units.replace("of frames", "of consecutive frames")
-        yield f"no sequence labels: {consecutive} are taken as independent. In a video they are not."
+        are = "is" if totals.n_sequences == 1 else "are"
+        yield f"no sequence labels: {consecutive} {are} taken as independent. In a video they are not."
     sequences = totals.n_sequences
     if sequences < MIN_SEQUENCES:
         yield (

@@ -23,7 +23,7 @@ from posecal.engine.per_pose import iter_blocks, per_pose
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec
 from posecal.errors import PoseDataError
-from posecal.metrics import min_mpjpe
+from posecal.metrics import min_mpjpe, mpjpe
 from posecal.registry import known_metrics
 from tests.helpers import oracles
 from tests.helpers.random_worlds import Array, skewed
@@ -408,3 +408,12 @@ def test_a_statistic_of_every_pose_comes_in_the_order_of_the_poses(
     monkeypatch.setattr("posecal.engine.block.BLOCK_BYTES", 2 * N * K * D * 8)
     found = per_pose(lambda block: block.truth[:, 0, 0], *arrays)
     np.testing.assert_allclose(found, arrays[1][:, 0, 0])
+
+
+@pytest.mark.parametrize("which", ["hypotheses", "truth"])
+@pytest.mark.parametrize(("value", "what"), [(np.nan, "non-finite coordinates"), (1e8, "coordinates beyond 10 km")])
+def test_functions_of_arrays_say_which_array_holds_what(which: str, value: float, what: str) -> None:
+    x, y = skewed(0, 3, 5, 4, 3)
+    (x[1] if which == "hypotheses" else y)[2, 3, 0] = value
+    with pytest.raises(PoseDataError, match=rf"^{which}: {what}.* \(first: pose 2, joint 3\)"):
+        mpjpe(x, y, unit="mm")

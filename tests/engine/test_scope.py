@@ -78,7 +78,7 @@ def test_joints_of_pck_and_cps_are_among_those_that_are_scored() -> None:
     ],
 )
 def test_of_no_joint_there_is_no_number(options: dict[str, str], what: str) -> None:
-    words = rf"^{what}: none is left; the poses have Hip, RHip, Head, RWrist\.$"
+    words = rf"^{what}: none is left; the poses have Hip, RHip, Head, RWrist\. Of positions as they are, pass root_j"
     with pytest.raises(PoseDataError, match=words):
         Scope(Protocol().changed(options), SPEC)
 
