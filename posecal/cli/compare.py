@@ -10,7 +10,7 @@ import typer
 
 from posecal.cli import options as opt
 from posecal.cli.running import check_outputs, progress, terminal
-from posecal.errors import PoseFileError
+from posecal.errors import PoseFileError, for_command_line
 
 
 def compare(
@@ -55,9 +55,9 @@ def compare(
             sources, protocol=protocol, threads=threads, progress=lambda name: bar(name, len(sources[name].truth))
         )
     if form in {"csv", "json"}:
-        text = comparison.render(form)
+        text = comparison.render(form, words=for_command_line)
     else:
-        sheet = comparison_sheet(comparison)
+        sheet = comparison_sheet(comparison, for_command_line)
         text = sheet.text(**terminal()) if form == "text" else getattr(sheet, form)()
     if plot is not None:
         posecal.plot.save(posecal.plot.draw_comparison(comparison), plot)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 from posecal.data.frames import DIFFERENT_FRAMES
+from posecal.engine.totals import Totals
 from posecal.errors import first_few, for_python
 from posecal.registry import left_out
 from posecal.report.format import counted, p_value
@@ -84,9 +85,14 @@ def summarize(report: Report) -> list[str]:
     """
     if not {"ece", "signed_area"} <= report.metrics.keys() or math.isnan(report["ece"]):
         return []
-    if any(remark.startswith(DIFFERENT_FRAMES) for remark in report.totals.remarks):
+    if frames_differ(report.totals):
         return []  # what a curve says then is about axes, not about the model
     return [_of_curve(report), *_of_joints(report), *_of_rank_tests(report)]
+
+
+def frames_differ(totals: Totals) -> bool:
+    """Whether a remark says that the coordinate frames of hypotheses and truth differ."""
+    return any(remark.startswith(DIFFERENT_FRAMES) for remark in totals.remarks)
 
 
 def side_of(area: float, error: float) -> str:

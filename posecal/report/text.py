@@ -14,7 +14,7 @@ from posecal.engine.protocol import CHOICES, Protocol
 from posecal.errors import for_python
 from posecal.report.format import MISSING, counted, number, short_number, short_p, span
 from posecal.report.sheet import Sheet, Table
-from posecal.report.summary import remarks
+from posecal.report.summary import frames_differ, remarks
 from posecal.stats.resampling import MESH
 
 if TYPE_CHECKING:
@@ -145,7 +145,7 @@ def _by_joint(report: Report) -> Table:
     return Table("By joint", ("joint", *map(_heading, metrics.values())), rows)
 
 
-def comparison_sheet(comparison: Comparison) -> Sheet:
+def comparison_sheet(comparison: Comparison, words: Words = for_python) -> Sheet:
     """Lay out a comparison: two models with their differences, or more with their ranks."""
     names, first = comparison.names, comparison.totals[0]
     metrics = {n: m for n, m in comparison.metrics.items() if m.headline or m.family in {"scores", "rank_tests"}}
@@ -156,6 +156,7 @@ def comparison_sheet(comparison: Comparison) -> Sheet:
     return Sheet(
         f"{' against '.join(names)} · the same M = {first.poses.sum():,} poses, paired by {first.units()}",
         sentences=_comparison_sentences(comparison),
+        remarks=list(comparison.remarks_in(words)),
         tables=[Table("Comparison", headings, rows, ["better"])],
         footer=f"signature: {first.signature}",
     )
@@ -177,15 +178,18 @@ def _compared(comparison: Comparison, metric: Metric) -> tuple[str, ...]:
 
 
 def _comparison_sentences(comparison: Comparison) -> list[str]:
-    """Name the best model by accuracy, calibration and score, and the models that are not miscalibrated."""
-    sentences = []
-    for name in ("min_mpjpe", "ece", "energy_score"):
+    """Name the best model by accuracy, calibration and score, and the models that are not miscalibrated.
+
+    Nothing is said about calibration where the coordinate frames of a model differ.
+    """
+    sentences, differ = [], any(map(frames_differ, comparison.totals))
+    for name in ("min_mpjpe", "energy_score") if differ else ("min_mpjpe", "ece", "energy_score"):
         if name in comparison.metrics:
             ranks = {model: comparison.rank(name, model) for model in comparison.names}
             first = [model for model, rank in ranks.items() if rank == 1]
             best = f"{first[0]} is" if len(first) == 1 else "none is"
             sentences.append(f"{comparison.metrics[name].label}: {best} best beyond chance.")
-    if "ece" in comparison.metrics and not math.isnan(comparison.feasible()):
+    if not differ and "ece" in comparison.metrics and not math.isnan(comparison.feasible()):
         models = ", ".join(comparison.calibrated()) or "none"
         sentences.append(f"Not miscalibrated beyond chance: {models}.")
     return sentences

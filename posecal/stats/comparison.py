@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
+from html import escape
 from itertools import combinations
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -21,7 +22,7 @@ from posecal.engine.measure import SUM_OF_TRUE_POSES
 from posecal.engine.metric import Metric
 from posecal.engine.sums import sum_by
 from posecal.engine.totals import Totals, difference_of_signatures, different_metrics
-from posecal.errors import PoseDataError, did_you_mean, json_lines, option, printable
+from posecal.errors import PoseDataError, did_you_mean, for_python, json_lines, option, printable
 from posecal.registry import metrics_of
 from posecal.stats.jackknife import Interval, counting_sequences, jackknife, leave_one_out, paired_p
 from posecal.stats.resampling import LEVEL, MIN_SEQUENCES, Null, holm
@@ -86,10 +87,30 @@ class Comparison:
         return f"<Comparison of {printable(', '.join(self.names))}: M = {first.poses.sum():,}, {first.units()}>"
 
     def __str__(self) -> str:
-        return self._shown.to_string(index=False)
+        return "\n".join([*self._notes, self._shown.to_string(index=False)])
 
     def _repr_html_(self) -> str:
-        return self._shown.to_html(index=False)
+        return "\n".join([*(f"<p>{escape(note)}</p>" for note in self._notes), self._shown.to_html(index=False)])
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a careful reader should know about the data of each model, after its name; once where it is of all."""
+        return self.remarks_in(for_python)
+
+    def remarks_in(self, words: Callable[[str], str]) -> tuple[str, ...]:
+        """Give the remarks, with options named by ``for_python`` or ``for_command_line`` of :mod:`posecal.errors`."""
+        models: dict[str, list[str]] = {}
+        for name, totals in zip(self.names, self.totals, strict=True):
+            for remark in totals.remarks:
+                models.setdefault(words(remark), []).append(name)
+        return tuple(
+            remark if len(some) == len(self.names) else f"{', '.join(some)}: {remark}"
+            for remark, some in models.items()
+        )
+
+    @property
+    def _notes(self) -> list[str]:
+        return [printable(f"note: {remark}") for remark in self.remarks]
 
     @cached_property
     def metrics(self) -> dict[str, Metric]:
@@ -123,7 +144,9 @@ class Comparison:
         import pandas as pd
 
         columns = [column.name for column in fields(Difference)]
-        return pd.DataFrame([asdict(difference) for difference in self.differences], columns=columns)
+        table = pd.DataFrame([asdict(difference) for difference in self.differences], columns=columns)
+        table.attrs = {"remarks": list(self.remarks)}
+        return table
 
     @property
     def _shown(self) -> pd.DataFrame:
@@ -158,20 +181,32 @@ class Comparison:
         pairs = [pair for pair in self.differences_of(metric) if model in (pair.first, pair.second)]
         return 1 + sum(pair.better not in (None, model) for pair in pairs)
 
-    def render(self, form: str) -> str:
+    def render(self, form: str, *, words: Callable[[str], str] = for_python) -> str:
         """Write the differences as ``csv``, ``markdown`` or ``latex``; as ``json``, with all values and ranks.
+
+        Remarks come first, in CSV last, as rows of the metric ``remark`` with the text as their ``first``.
+
+        Parameters
+        ----------
+        form : str
+            ``csv``, ``json``, ``latex`` or ``markdown``.
+        words : callable
+            How remarks name options: ``for_python`` or ``for_command_line`` of :mod:`posecal.errors`.
 
         Raises
         ------
         PoseDataError
             For another form.
         """
+        remarks, shown = [*map(printable, self.remarks_in(words))], self._shown
         if form == "csv":
-            return self._shown.to_csv(index=False, lineterminator="\n").rstrip("\n")
+            notes = shown.iloc[:0].reindex(range(len(remarks))).assign(metric="remark", first=remarks)
+            parts = [part.to_csv(index=False, header=part is shown, lineterminator="\n") for part in (shown, notes)]
+            return "".join(parts).rstrip("\n")
         if form == "markdown":
-            return self._shown.to_markdown(index=False)
+            return "\n\n".join([*(f"note: {remark}" for remark in remarks), shown.to_markdown(index=False)])
         if form == "latex":
-            return self._shown.to_latex(index=False, escape=True)
+            return "\n".join([*(f"% note: {remark}" for remark in remarks), shown.to_latex(index=False, escape=True)])
         if form != "json":
             raise PoseDataError(f"format: {form!r} is not known. {did_you_mean(form, FORMATS)}")
         values = [
@@ -180,8 +215,8 @@ class Comparison:
             for model in self.names
         ]
         differences = [{key: _plain(value) for key, value in asdict(d).items()} for d in self.differences]
-        about = {"signature": self.totals[0].signature, "models": self.names, "values": values}
-        return json_lines({**about, "differences": differences})
+        about = {"signature": self.totals[0].signature, "models": self.names, "remarks": self.remarks_in(words)}
+        return json_lines({**about, "values": values, "differences": differences})
 
     def _find(self, metric: str, model: str) -> tuple[Metric, Totals]:
         if metric not in self.metrics:

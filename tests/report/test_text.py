@@ -19,6 +19,7 @@ from posecal.report.report import Report
 from posecal.report.text import comparison_sheet, presets_sheet, radius_sheet, report_sheet, spread_sheet
 from posecal.stats.comparison import compare_totals
 from tests.helpers.reports import grouped_report, report_of, unlabelled, world
+from tests.situations.people import JOINTS, about, people
 
 
 def squeezed(text: str) -> str:
@@ -265,6 +266,28 @@ def test_two_models_stand_with_their_difference() -> None:
     assert "ECE: right is best beyond chance." in sheet.sentences
     assert "Not miscalibrated beyond chance: right." in sheet.sentences
     assert sheet.footer == f"signature: {reports[0].signature}"
+
+
+def test_a_comparison_has_the_remarks_of_its_models_and_no_word_on_calibration_where_frames_differ() -> None:
+    random = np.random.default_rng(0)
+    y = people(random, 40)
+    x = about(random, y, 8)
+    models: dict[str, Any] = {"right": x, "other": x + 1, "flipped": x * [1, -1, -1]}
+    about_data = {"unit": "mm", "joints": JOINTS, "labels": {"sequence": np.repeat(np.arange(10), 4)}}
+    found = posecal.compare(models, y, metrics="min_mpjpe,ece", **about_data)
+    sheet = comparison_sheet(found)
+    assert sheet.sentences == ["minMPJPE: none is best beyond chance."]
+    (remark,) = sheet.remarks
+    assert remark.startswith("flipped: coordinate frames differ: negating y and z in hypotheses turns")
+    assert sheet.markdown().splitlines()[4] == f"note: {remark}"
+    del models["flipped"]
+    sheet = comparison_sheet(posecal.compare(models, y, metrics="min_mpjpe,ece", **about_data))
+    assert sheet.remarks == []
+    assert [sentence.split(":")[0] for sentence in sheet.sentences] == [
+        "minMPJPE",
+        "ECE",
+        "Not miscalibrated beyond chance",
+    ]
 
 
 def test_more_models_stand_with_their_ranks() -> None:

@@ -16,7 +16,7 @@ from scipy import stats
 from posecal.engine.metric import Metric
 from posecal.engine.protocol import Protocol
 from posecal.engine.totals import Totals
-from posecal.errors import PoseDataError
+from posecal.errors import PoseDataError, for_command_line, option
 from posecal.stats import comparison
 from posecal.stats.comparison import Comparison, compare_totals
 from posecal.stats.jackknife import leave_one_out
@@ -217,6 +217,38 @@ def test_markdown_and_latex_hold_a_line_for_each_difference() -> None:
     assert f"{difference.value:f}" in line
     assert "mpjpe" in str(pair)
     assert "<td>mpjpe</td>" in pair._repr_html_()
+
+
+POINTS = "in 2 of 40 frames every hypothesis is one point."
+OF_ALL = "the root Hip is taken."
+
+
+def with_remarks(**remarks: tuple[str, ...]) -> Comparison:
+    """Compare models of which the data have remarks."""
+    totals = [replace(totals_of(MODELS[name], Y, "min_mpjpe,ece"), remarks=some) for name, some in remarks.items()]
+    return compare_totals(totals, list(remarks))
+
+
+def test_remarks_stand_after_the_names_of_their_models_and_once_where_they_are_of_all() -> None:
+    found = with_remarks(right=(OF_ALL,), narrow=(POINTS, OF_ALL), off=(OF_ALL, POINTS))
+    assert found.remarks == (OF_ALL, f"narrow, off: {POINTS}")
+    assert found.table.attrs == {"remarks": [*found.remarks]}
+    pair = with_remarks(right=(f"Pass {option('unit', 'cm')}.",), narrow=())
+    assert pair.remarks == ('right: Pass unit="cm".',)
+    assert json.loads(pair.render("json", words=for_command_line))["remarks"] == ["right: Pass --unit cm."]
+
+
+def test_remarks_stand_in_every_form() -> None:
+    found = with_remarks(right=(), narrow=(POINTS,))
+    (remark,) = found.remarks
+    assert json.loads(found.render("json"))["remarks"] == [remark]
+    rows = list(csv.DictReader(io.StringIO(found.render("csv"))))
+    assert [row["metric"] for row in rows] == ["min_mpjpe", "ece", "remark"]
+    assert [value for value in rows[-1].values() if value] == ["remark", remark]
+    assert found.render("markdown").startswith(f"note: {remark}\n\n| metric")
+    assert found.render("latex").startswith(f"% note: {remark}\n\\begin")
+    assert str(found).splitlines()[0] == f"note: {remark}"
+    assert found._repr_html_().startswith(f"<p>note: {remark}</p>\n<table")
 
 
 def test_another_form_metric_or_model_is_refused(three: Comparison) -> None:
