@@ -9,6 +9,7 @@ import typer
 
 from posecal.cli import options as opt
 from posecal.cli.running import check_outputs, command, progress, say, show
+from posecal.errors import for_command_line
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -49,7 +50,7 @@ def fit(
         if split:
             before, after, _ = recalibration.cross_fitted(poses, folds=folds, per_joint=per_joint, threads=threads)
             judged = before, after, folds
-        sheet = spread_sheet(spread.by_joint, spread.poses, judged)
+        sheet = spread_sheet(spread.by_joint, spread.poses, judged, map(for_command_line, spread.data_remarks))
         recalibration.write_map(spread, output)
         show(sheet)
         return
@@ -58,7 +59,8 @@ def fit(
     if split:
         shares = recalibration.held_out_coverage(poses, alpha=radius, scaled=scaled, folds=folds, threads=threads)
         coverage = dict(zip(radii.joints, shares.tolist(), strict=True))
-    sheet = radius_sheet(radii.by_joint, radii.poses, radius, radii.unit, coverage)
+    notes = map(for_command_line, radii.data_remarks)
+    sheet = radius_sheet(radii.by_joint, radii.poses, radius, radii.unit, coverage, notes)
     recalibration.write_map(radii, output)
     show(sheet)
 

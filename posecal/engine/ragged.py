@@ -76,6 +76,12 @@ def is_ragged(data: PoseData, accumulator: Accumulator | None) -> bool:
     return has_absent(data) or (accumulator is not None and accumulator.spec.is_ragged)
 
 
+def n_present(data: PoseData) -> Indices:
+    """Count the hypotheses of every pose that are there, (M,)."""
+    chunks = read_chunks(data.replace(reference=None))
+    return np.concatenate([present(chunk.hypotheses, chunk.scores).sum(axis=0) for chunk in chunks])
+
+
 def live_remark(data: PoseData) -> str:
     """Say how many hypotheses are absent.
 
@@ -84,12 +90,7 @@ def live_remark(data: PoseData) -> str:
     PoseDataError
         Where a pose has none, with the number of such poses and the first.
     """
-    parts, start = [], 0
-    for chunk in read_chunks(data.replace(reference=None)):
-        scores = None if data.scores is None else data.scores[:, start : start + len(chunk)]
-        parts.append(present(chunk.hypotheses, scores).sum(axis=0))
-        start += len(chunk)
-    live, (n, m, *_) = np.concatenate(parts), data.shape
+    live, (n, m, *_) = n_present(data), data.shape
     if not live.all():
         frames = data.frame_id[live == 0].tolist()
         raise PoseDataError(

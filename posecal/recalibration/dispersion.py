@@ -17,6 +17,7 @@ import numpy.typing as npt
 from posecal.calibration.curve import inside_table
 from posecal.calibration.ranks import LEVELS
 from posecal.data.arrays import BoolArray, FloatArray
+from posecal.data.frames import frame_remark
 from posecal.data.pose_data import PoseData
 from posecal.data.root import AnyRoot, origin
 from posecal.data.stored_poses import Hypotheses, Rows
@@ -26,7 +27,7 @@ from posecal.engine.circular import wrapped
 from posecal.engine.merge import merge_totals
 from posecal.engine.per_pose import iter_blocks
 from posecal.engine.protocol import Protocol
-from posecal.errors import PoseDataError
+from posecal.errors import PoseDataError, for_python
 from posecal.evaluation.call import evaluate
 from posecal.evaluation.sources import Source, as_pose_data
 from posecal.recalibration import folds as parts
@@ -56,6 +57,8 @@ class SpreadMap:
         What positions were relative to.
     data_unit : str
         Of what it was fitted on: ``mm``, ``deg``, ``px``, or empty.
+    data_remarks : tuple of str
+        On what it was fitted on, as :attr:`posecal.PoseData.remarks`; a file of the map does not hold them.
     """
 
     joints: tuple[str, ...]
@@ -64,6 +67,12 @@ class SpreadMap:
     sequences: int
     root: AnyRoot = None
     data_unit: str = "mm"
+    data_remarks: tuple[str, ...] = ()
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a careful reader should know about the data that it was fitted on."""
+        return tuple(map(for_python, self.data_remarks))
 
     @property
     def by_joint(self) -> dict[str, float]:
@@ -213,11 +222,17 @@ def _beyond(block: Block, counted: BoolArray) -> FloatArray:
 
 
 def _best_factors(
-    sums: FloatArray, counts: npt.NDArray[np.int64], joints: tuple[str, ...], *, per_joint: bool
+    sums: FloatArray,
+    counts: npt.NDArray[np.int64],
+    joints: tuple[str, ...],
+    *,
+    per_joint: bool,
+    frames: str = "",
 ) -> FloatArray:
     """Factors (K,) at which the curves (G, K, Q) are closest to the diagonal; 1 for joints that don't count.
 
-    Between the tried factors it is a parabola's smallest value, in the logarithm, through the best three.
+    Between the tried factors it is a parabola's smallest value, in the logarithm, through the best three. The remark on
+    coordinate ``frames``, if any, is the reason where none calibrates.
     """
     used = counts > 0
     distance = ((sums[:, used] / counts[used][:, None] - LEVELS) ** 2).mean(axis=-1)  # (G, K used)
@@ -230,7 +245,8 @@ def _best_factors(
         names = ", ".join(joints[k].removeprefix("joint ") for k in uncalibrated)
         raise PoseDataError(
             f"spread: no factor from {tried[0]:g} to {tried[-1]:.3g} calibrates "
-            f"{names if per_joint else 'all joints together'}. Do the hypotheses all agree?"
+            f"{names if per_joint else 'all joints together'}. "
+            + (f"C{frames[1:]}" if frames else "Do the hypotheses all agree?")
         )
     left, middle, right = np.take_along_axis(distance, best + np.array([[-1], [0], [1]]), axis=0)
     shift = 0.5 * (left - right) / (left - 2 * middle + right)  # the best is the first of its kind: left > middle
@@ -285,12 +301,11 @@ def fit_spread(
     >>> bool(1.8 < spread_map.factors[0] < 2.2), spread_map.apply(hypotheses).shape
     (True, (50, 500, 4, 3))
     """
-    data = as_pose_data(hypotheses, truth, described)
-    parts.refuse_one_hypothesis(data)
+    data = parts.select_fitted(as_pose_data(hypotheses, truth, described))
     sums, counts = _curves(data, np.zeros(len(data.truth), dtype=np.intp), threads)
-    factors = _best_factors(sums[0], counts[0], data.joints, per_joint=per_joint)
-    sequences = parts.number_of_sequences(data)
-    return SpreadMap(data.joints, factors, len(data.truth), sequences, data.root, data.unit)
+    factors = _best_factors(sums[0], counts[0], data.joints, per_joint=per_joint, frames=frame_remark(data))
+    fitted = len(data.truth), parts.number_of_sequences(data), data.root, data.unit, parts.remarks_of(data)
+    return SpreadMap(data.joints, factors, *fitted)
 
 
 def cross_fitted(
@@ -327,14 +342,13 @@ def cross_fitted(
     PoseDataError
         For one hypothesis, and fewer sequences than parts.
     """
-    data = as_pose_data(hypotheses, truth, described)
-    parts.refuse_one_hypothesis(data)
+    data = parts.select_fitted(as_pose_data(hypotheses, truth, described))
     fold_of = parts.folds_of(data, folds)
     sums, counts = _curves(data, fold_of, threads)
-    totals, factors = [], []
+    totals, factors, frames = [], list[FloatArray](), frame_remark(data)
     for fold in range(folds):
         others = sums.sum(axis=0) - sums[fold], counts.sum(axis=0) - counts[fold]
-        factors.append(_best_factors(*others, data.joints, per_joint=per_joint))
+        factors.append(_best_factors(*others, data.joints, per_joint=per_joint, frames=frames))
         held_out = data.select(np.flatnonzero(fold_of == fold))
         rescaled_part = SpreadMap(data.joints, factors[-1], 0, 0, data_unit=data.unit).rescale(held_out)
         totals.append(evaluate(rescaled_part, protocol=protocol, threads=threads).totals)

@@ -9,16 +9,21 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray, real_array, working_dtype
+from posecal.data.frames import frame_remark
 from posecal.data.joint_names import match_joints
 from posecal.data.layout import HYPOTHESES, Layout, MemoryArray
 from posecal.data.pose_data import PoseData
+from posecal.data.remarks import join_remarks
 from posecal.data.root import resting_joints
 from posecal.data.stored_poses import Rows
 from posecal.data.units import PERIODS, quantity
 from posecal.engine.block import Block
-from posecal.engine.chunks import map_blocks
-from posecal.engine.prepare import refuse_non_finite
-from posecal.errors import PoseDataError, option
+from posecal.engine.chunks import map_blocks, read_chunks
+from posecal.engine.coinciding import Coinciding
+from posecal.engine.prepare import lack_of_scored, refuse_non_finite, select_scored
+from posecal.engine.protocol import Protocol
+from posecal.engine.ragged import has_absent, has_absent_anywhere, n_present
+from posecal.errors import PoseDataError, first_few, option
 
 T = TypeVar("T")
 
@@ -61,16 +66,50 @@ def movable_joints(data: PoseData) -> BoolArray:
     return mask
 
 
-def refuse_one_hypothesis(data: PoseData) -> None:
-    """Refuse one hypothesis, which has no spread.
+def select_fitted(data: PoseData, least: int = 2) -> PoseData:
+    """Keep the poses that recalibration is fitted on: those that an evaluation would count.
+
+    Parameters
+    ----------
+    data : PoseData
+        All poses.
+    least : int
+        How many hypotheses are needed; one has no spread.
 
     Raises
     ------
     PoseDataError
-        For N = 1.
+        For fewer hypotheses, for poses that lack some, where the truth is not finite, and where no joint counts.
     """
-    if data.shape[0] < 2:
+    if data.shape[0] < least:
         raise PoseDataError(f"{data.names[0]}: 1 hypothesis; recalibration needs at least 2.")
+    data = select_scored(data, Protocol())
+    if lack := lack_of_scored(data, Protocol()):
+        raise PoseDataError(lack)
+    if has_absent(data):
+        raise _absent(data)
+    return data
+
+
+def _absent(data: PoseData) -> PoseDataError:
+    live, n = n_present(data), data.shape[0]
+    frames = data.frame_id[live < n].tolist()
+    where = f"{len(frames):,} of {len(live):,} frames (first: {first_few(frames)})"
+    return PoseDataError(
+        f"{data.names[0]}: hypotheses are absent (NaN, or of weight 0) in {where}; expected all N = {n} in each frame "
+        f"that a recalibration is fitted on. Leave these frames out, or pass {option('n_hypotheses')} to take the "
+        "first ones, as many as all frames have."
+    )
+
+
+def remarks_of(data: PoseData) -> tuple[str, ...]:
+    """Give the remarks that an evaluation of the same data would have on hypotheses and frames."""
+    coinciding, start = Coinciding(), 0
+    for chunk in read_chunks(data.replace(reference=None)):
+        frames = data.frame_id[start : start + len(chunk)]
+        coinciding.add(data.names[0], chunk.hypotheses, chunk.where, frames)
+        start += len(chunk)
+    return join_remarks([*data.remarks, *filter(None, [frame_remark(data)]), *coinciding.remarks()])
 
 
 def measure_blocks(data: PoseData, measure: Callable[[Block], T], threads: int | None) -> Iterator[T]:
@@ -83,6 +122,8 @@ def measure_blocks(data: PoseData, measure: Callable[[Block], T], threads: int |
     """
     start = 0
     for poses, bad, measured in map_blocks(data, lambda block: _measure(block, measure), threads):
+        if len(bad) and has_absent_anywhere(data):
+            raise _absent(data)
         refuse_non_finite(data, data.names[0], bad + np.array([start, 0]))
         start += poses
         assert measured is not None

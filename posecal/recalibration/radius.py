@@ -14,7 +14,7 @@ from posecal.data.root import AnyRoot
 from posecal.engine.block import Block
 from posecal.engine.per_pose import iter_blocks
 from posecal.engine.sums import mean_of
-from posecal.errors import PoseDataError
+from posecal.errors import PoseDataError, for_python
 from posecal.evaluation.sources import Source, as_pose_data
 from posecal.metrics.sharpness import joint_deviations
 from posecal.recalibration import folds as parts
@@ -40,6 +40,8 @@ class RadiusMap:
         What positions were relative to.
     data_unit : str
         Of what it was fitted on: ``mm``, ``deg``, ``px``, or empty.
+    data_remarks : tuple of str
+        On what it was fitted on, as :attr:`posecal.PoseData.remarks`; a file of the map does not hold them.
     """
 
     joints: tuple[str, ...]
@@ -50,6 +52,12 @@ class RadiusMap:
     sequences: int
     root: AnyRoot = None
     data_unit: str = "mm"
+    data_remarks: tuple[str, ...] = ()
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a careful reader should know about the data that it was fitted on."""
+        return tuple(map(for_python, self.data_remarks))
 
     @property
     def by_joint(self) -> dict[str, float]:
@@ -184,15 +192,13 @@ def fit_radius(
     """
     data = _checked(as_pose_data(hypotheses, truth, described), alpha, scaled=scaled)
     radii = _radii(_distances(data, scaled=scaled, threads=threads), alpha)
-    sequences = parts.number_of_sequences(data)
-    return RadiusMap(data.joints, radii, alpha, scaled, len(data.truth), sequences, data.root, data.unit)
+    fitted = len(data.truth), parts.number_of_sequences(data), data.root, data.unit, parts.remarks_of(data)
+    return RadiusMap(data.joints, radii, alpha, scaled, *fitted)
 
 
 def _checked(data: PoseData, alpha: float, *, scaled: bool) -> PoseData:
     checked_number(alpha, "alpha", lambda value: 0 < value < 1, "between 0 and 1")
-    if scaled:
-        parts.refuse_one_hypothesis(data)
-    return data
+    return parts.select_fitted(data, 2 if scaled else 1)
 
 
 def held_out_coverage(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields
 from typing import TYPE_CHECKING
 
@@ -215,7 +215,12 @@ def presets_sheet() -> Sheet:
     )
 
 
-def spread_sheet(factors: Mapping[str, float], poses: int, judged: tuple[Report, Report, int] | None = None) -> Sheet:
+def spread_sheet(
+    factors: Mapping[str, float],
+    poses: int,
+    judged: tuple[Report, Report, int] | None = None,
+    remarks: Iterable[str] = (),
+) -> Sheet:
     """Lay out fitted spread factors, and what they do to held-out sequences.
 
     Parameters
@@ -226,6 +231,8 @@ def spread_sheet(factors: Mapping[str, float], poses: int, judged: tuple[Report,
         The number of poses that they were fitted on.
     judged : tuple of two Report and int, optional
         Of held-out sequences: before, after, and the number of parts.
+    remarks : iterable of str
+        On the data.
     """
     moving = {joint: factor for joint, factor in factors.items() if factor != 1}
     sentences, tables = [], []
@@ -249,11 +256,16 @@ def spread_sheet(factors: Mapping[str, float], poses: int, judged: tuple[Report,
             unit = before.metrics["min_mpjpe"].unit
             costs = f"{short_number(cost, unit)} {unit}".rstrip()
             sentences.append(f"It costs {costs} of minMPJPE, which rewards a spread that is too narrow.")
-    return Sheet("Recalibrated spread", sentences, tables=tables)
+    return Sheet("Recalibrated spread", sentences, list(remarks), tables)
 
 
 def radius_sheet(
-    radii: Mapping[str, float], poses: int, alpha: float, unit: str, coverage: Mapping[str, float] | None = None
+    radii: Mapping[str, float],
+    poses: int,
+    alpha: float,
+    unit: str,
+    coverage: Mapping[str, float] | None = None,
+    remarks: Iterable[str] = (),
 ) -> Sheet:
     """Lay out fitted radii, and the share of held-out truths within them.
 
@@ -269,15 +281,16 @@ def radius_sheet(
         Of the radii; empty where the data have none.
     coverage : mapping of float, optional
         Of held-out sequences: the share of truths within, by joint.
+    remarks : iterable of str
+        On the data.
     """
     known = {joint: radius for joint, radius in radii.items() if not math.isnan(radius)}
     sentences = [f"Radii about the median that hold {1 - alpha:.0%} of the truths of {poses:,} poses."]
-    headings, rows = (
-        ["joint", f"radius, {unit}" if unit else "radius"],
-        [(joint, f"{radius:.2f}") for joint, radius in known.items()],
-    )
-    if coverage is not None:
-        judged = [(joint, radius, f"{coverage[joint]:.3f}") for joint, radius in rows]
-        return Sheet("Conformal radii", sentences, tables=[Table("Radii", [*headings, "held-out coverage"], judged)])
-    sentences.append("Not judged: --split says how many truths they hold in sequences that they were not fitted on.")
-    return Sheet("Conformal radii", sentences, tables=[Table("Radii", headings, rows)])
+    headings = ["joint", f"radius, {unit}" if unit else "radius"]
+    rows: list[tuple[str, ...]] = [(joint, f"{radius:.2f}") for joint, radius in known.items()]
+    if coverage is None:
+        sentences.append("Not judged: --split says how many truths they hold in sequences they were not fitted on.")
+    else:
+        headings.append("held-out coverage")
+        rows = [(joint, radius, f"{coverage[joint]:.3f}") for joint, radius in rows]
+    return Sheet("Conformal radii", sentences, list(remarks), [Table("Radii", headings, rows)])

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import posecal
 from posecal.calibration.ranks import LEVELS
 from posecal.data.pose_data import PoseData
 from posecal.engine.protocol import Protocol
@@ -25,6 +26,8 @@ from posecal.recalibration.dispersion import FACTORS, _best_factors, rescaled
 from posecal.recalibration.folds import folds_of
 from tests.helpers.random_worlds import skewed
 from tests.helpers.samplers import gaussian, pairs_of, report_of, sequences
+from tests.situations.people import JOINTS as PEOPLE_JOINTS
+from tests.situations.people import about, people
 
 Array = np.ndarray
 FEW = Protocol(metrics="ece, signed_area, min_mpjpe")
@@ -342,3 +345,71 @@ def test_other_numbers_of_parts_are_refused(folds: Any, labels: list[str] | None
     pairs = pairs_of(*skewed(15, 2, 5, 2), labels=None if labels is None else {"sequence": labels})
     with pytest.raises(PoseDataError, match=words):
         folds_of(pairs, folds)
+
+
+# --- remarks on the data ----------------------------------------------------------------------------------------------
+
+
+def some_people(n: int = 8) -> tuple[Array, Array, dict[str, Any]]:
+    random = np.random.default_rng(0)
+    y = people(random, 40)
+    return about(random, y, n), y, {"unit": "mm", "joints": PEOPLE_JOINTS}
+
+
+@pytest.mark.parametrize("fit", [fit_spread, fit_radius])
+def test_a_map_has_the_remarks_of_an_evaluation_of_its_data(fit: Any) -> None:
+    x, y, described = some_people()
+    assert fit(x, y, **described).remarks == ()
+    empty = x.copy()
+    empty[:, [3, 9]] = 0
+    found = fit(empty, y, **described).remarks
+    assert found == posecal.evaluate(empty, y, metrics="mpjpe", **described).remarks[: len(found)]
+    assert found[0].startswith("hypotheses: in 2 of 40 frames (first: 3, 9) every hypothesis is one point.")
+
+
+def test_other_coordinate_frames_are_named() -> None:
+    x, y, described = some_people()
+    flipped = x * [1, -1, -1]
+    (remark,) = fit_radius(flipped, y, **described).remarks
+    assert remark.startswith("coordinate frames differ: negating y and z")
+    with pytest.raises(
+        PoseDataError, match=r"no factor .*together\. Coordinate frames differ: negating y and z in hyp"
+    ):
+        fit_spread(flipped, y, **described)
+
+
+@pytest.mark.parametrize("fit", [fit_spread, fit_radius, cross_fitted, held_out_coverage])
+@pytest.mark.parametrize("kind", ["NaN in many frames", "NaN in one frame of many", "weight 0"])
+def test_absent_hypotheses_are_refused_by_their_name(fit: Any, kind: str) -> None:
+    x, y, described = some_people()
+    lacking = [3]
+    if kind == "NaN in many frames":
+        lacking = [3, 20, 21]
+    elif kind == "NaN in one frame of many":
+        x, y, lacking = np.tile(x, (1, 20, 1, 1)), np.tile(y, (20, 1, 1)), [333]  # beyond the sample that is looked at
+    if kind == "weight 0":
+        scores = np.full((8, 40), 1 / 8)
+        scores[:, 3] = [0.2] * 5 + [0] * 3
+        described["scores"] = scores
+    else:
+        x[5:, lacking] = np.nan
+    where = rf"in {len(lacking)} of {len(y)} frames \(first: {lacking[0]}"
+    words = rf"^hypotheses: hypotheses are absent .* {where}.*n_hypotheses to take the first"
+    with pytest.raises(PoseDataError, match=words):
+        fit(x, y, **described)
+    described.pop("scores", None)
+    fit(x, y, n_hypotheses=5, **described)
+
+
+def test_poses_of_which_the_root_does_not_count_are_left_out_as_by_an_evaluation() -> None:
+    x, y, described = some_people()
+    where = np.ones((40, 17), dtype=bool)
+    where[7, 0] = False
+    broken = y.copy()
+    broken[7, 0] = 9000
+    rest = np.delete(np.arange(40), 7)
+    for fit, values in ((fit_spread, "factors"), (fit_radius, "radii")):
+        found = fit(x, broken, where=where, **described)
+        assert found.remarks[0].startswith("the root Hip does not count in 1 of 40 frames (first: 7)")
+        assert found.poses == 39
+        np.testing.assert_array_equal(getattr(found, values), getattr(fit(x[:, rest], y[rest], **described), values))
