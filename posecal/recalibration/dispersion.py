@@ -102,8 +102,8 @@ class SpreadMap:
         ------
         PoseDataError
             For another number of joints, arrays of another shape, type or quantity, a layout that is none, angles
-            without a unit, and where no layout is given and only the first axis has the length of the poses that the
-            map was fitted on.
+            without a unit, where no layout is given and only the first axis has the length of the poses that the map was
+            fitted on, for columns that are no coordinates, infinite ones, and joints that only some hypotheses have.
         """
         factor = parts.factor_of_unit(unit, self.data_unit)
         x, layout, clip_length = parts.checked_for_map(hypotheses, axes, self.joints, self.poses)

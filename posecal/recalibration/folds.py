@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray, real_array, working_dtype
+from posecal.data.degenerate import LARGEST, column_problem, is_outside
 from posecal.data.frames import frame_remark
 from posecal.data.joint_names import match_joints
 from posecal.data.layout import HYPOTHESES, Layout, MemoryArray
@@ -215,10 +216,64 @@ def checked_for_map(
         raise PoseDataError(
             f"hypotheses: {x.shape}; expected ({letters}) with the K = {len(joints)} joints of the map."
         )
-    if axes is None and x.shape[0] == poses != x.shape[1]:
+    if axes is None:
+        refuse_exchanged("hypotheses", x.shape, poses)
+    rows = np.arange(layout.shape(x.shape)[1])
+    if problem := column_problem("hypotheses", layout.read(MemoryArray(x), rows[:8]), "axes", layout.text):
+        raise PoseDataError(problem)
+    paper = layout.read(MemoryArray(x), rows).astype(working_dtype(x.dtype), copy=False)
+    refuse_unusable("hypotheses", paper)
+    return paper, layout, layout.clip_length(x.shape)
+
+
+def refuse_exchanged(name: str, shape: tuple[int, ...], poses: int) -> None:
+    """Refuse hypotheses of no declared layout that look like (M, N, K, D), by the number of poses of the fit.
+
+    Raises
+    ------
+    PoseDataError
+        With the layouts to choose from.
+    """
+    if shape[0] == poses != shape[1]:
         raise PoseDataError(
-            f"hypotheses: {x.shape}; expected (N, M, K, D), but the first axis has the {poses} poses of the fit. "
+            f"{name}: {shape}; expected (N, M, K, D), but the first axis has the {poses} poses of the fit. "
             f"Pass {option('axes', 'MNKD')} or {option('axes', HYPOTHESES)}."
         )
-    paper = layout.read(MemoryArray(x), np.arange(layout.shape(x.shape)[1]))
-    return paper.astype(working_dtype(x.dtype), copy=False), layout, layout.clip_length(x.shape)
+
+
+def refuse_unusable(name: str, hypotheses: FloatArray, valid: BoolArray | None = None, start: int = 0) -> None:
+    """Refuse hypotheses that a map can't be applied to.
+
+    Parameters
+    ----------
+    name : str
+        What messages call them.
+    hypotheses : array (N, m, K, D)
+        Some of them; NaN in all hypotheses of a joint stand for one that is not known.
+    valid : bool array (m, K), optional
+        The joints that are known; the others may hold anything.
+    start : int
+        The number of the first pose.
+
+    Raises
+    ------
+    PoseDataError
+        For coordinates that are infinite or beyond 1e7, and joints that only some hypotheses have: their median and
+        spread would be those of fewer.
+    """
+    flat = hypotheses.reshape(-1)
+    if np.vdot(flat, flat) < LARGEST**2:  # one fast pass; true of nearly every array
+        return
+    is_nan = np.isnan(hypotheses)
+    beyond: BoolArray = np.asarray((is_outside(hypotheses) & ~is_nan).any(axis=(0, 3)))
+    lacking: BoolArray = np.asarray((is_nan.any(axis=0) & ~is_nan.all(axis=0)).any(axis=-1))
+    for bad, what in (
+        (beyond, "infinite coordinates or some beyond 10 km (1e7 mm)"),
+        (lacking, "joints of which some hypotheses are absent (NaN)"),
+    ):
+        found = np.flatnonzero((bad if valid is None else bad & valid).any(axis=1))
+        if len(found):
+            raise PoseDataError(
+                f"{name} has {what} (first: frame {start + found[0]}); expected numbers, or NaN in all hypotheses for "
+                "what is not known. Leave these frames out."
+            )

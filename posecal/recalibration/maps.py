@@ -24,7 +24,7 @@ from posecal.engine.storage import digest_of
 from posecal.errors import PoseDataError, PoseFileError, json_text, refuse_unreadable
 from posecal.evaluation.sources import Source
 from posecal.recalibration.dispersion import SpreadMap, rescaled
-from posecal.recalibration.folds import refuse_another_unit, values_for_joints
+from posecal.recalibration.folds import refuse_another_unit, refuse_exchanged, refuse_unusable, values_for_joints
 from posecal.recalibration.radius import RadiusMap, balls
 
 FORMAT = 3
@@ -155,7 +155,8 @@ def apply_map(
     Raises
     ------
     PoseDataError
-        Where the map lacks a joint or is of another quantity, and for declarations that don't fit.
+        Where the map lacks a joint or is of another quantity, for declarations that don't fit, and for hypotheses that
+        an evaluation would refuse too.
     PoseFileError
         Where a file can't be read or written.
     """
@@ -167,6 +168,9 @@ def apply_map(
     source, names, root = resolve_hypotheses(poses, declared)
     refuse_another_unit(poses.name, quantity_of(poses, "unit", unit)[0], map_.data_unit)
     values = values_for_joints(map_.joints, values, names, poses.name)
+    if axes is None is poses.axes:
+        refuse_exchanged(poses.name, poses.array.shape, map_.poses)
+    valid = poses.valid if poses.valid is None or poses.valid.ndim == 2 else poses.valid[:, None]
     first, m, period = source.read(0, 1), len(source.rows), PERIODS.get(map_.data_unit)
     n, _, k, d = first.shape
     window = max(1, WINDOW_BYTES // first.nbytes)
@@ -175,8 +179,7 @@ def apply_map(
         for start in range(0, m, window):
             stop = min(start + window, m)
             part = source.read(start, stop)
-            if np.isinf(part).any():
-                raise PoseDataError(f"{poses.name} has infinite coordinates; expected numbers, NaN for what is absent.")
+            refuse_unusable(poses.name, part, None if valid is None else valid[start:stop], start)
             yield part
             if progress is not None:
                 progress(stop, m)

@@ -9,12 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import FloatArray, checked_number
+from posecal.data.checks import TINY, metres_message, pose_size
 from posecal.data.pose_data import PoseData
 from posecal.data.root import AnyRoot
 from posecal.engine.block import Block
 from posecal.engine.per_pose import iter_blocks
 from posecal.engine.sums import mean_of
-from posecal.errors import PoseDataError, for_python
+from posecal.errors import PoseDataError, for_python, option
 from posecal.evaluation.sources import Source, as_pose_data
 from posecal.metrics.sharpness import joint_deviations
 from posecal.recalibration import folds as parts
@@ -93,10 +94,14 @@ class RadiusMap:
         Raises
         ------
         PoseDataError
-            As :meth:`SpreadMap.apply`.
+            As :meth:`SpreadMap.apply`, and for radii in mm where hypotheses without a unit look like metres.
         """
         factor = parts.factor_of_unit(unit, self.data_unit)
         x, _, _ = parts.checked_for_map(hypotheses, axes, self.joints, self.poses)
+        size = pose_size(x[:12, :16].reshape(-1, *x.shape[2:]))
+        if unit is None and self.unit == "mm" and 0 < size < TINY:
+            advice = f"Pass {option('unit', 'm')}, or {option('unit', 'mm')} if it is right."
+            raise PoseDataError(f"{metres_message('hypotheses', size)} {advice}")
         radii = self.radii if self.scaled else self.radii / factor
         return balls(x, radii, self.root, scaled=self.scaled, period=parts.period_in(self.data_unit, factor))
 

@@ -285,9 +285,89 @@ def test_deep_and_huge_numbers_are_no_map(tmp_path: Path) -> None:
 def test_infinite_hypotheses_are_refused_and_not_made_absent(tmp_path: Path) -> None:
     x = X.copy()
     x[0, 3, 0, 0] = np.inf
-    with pytest.raises(PoseDataError, match=r"has infinite coordinates; expected numbers, NaN for what is absent\.$"):
+    with pytest.raises(PoseDataError, match=r"has infinite coordinates .*first: frame 3\); expected numbers, or NaN"):
         applied(SPREAD, tmp_path, x)
     assert not (tmp_path / "out.npz").exists()
+
+
+@pytest.mark.parametrize("map_", [SPREAD, RADIUS], ids=["spread", "radius"])
+@pytest.mark.parametrize(
+    ("members", "words"),
+    [
+        ({"hypotheses": X / 1000}, r"looks like metres: .* unit=\"m\", or store unit in the file; unit=\"mm\" if it"),
+        ({"hypotheses": np.concatenate([X, X[..., :1]], -1)}, r"has D = 4 coordinates.*axes=\"NMKC\""),
+        ({"hypotheses": np.where(X[2, 7, 1, 0] == X, 1e9, X)}, r"or some beyond 10 km \(1e7 mm\) \(first: frame 7\)"),
+        (
+            {"hypotheses": np.where(X[2, 7, 1, 0] == X, np.nan, X)},
+            r"some hypotheses are absent \(NaN\) \(first: frame 7",
+        ),
+        ({"hypotheses": X.swapaxes(0, 1)}, r"\(11, 5, 3, 3\).* N = 11 .* M = 5\..* axes=\"NMKD\" or axes=\"MNKD\""),
+        ({"hypotheses": X[:, :5]}, r"\(5, 5, 3, 3\).* N = 5 .* M = 5\..* axes=\"NMKD\" or axes=\"MNKD\""),
+        ({"hypotheses": np.tile(X, (24, 20, 1, 1))}, r"\(120, 220, 3, 3\).* the 120 poses of the fit"),
+        ({"hypotheses": X, "frame_id": np.arange(5)}, r"frame_id has 5 values for 11 poses"),
+        ({"hypotheses": X, "valid": np.ones((5, 3), dtype=bool)}, r"valid \(5, 3\); expected \(M, K\) = \(11, 3\)"),
+    ],
+)
+def test_files_that_an_evaluation_would_refuse_are_refused(
+    map_: SpreadMap | RadiusMap, members: dict[str, Array], words: str, tmp_path: Path
+) -> None:
+    np.savez(tmp_path / "hyps.npz", joints=JOINTS, **members)
+    with pytest.raises(PoseDataError, match=rf"^hyps\.npz.* {words}"):
+        apply_map(map_, tmp_path / "hyps.npz", tmp_path / "out.npz")
+    assert not (tmp_path / "out.npz").exists()
+
+
+@pytest.mark.parametrize(
+    "members",
+    [
+        {"hypotheses": X},
+        {"hypotheses": X / 1000, "unit": "m"},
+        {"hypotheses": np.concatenate([X, X[..., :1]], -1), "axes": "NMKC"},
+        {"hypotheses": X.swapaxes(0, 1), "axes": "MNKD"},
+        {"hypotheses": np.tile(X, (3, 1, 1, 1)), "frame_id": np.arange(11)},
+        {"hypotheses": np.tile(X, (3, 1, 1, 1)), "action": ["walk"] * 11},
+    ],
+)
+def test_what_is_declared_or_told_by_the_frames_is_applied(members: dict[str, Any], tmp_path: Path) -> None:
+    np.savez(tmp_path / "hyps.npz", joints=JOINTS, **members)
+    assert apply_map(SPREAD, tmp_path / "hyps.npz", tmp_path / "out.npz", root_joint="none") == 11
+    with np.load(tmp_path / "out.npz") as file:
+        found = file["hypotheses"].swapaxes(0, 1)
+    times = len(found) // 5
+    np.testing.assert_allclose(found, rescaled(np.tile(X, (times, 1, 1, 1)), SPREAD.factors), rtol=1e-4, atol=0.01)
+
+
+def test_a_joint_that_no_hypothesis_has_or_that_is_not_valid_may_hold_anything(tmp_path: Path) -> None:
+    x, valid = X.copy(), np.ones((11, 3), dtype=bool)
+    x[:, 2, 1], x[3, 4, 2], valid[4, 2] = np.nan, 9e9, False
+    np.savez(tmp_path / "hyps.npz", hypotheses=x, joints=JOINTS, valid=valid)
+    apply_map(SPREAD, tmp_path / "hyps.npz", tmp_path / "out.npz", root_joint="none")
+    with np.load(tmp_path / "out.npz") as file:
+        found = file["hypotheses"].swapaxes(0, 1)
+    assert np.isnan(found[:, 2, 1]).all()
+    right = valid.copy()
+    right[2, 1] = False
+    np.testing.assert_array_equal(found[:, right], rescaled(X, SPREAD.factors)[:, right])
+
+
+def test_arrays_are_checked_like_files() -> None:
+    for map_ in (SPREAD, RADIUS):
+        with pytest.raises(PoseDataError, match=r"^hypotheses has D = 4 coordinates"):
+            map_.apply(np.concatenate([X, X[..., :1]], -1))
+        with pytest.raises(PoseDataError, match=r"^hypotheses has infinite .* beyond 10 km"):
+            map_.apply(np.where(X[2, 7, 1, 0] == X, 1e9, X))
+        with pytest.raises(PoseDataError, match=r"^hypotheses has joints of which some hypotheses are absent"):
+            map_.apply(np.where(X[2, 7, 1, 0] == X, np.nan, X))
+    with pytest.raises(
+        PoseDataError, match=r"^hypotheses looks like metres: .* unit=\"m\", or unit=\"mm\" if it is right"
+    ):
+        RADIUS.apply(X / 1000)
+    np.testing.assert_allclose(RADIUS.apply(X / 1000, unit="m")[1], RADIUS.apply(X)[1] / 1000)
+    np.testing.assert_allclose(
+        replace(RADIUS, scaled=True).apply(X / 1000)[1][:, 1:],
+        replace(RADIUS, scaled=True).apply(X)[1][:, 1:] / 1000,
+        rtol=1e-4,
+    )
 
 
 @pytest.mark.parametrize("map_", [3, None, "map.json"])
