@@ -58,7 +58,7 @@ class SpreadMap:
     data_unit : str
         Of what it was fitted on: ``mm``, ``deg``, ``px``, or empty.
     data_remarks : tuple of str
-        On what it was fitted on, as :attr:`posecal.PoseData.remarks`; a file of the map does not hold them.
+        On what it was fitted on, as those of :class:`posecal.PoseData`; a file of the map does not hold them.
     """
 
     joints: tuple[str, ...]
@@ -102,8 +102,9 @@ class SpreadMap:
         ------
         PoseDataError
             For another number of joints, arrays of another shape, type or quantity, a layout that is none, angles
-            without a unit, where no layout is given and only the first axis has the length of the poses that the map was
-            fitted on, for columns that are no coordinates, infinite ones, and joints that only some hypotheses have.
+            without a unit, where no layout is given and only the first axis has the length of the poses that the map
+            was fitted on, for columns that are no coordinates, coordinates that are infinite or beyond 1e7, and joints
+            that only some hypotheses have.
         """
         factor = parts.factor_of_unit(unit, self.data_unit)
         x, layout, clip_length = parts.checked_for_map(hypotheses, axes, self.joints, self.poses)

@@ -42,7 +42,7 @@ class RadiusMap:
     data_unit : str
         Of what it was fitted on: ``mm``, ``deg``, ``px``, or empty.
     data_remarks : tuple of str
-        On what it was fitted on, as :attr:`posecal.PoseData.remarks`; a file of the map does not hold them.
+        On what it was fitted on, as those of :class:`posecal.PoseData`; a file of the map does not hold them.
     """
 
     joints: tuple[str, ...]
