@@ -16,15 +16,18 @@ from posecal.conversion.tables import of_multiindex
 from posecal.conversion.tracks import Tracks
 from posecal.data import pickles
 from posecal.data.archive import read_archive
+from posecal.data.arrays import as_array
 from posecal.data.file_array import Source, open_array, opened
 from posecal.data.layout import LazyArray
 from posecal.data.lazy import DatasetArray, refuse_unwritten
-from posecal.errors import PoseDataError, PoseFileError, first_few, refuse_unreadable
+from posecal.data.read import DECLARED, declared_beside
+from posecal.errors import PoseDataError, PoseFileError, first_few, option, refuse_unreadable
 
 _LEAST_CLAIMED = 1 << 24
 """Bytes up to which a tensor may repeat its numbers."""
 
 _EXTRAS = {"h5py": "convert", "pymatreader": "convert", "ezc3d": "c3d", "torch": "models"}
+_STATED = ("axes", "fps", "joints", "unit")
 _LIKELY = (
     "hypotheses",
     "hyps",
@@ -54,8 +57,8 @@ def library(name: str) -> Any:
         raise PoseDataError(f"{name}: not installed. pip install 'posecal[{_EXTRAS[name]}]' brings it.") from None
 
 
-def chosen_array(arrays: Mapping[str, Any], dataset: str | None, name: str) -> Any:
-    """Choose the coordinates among arrays by name.
+def chosen_array(arrays: Mapping[str, Any], dataset: str | None, name: str) -> str:
+    """Choose the coordinates among arrays, and give their name.
 
     Raises
     ------
@@ -67,12 +70,42 @@ def chosen_array(arrays: Mapping[str, Any], dataset: str | None, name: str) -> A
     if dataset is not None:
         if dataset not in known:
             raise PoseDataError(f"{name}: no dataset {dataset!r}; it holds {shown}.")
-        return known[dataset]
+        return dataset
     likely = [key for key in _LIKELY if key in known]
     large = likely[:1] or [key for key, value in known.items() if len(value.shape) >= 2]
     if len(large) != 1:
-        raise PoseDataError(f"{name}: holds {shown}; expected one array of coordinates. Name it with --dataset.")
-    return known[large[0]]
+        raise PoseDataError(
+            f"{name}: holds {shown}; expected one array of coordinates. Name it with {option('dataset')}."
+        )
+    return large[0]
+
+
+def _tracks(arrays: Mapping[str, Any], dataset: str | None, name: str) -> Tracks:
+    """Give the coordinates among arrays, with what is stated about them: of themselves, of their group, of the file."""
+    key = chosen_array(arrays, dataset, name)
+    coordinates = arrays[key] if hasattr(arrays[key], "dtype") else np.asarray(arrays[key])
+    group = key.rpartition("/")[0]
+    near = {word: [f"{key}/{word}", f"{group}/{word}", word] for word in sorted(DECLARED)}
+    found = {word: next((p for p in places if p in arrays and p != key), None) for word, places in near.items()}
+    stated = {word: arrays[place] for word, place in found.items() if word in _STATED and place is not None}
+    if _has_numbers(stated.get("joints")):
+        del stated["joints"]  # positions, beside those that were asked for
+    others = [word for word, place in found.items() if word not in _STATED and place is not None]
+    declared = declared_beside(stated, coordinates.shape, name)
+    is_dataset = hasattr(coordinates, "chunks")
+    return Tracks(
+        (_whole(DatasetArray(coordinates)) if is_dataset else coordinates).astype(np.float64),
+        declared["joints"] or (),
+        declared["unit"] or "",
+        declared["fps"] or 0.0,
+        axes=declared["axes"] or "",
+        is_array=True,
+        assumed=[f"what else stands beside {key} is not converted: {first_few(others)}"] if others else [],
+    )
+
+
+def _has_numbers(value: Any) -> bool:
+    return value is not None and (value if hasattr(value, "dtype") else np.asarray(value)).dtype.kind in "fiu"
 
 
 def _as_numbers(item: tuple[str, Any]) -> tuple[str, Any]:
@@ -86,20 +119,16 @@ def _as_numbers(item: tuple[str, Any]) -> tuple[str, Any]:
 
 
 def read_numpy(path: Path, dataset: str | None) -> Tracks:
-    """Read an ``.npz`` or ``.npy`` file without pickles, such as mmpose's: S, with a confidence as fourth column."""
+    """Read an ``.npz`` or ``.npy`` file without pickles."""
     with opened(path) as file:
         if file.read(6) == b"\x93NUMPY":
             arrays: dict[str, Any] = {"array": _whole(open_array(file, 0, path.name, Source.of(path, file)))}
         else:
             file.close()
             arrays = dict(read_archive(path))
-    poses = chosen_array(arrays, dataset, path.name)
-    tracks = Tracks(poses.astype(np.float64))
-    if poses.ndim == 3 and poses.shape[2] == 4:
-        tracks = Tracks(tracks.poses[..., :3], confidence=tracks.poses[..., 3])
-        tracks.assumed.append("the fourth column is a confidence")
+    tracks = _tracks(arrays, dataset, path.name)
     names = arrays.get("imgname")
-    if names is not None and names.shape == poses.shape[:1]:
+    if names is not None and names.shape == tracks.poses.shape[:1]:
         tracks.frame_id = [str(value) for value in names]
     return tracks
 
@@ -114,7 +143,7 @@ def read_mat(path: Path, dataset: str | None) -> Tracks:
     with refuse_unreadable(path, "is no .mat file that can be read ({})."), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of numbers that no computer writes any more
         arrays = _flat(library("pymatreader").read_mat(path))
-    return Tracks(chosen_array(arrays, dataset, path.name).astype(np.float64))
+    return _tracks(arrays, dataset, path.name)
 
 
 def _flat(document: Mapping[str, Any], before: str = "") -> dict[str, Any]:
@@ -133,15 +162,19 @@ def read_hdf5(path: Path, dataset: str | None) -> Tracks:
     arrays: dict[str, Any] = {}
 
     def keep(key: str, item: Any) -> None:
+        arrays.update({f"{key}/{word}": item.attrs[word] for word in item.attrs if word in DECLARED})
         if isinstance(item, h5py.Dataset):
             arrays[key] = item
 
     with refuse_unreadable(path, "is no HDF5 file that can be read ({})."), h5py.File(path) as file:
         groups = [group for group in map(file.get, list(file)) if "pandas_type" in group.attrs]
         if groups:
+            if dataset is not None:
+                raise PoseDataError(f"{path.name}: a table of pandas; expected no {option('dataset', dataset)}.")
             return of_multiindex(_of_pandas(groups[0], path.name), path.name)
+        arrays.update({word: file.attrs[word] for word in file.attrs if word in DECLARED})
         file.visititems(keep)
-        return Tracks(_whole(DatasetArray(chosen_array(arrays, dataset, path.name))).astype(np.float64))
+        return _tracks(arrays, dataset, path.name)
 
 
 def _of_pandas(group: Any, name: str) -> Any:
@@ -172,9 +205,10 @@ def _of_pandas(group: Any, name: str) -> Any:
 
 def read_torch(path: Path, dataset: str | None) -> Tracks:
     """Read tensors that PyTorch saved; nothing else in the file is loaded (``weights_only``)."""
-    tensors = {key: value for key, value in _named(load_tensors(path)).items() if hasattr(value, "untyped_storage")}
+    members = _named(load_tensors(path))
+    tensors = {key: value for key, value in members.items() if hasattr(value, "untyped_storage")}
     arrays = {key: _in_memory(value, f"{path.name}: {key}") for key, value in tensors.items()}
-    return Tracks(chosen_array(arrays, dataset, path.name).astype(np.float64))
+    return _tracks({**{k: v for k, v in members.items() if k in DECLARED}, **arrays}, dataset, path.name)
 
 
 def load_tensors(path: Path) -> Any:
@@ -198,7 +232,7 @@ def load_tensors(path: Path) -> Any:
 def read_pickle(path: Path, dataset: str | None) -> Tracks:
     """Read a pickle of NumPy arrays in lists, tuples and dictionaries; one that asks for anything else is refused."""
     arrays = _named(pickles.read_pickled(path.read_bytes(), path.name))
-    return Tracks(chosen_array(arrays, dataset, path.name).astype(np.float64))
+    return _tracks(arrays, dataset, path.name)
 
 
 def _named(loaded: Any) -> dict[str, Any]:
@@ -210,8 +244,7 @@ def _in_memory(tensor: Any, name: str) -> np.ndarray[Any, Any]:
     """Give a tensor as an array; one that repeats its numbers by strides of 0 may not be of many times their size."""
     if tensor.numel() * tensor.element_size() > max(tensor.untyped_storage().nbytes(), _LEAST_CLAIMED):
         raise PoseDataError(f"{name}: a tensor {tuple(tensor.shape)} of fewer numbers; expected as many as it has.")
-    array: np.ndarray[Any, Any] = tensor.numpy(force=True)
-    return array
+    return as_array(tensor, name)
 
 
 def read_c3d(path: Path, _dataset: str | None) -> Tracks:

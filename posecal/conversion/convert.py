@@ -10,10 +10,11 @@ from typing import Any, Literal
 import numpy as np
 
 from posecal.conversion.containers import CONTAINERS
-from posecal.conversion.documents import read_json
+from posecal.conversion.documents import BY_NUMBER, NoPersonError, left_out, read_json
 from posecal.conversion.tables import read_csv, read_trc
 from posecal.conversion.tracks import Tracks
-from posecal.data.arrays import FloatArray
+from posecal.data.arrays import BoolArray, FloatArray
+from posecal.data.joint_names import joint_keys
 from posecal.data.layout import Layout, MemoryArray
 from posecal.data.units import quantity
 from posecal.data.write import write_file, write_members
@@ -44,6 +45,15 @@ FORMATS: dict[str, str] = {
     "mmpose": "mmpose: .npz of a data set, or .json of results",
 }
 """What ``like`` names, beside the formats that the ending of a file tells: .trc, .c3d, .mat, .h5, .pt, .pkl, .npz."""
+
+_ENDINGS = {
+    "deeplabcut": (".csv", ".h5", ".hdf5"),
+    "openpose": (".json",),
+    "panoptic": (".json",),
+    "interhand": (".json",),
+    "mmpose": (".json", ".npz"),
+}
+"""Endings of the files of what ``like`` names; those of other tables are text."""
 
 
 def convert(
@@ -83,7 +93,8 @@ def convert(
     unit, joints, fps
         What the file does not state.
     person : str or int, optional
-        One of several people in each frame of a ``.json`` file: an id that the file gives, or the place in its list.
+        One of several people in each frame of a ``.json`` file: its ``id`` or ``track_id`` in the file, or else
+        its place in the list.
     words : callable
         How options are named in what was assumed: ``for_python`` or ``for_command_line`` of :mod:`posecal.errors`.
 
@@ -106,19 +117,26 @@ def convert(
         raise PoseDataError(f"like: {like!r} is not known. {did_you_mean(like, FORMATS)}")
     if not paths:
         raise PoseDataError("files: none; expected at least one.")
+    if output is not None and Path(output).suffix.lower() != ".npz":
+        raise PoseFileError(f"{output}: {Path(output).suffix or 'no ending'}; expected a name that ends with .npz.")
     problems: list[Any] = []
     read = [attempt(problems, _read, path, like or "", dataset, axes, person) for path in paths]
-    raise_all(problems)
+    lacking = [problem for problem in problems if isinstance(problem, NoPersonError)]
+    if len(problems) > len(lacking) or len(lacking) == len(paths) or each_file == "hypothesis":
+        raise_all(problems)
+    paths = [path for path, some in zip(paths, read, strict=True) if some is not None]
     tracks = [some for some in read if some is not None]
     first = tracks[0]
     poses, frame_id, assumed = _together(tracks, paths, each_file)
+    if lacking:
+        assumed.append(left_out(len(lacking), person))
     is_hypotheses = role == "hypotheses" or (role is None and poses.ndim == 4)
     if poses.ndim == 4 and not is_hypotheses:
         raise PoseDataError(f"role: truth for {len(poses)} poses of each frame; expected one, or hypotheses.")
     poses = poses[None] if is_hypotheses and poses.ndim == 3 else poses
     unit = _declared("unit", unit, first.unit.strip().lower() or None, paths[0])
-    known = np.isfinite(poses).all(axis=(0, 3) if is_hypotheses else 2)
-    names = _joint_names(joints, first.joints, poses.shape[-2])
+    known, n_absent = _known(poses)
+    names = _joint_names(joints, first, paths[0], poses.shape[-2])
     rate = _declared("fps", fps, first.fps or None, paths[0])
     members: dict[str, Any] = {
         "hypotheses" if is_hypotheses else "truth": poses.astype(np.float32 if is_hypotheses else np.float64),
@@ -127,12 +145,14 @@ def convert(
         **({} if names is None else {"joints": np.array(names)}),
         **({} if frame_id is None else {"frame_id": np.array(frame_id)}),
         **({} if rate is None else {"fps": float(rate)}),
-        **({} if known.all() else {"valid": known}),
+        **({} if known.all() and (len(tracks) > 1 or first.confidence is None) else {"valid": known}),
         **(first.labels if len(tracks) == 1 else {}),
     }
     if len(tracks) == 1 and first.confidence is not None:
         members["confidence"] = first.confidence
     assumed = [*dict.fromkeys([*(line for some in tracks for line in some.assumed), *assumed])]
+    if joints is not None:
+        assumed = [line for line in assumed if not line.startswith(BY_NUMBER)]
     what = f"{len(poses)} hypotheses" if is_hypotheses else "the truth"
     assumed.append(f"{poses.shape[-3]:,} frames of {poses.shape[-2]} joints are {what}")
     if unit is None:
@@ -144,6 +164,8 @@ def convert(
         assumed.append("joints have no names")
     if not known.all():
         assumed.append(f"{(~known).sum():,} of {known.size:,} joints are not known (NaN), and not valid")
+    if n_absent:
+        assumed.append(f"{n_absent:,} of {poses.shape[0] * poses.shape[1]:,} hypotheses are absent from a frame (NaN)")
     if output is not None:
         arrays = {name: np.asarray(value) for name, value in members.items()}
         write_file(output, lambda file: write_members(file, arrays))
@@ -157,6 +179,8 @@ def _read(path: Path, like: str, dataset: str | None, axes: str | None, person: 
         raise PoseFileError(f"{path}: no such file.")
     if person is not None and ending != ".json":
         raise PoseDataError(f"person: {person} for {path.name}; expected a .json file of several people in a frame.")
+    if like and ending not in _ENDINGS.get(like, (".csv", ".tsv")):
+        raise PoseDataError(f"{path.name} is no file of {like}; expected {FORMATS[like]}. Leave {option('like')} out.")
     with refuse_unreadable(path):
         if ending == ".json":
             tracks = read_json(path, like, person)
@@ -169,9 +193,16 @@ def _read(path: Path, like: str, dataset: str | None, axes: str | None, person: 
             raise PoseDataError(f"{path.name}: a file {ending or 'without an ending'}; expected one of {known}.")
     if not tracks.poses.size:
         raise PoseDataError(f"{path.name}: nothing in it; its shape is {tracks.poses.shape}.")
-    if ending in {*TEXTS, ".json"}:
+    if not tracks.is_array and axes is not None:
+        raise PoseDataError(f"{path.name} has no axes to declare; expected no {option('axes', axes)}. Leave it out.")
+    if dataset is not None and ending not in CONTAINERS:
+        raise PoseDataError(f"{path.name} holds no datasets; expected no {option('dataset', dataset)}. Leave it out.")
+    if not tracks.is_array:
         return _without_unseen(tracks)
-    shape = tracks.poses.shape
+    shape, axes = tracks.poses.shape, _declared("axes", axes, tracks.axes or None, path)
+    if ending in {".npz", ".npy"} and len(shape) == 3 and shape[2] == 4 and axes in {None, "MKD"}:
+        axes = "MKC"
+        tracks.assumed.append("the fourth column is a confidence")
     if axes is None and len(shape) == 4:
         choices = " or ".join(option("axes", text) for text in ("NMKD", "MNKD"))
         raise PoseDataError(f"{path.name}: an array {shape}, which does not say its order of axes. Pass {choices}.")
@@ -180,12 +211,24 @@ def _read(path: Path, like: str, dataset: str | None, axes: str | None, person: 
         raise PoseDataError(
             f"{path.name}: an array {shape}; expected (M, K, D), or its layout: {option('axes', 'M(KD)')}."
         )
-    layout = Layout(text, "NMKD" if "N" in text else "MKD")
+    layout = Layout(text.replace("C", "D"), "NMKD" if "N" in text else "MKD")
     laid_out = layout.read(MemoryArray(tracks.poses), np.arange(layout.shape(shape)[-3]))
     tracks.poses = np.asarray(laid_out, dtype=np.float64)
+    if "C" in text:
+        tracks.poses, tracks.confidence = tracks.poses[..., :-1], tracks.poses[..., -1]
     if axes is None:
         tracks.assumed.append(f"an array {shape} is {text}")
     return _without_unseen(tracks)
+
+
+def _known(poses: FloatArray) -> tuple[BoolArray, int]:
+    """Give the joints (M, K) that are known, and the number of hypotheses that are absent from a frame."""
+    known = np.asarray(np.isfinite(poses).all(axis=-1))
+    if poses.ndim == 3:
+        return known, 0
+    absent = np.asarray(np.isnan(poses).all(axis=(2, 3)))
+    absent &= ~absent.all(axis=0)
+    return np.asarray((known | absent[..., None]).all(axis=0)), int(absent.sum())
 
 
 def _without_unseen(tracks: Tracks) -> Tracks:
@@ -242,10 +285,21 @@ def _declared(name: str, declared: Any, stored: Any, path: Path) -> Any:
     return stored if declared is None else declared
 
 
-def _joint_names(declared: str | Sequence[str] | None, stored: Sequence[str], size: int) -> Sequence[str] | None:
+def _joint_names(declared: str | Sequence[str] | None, tracks: Tracks, path: Path, size: int) -> Sequence[str] | None:
+    """Give the names that are declared, or else the file's; where that has any itself, the two must not differ."""
     from posecal.data.skeleton import joint_set
 
-    names = joint_set(declared) if isinstance(declared, str) else declared
-    if names is not None and len(names) != size:
+    if declared is None:
+        return tracks.joints or None
+    names = joint_set(declared) if isinstance(declared, str) else tuple(declared)
+    if len(names) != size:
         raise PoseDataError(f"joints: {len(names)} names for {size} joints; expected one each.")
-    return names if names is not None else stored or None
+    stored = tuple(tracks.joints)
+    is_stated = any(not name[-1:].isdecimal() for name in stored)
+    is_stated = is_stated and not any(line.startswith(BY_NUMBER) for line in tracks.assumed)
+    if is_stated and joint_keys(names) != joint_keys(stored):
+        what = option("joints", declared if isinstance(declared, str) else [*declared])
+        raise PoseDataError(
+            f"{path.name} names its joints itself ({first_few(stored)}); expected no {what}. Leave it out."
+        )
+    return names

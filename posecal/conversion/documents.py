@@ -10,8 +10,21 @@ import numpy as np
 
 from posecal.conversion.tracks import Tracks
 from posecal.data.arrays import FloatArray
+from posecal.data.remarks import Count
 from posecal.data.skeleton import JOINT_SETS
-from posecal.errors import PoseDataError, first_few, option, refuse_unreadable
+from posecal.errors import PoseDataError, attempt, first_few, option, refuse_unreadable
+
+BY_NUMBER = "joints are those of "
+"""How a line begins that says which joints a file means that does not name them."""
+
+
+class NoPersonError(PoseDataError):
+    """A frame without people, or without the one that is asked for."""
+
+
+def left_out(number: int, person: str | int | None) -> str:
+    """Say how many frames are left out for want of a person."""
+    return f"left out: {Count(number, 'frame')} without {'people' if person is None else f'person {person}'}"
 
 
 def read_json(path: Path, like: str, person: str | int | None = None) -> Tracks:
@@ -23,7 +36,7 @@ def read_json(path: Path, like: str, person: str | int | None = None) -> Tracks:
     if person is not None and found in ("lists", "interhand"):
         raise PoseDataError(f"person: {person} for {path.name}, which has one in each frame; expected none.")
     if found == "lists":
-        return Tracks(_array(document, path.name))
+        return Tracks(_array(document, path.name), is_array=True)
     if found not in readers:
         keys = ", ".join([*document][:6]) if isinstance(document, dict) else type(document).__name__
         raise PoseDataError(
@@ -55,18 +68,19 @@ def _array(values: Any, name: str) -> FloatArray:
 
 
 def _one(people: list[Any], name: str, asked: str | int | None) -> Any:
-    """Give the person of a frame: the only one, or the one asked for, by id or else by place in the list."""
+    """Give the person of a frame: the only one, or the one asked for, by id, track_id or else place in the list."""
     known = [str(one.get("id", one.get("track_id", place))) for place, one in enumerate(people)]
+    kind = next((key for key in ("id", "track_id") if people and key in people[0]), "place in the list")
+    if not people:
+        raise NoPersonError(f"{name}: 0 people in a frame; expected one.")
     if asked is not None:
         if str(asked) not in known:
-            raise PoseDataError(f"{name}: no person {asked} in a frame; it holds {first_few(known) or 'none'}.")
+            raise NoPersonError(f"{name}: no person {asked} in a frame; it holds {first_few(known)} (by {kind}).")
         return people[known.index(str(asked))]
-    if not people:
-        raise PoseDataError(f"{name}: 0 people in a frame; expected one. Leave the frame out.")
     if len(people) > 1:
         raise PoseDataError(
             f"{name}: {len(people)} people in a frame; expected one. Pass {option('person', known[0])}, or another of "
-            f"{first_few(known, 12)}."
+            f"{first_few(known, 12)} (by {kind})."
         )
     return people[0]
 
@@ -77,7 +91,7 @@ def _openpose(document: Any, name: str, person: str | int | None) -> Tracks:
         if one.get(key):
             values = _array(one[key], name).reshape(1, -1, size)
             joint_set = {25: "body-25", 18: "coco-18"}.get(values.shape[1], "")
-            assumed = [f"joints are those of {joint_set}, by their number"] if joint_set else []
+            assumed = [f"{BY_NUMBER}{joint_set}, by their number"] if joint_set else []
             joints = JOINT_SETS.get(joint_set, ())
             unit = "px" if size == 3 else ""
             return Tracks(values[..., :-1], joints, unit, confidence=values[..., -1], assumed=assumed)
@@ -87,7 +101,7 @@ def _openpose(document: Any, name: str, person: str | int | None) -> Tracks:
 def _panoptic(document: Any, name: str, person: str | int | None) -> Tracks:
     values = _array(_one(document["bodies"], name, person)["joints19"], name).reshape(1, 19, 4)
     joints = JOINT_SETS["panoptic-19"]
-    assumed = ["joints are those of panoptic-19", "lengths are in cm, as the data set has them"]
+    assumed = [f"{BY_NUMBER}panoptic-19", "lengths are in cm, as the data set has them"]
     frames = [str(document["frame"])] if "frame" in document else []
     return Tracks(values[..., :3], joints, "cm", confidence=values[..., 3], frame_id=frames, assumed=assumed)
 
@@ -97,10 +111,15 @@ def _mmpose(document: Any, name: str, person: str | int | None) -> Tracks:
     found = [frame.get("instances", frame) for frame in frames]
     seen = [m for m, some in enumerate(found) if some]
     if not seen:
-        raise PoseDataError(f"{name}: no people in {len(frames)} frames; expected one in some.")
-    people = [_one(some if isinstance(some, list) else [some], name, person) for some in found if some]
-    frame_id = [str(frames[m].get("frame_id", m)) for m in seen]
-    assumed = [f"{len(found) - len(seen):,} frames without people are left out"] if len(seen) < len(found) else []
+        raise NoPersonError(f"{name}: no people in {len(frames)} frames; expected one in some.")
+    problems: list[Any] = []
+    each = [attempt(problems, _one, found[m] if isinstance(found[m], list) else [found[m]], name, person) for m in seen]
+    serious = [problem for problem in problems if not isinstance(problem, NoPersonError)]
+    if serious or len(problems) == len(seen):
+        raise (serious or problems)[0]
+    people = [one for one in each if one is not None]
+    frame_id = [str(frames[m].get("frame_id", m)) for m, one in zip(seen, each, strict=True) if one is not None]
+    assumed = [left_out(len(found) - len(people), person)] if len(people) < len(found) else []
     poses = _array([person["keypoints"] for person in people], name)
     scores = [person.get("keypoint_scores") for person in people]
     meta = document.get("meta_info", {}) if isinstance(document, dict) else {}
@@ -121,5 +140,6 @@ def _interhand(document: Any, name: str, _person: str | int | None) -> Tracks:
     seen = _array([np.reshape(entry["joint_valid"], -1) for _, _, entry in captures], name) > 0
     poses[~seen] = np.nan
     labels = {"sequence": np.array([capture for _, capture, _ in captures])}
-    joints = JOINT_SETS["interhand-42"] if poses.shape[1] == 42 else ()
-    return Tracks(poses, joints, "mm", frame_id=[key for key, _, _ in captures], labels=labels)
+    is_both = poses.shape[1] == 42
+    joints, assumed = (JOINT_SETS["interhand-42"], [f"{BY_NUMBER}interhand-42"]) if is_both else ((), [])
+    return Tracks(poses, joints, "mm", frame_id=[key for key, _, _ in captures], labels=labels, assumed=assumed)

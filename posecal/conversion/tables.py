@@ -24,12 +24,20 @@ _LONG = {"joint": ("joint", "keypoint", "bodypart", "marker", "landmark", "name"
 def read_csv(path: Path, like: str) -> Tracks:
     """Read a table with a row per frame, or with a row per frame and joint, of any of the tools above."""
     text = path.read_text(encoding="utf-8-sig", errors="replace")
-    if like == "deeplabcut" or text.startswith("scorer,"):
-        return of_multiindex(_frame_of(text, path, header=[1, 2], index_col=0), path.name)
-    frame = _frame_of(text, path)
+    first, second = [*text.splitlines(), "", ""][:2]
+    how: dict[str, Any] = {"sep": max(",;\t", key=first.count)}
+    if how["sep"] != "," and re.search(r"\d,\d", text):
+        how["decimal"] = ","
+    if like == "deeplabcut" or re.match(r"scorer[,;\t]", first):
+        header = [1, 2, 3] if second.startswith("individuals") else [1, 2]
+        return of_multiindex(_frame_of(text, path, header=header, index_col=0, **how), path.name)
+    frame = _frame_of(text, path, **how)
     plain = {str(column).strip().lower(): column for column in frame.columns}
     joint = next((plain[word] for word in _LONG["joint"] if word in plain), None)
-    if like != "wide" and joint is not None and {*AXES[:2]} <= {*plain}:
+    is_long = joint is not None and {*AXES[:2]} <= {*plain}
+    if like == "long" and not is_long:
+        raise PoseDataError(f"{path.name}: no columns joint, x and y; expected those of a long table.")
+    if like != "wide" and is_long:
         return _of_long(frame, plain, joint, path.name)
     return _of_wide(frame, plain, path.name)
 
@@ -37,9 +45,14 @@ def read_csv(path: Path, like: str) -> Tracks:
 def _frame_of(text: str, path: Path, **how: Any) -> Any:
     import pandas as pd
 
-    widths = [len(row) for row in csv.reader(io.StringIO(text)) if any(row)]
+    widths = [len(row) for row in csv.reader(io.StringIO(text), delimiter=how["sep"]) if any(row)]
     usual = max(set(widths), key=widths.count, default=0)
     short = [number for number, width in enumerate(widths) if width != usual]
+    if how["sep"] == "," and widths and min(widths[1:], default=0) > widths[0] + 1:
+        raise PoseDataError(
+            f"{path.name}: {usual} columns below {widths[0]} names; expected as many. Decimal commas? Write points, or "
+            "semicolons between columns."
+        )
     if short:
         raise PoseDataError(
             f"{path.name}: {len(short):,} of {len(widths):,} rows have another number of columns (first: row "
@@ -98,9 +111,8 @@ def _of_long(frame: Any, plain: dict[str, Any], joint: Any, name: str) -> Tracks
     repeated = frame.duplicated(keys)
     if repeated.any():
         row = int(np.argmax(repeated.to_numpy()))
-        raise PoseDataError(
-            f"{name}: row {row + 2} repeats a joint of its frame; expected each once. {dict(frame.loc[row, keys])}"
-        )
+        which = ", ".join(f"{key} {frame[key][row]}" for key in keys)
+        raise PoseDataError(f"{name}: row {row + 2} repeats a joint of its frame ({which}); expected each once.")
     for axis in axes:
         frame[plain[axis]] = _numbers(frame[plain[axis]], name, axis)
     seen = next((plain[word] for word in _SEEN if word in plain), None)
@@ -134,6 +146,11 @@ def _frame_names(values: Any) -> list[str]:
 
 def of_multiindex(frame: Any, name: str) -> Tracks:
     """Read a table whose columns are named by body part and coordinate, as those of DeepLabCut and Anipose."""
+    animals = list(dict.fromkeys(str(column[-3]) for column in frame.columns if len(column) > 2))
+    if len(animals) > 1:
+        raise PoseDataError(
+            f"{name}: a table of {len(animals)} animals ({first_few(animals)}); expected one. Keep the columns of one."
+        )
     columns: dict[tuple[str, str], FloatArray] = {}
     confidence: dict[str, FloatArray] = {}
     for column in frame.columns:

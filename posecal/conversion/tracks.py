@@ -30,12 +30,16 @@ class Tracks:
         Frames per second, 0 where the file does not say.
     frame_id : sequence of str
         Names of the frames; empty where they are numbered from 0.
-    confidence : array (M, K) or None
+    confidence : array (M, K) or (N, M, K), or None
         Of the detector.
     labels : dict
         Labels of the frames, by name.
     assumed : list of str
         What the file does not say and was assumed.
+    axes : str
+        The layout of the poses as the file states it, else empty.
+    is_array : bool
+        Whether the poses are an array whose layout may be declared; else they are laid out already.
     """
 
     poses: FloatArray
@@ -46,6 +50,8 @@ class Tracks:
     confidence: FloatArray | None = None
     labels: dict[str, npt.NDArray[np.generic]] = field(default_factory=dict)
     assumed: list[str] = field(default_factory=list)
+    axes: str = ""
+    is_array: bool = False
 
 
 def by_joint(columns: dict[tuple[str, str], FloatArray], name: str) -> tuple[list[str], FloatArray]:

@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 import numpy.typing as npt
 
-from posecal.errors import PosecalError, PoseDataError, attempt, did_you_mean, raise_all
+from posecal.errors import PosecalError, PoseDataError, attempt, did_you_mean, first_few, raise_all
 
 FloatArray = npt.NDArray[np.floating]
 BoolArray = npt.NDArray[np.bool_]
@@ -163,7 +163,8 @@ def as_marks(values: object, name: str) -> BoolArray:
     if array.dtype.kind in "fiu" and ((array == 0) | (array == 1)).all():
         array = array == 1
     if array.dtype.kind != "b":
-        raise PoseDataError(f"{name}: dtype {array.dtype}; expected bool (M, K), or numbers 0 and 1.")
+        found = f", values {first_few(np.unique(array).tolist())}" if array.dtype.kind in "fiu" else ""
+        raise PoseDataError(f"{name}: dtype {array.dtype}{found}; expected bool (M, K), or numbers 0 and 1.")
     return cast(BoolArray, array)
 
 

@@ -128,7 +128,7 @@ def open_datasets(path: Path, dataset: str, names: tuple[str, ...]) -> tuple[Any
     array : dataset
         Of the coordinates, not read.
     others : mapping
-        Datasets and attributes of the same group, by name.
+        Datasets of the same group, and attributes of the file, the group and the array, by name; the nearest counts.
 
     Raises
     ------
@@ -162,4 +162,5 @@ def open_datasets(path: Path, dataset: str, names: tuple[str, ...]) -> tuple[Any
         raise PoseDataError(
             f"{path.name} holds {shown}; expected {' or '.join(names)}, or the name after a colon: {path.name}:NAME."
         )
-    return held[chosen[0]], {**dict(group.attrs), **{k: v for k, v in held.items() if k != chosen[0]}}
+    beside = {key: value for key, value in held.items() if key != chosen[0]}
+    return held[chosen[0]], {**root.attrs, **group.attrs, **beside, **held[chosen[0]].attrs}

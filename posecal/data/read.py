@@ -30,6 +30,8 @@ _ALWAYS_READ = 1000
 
 _MARKS = ("occluded", "visible")
 _RESERVED = (*_MARKS, "axes", "unit", "joints", "frame_id", "scores", "fps", "valid", "parents")
+DECLARED = frozenset((*_RESERVED, *COMMON_LABELS))
+"""Names under which something beside the coordinates is read, whatever its kind."""
 
 
 def read_poses(source: npt.ArrayLike | str | os.PathLike[str], role: Role) -> StoredPoses:
@@ -114,11 +116,21 @@ def _read_datasets(path: Path, dataset: str, role: Role) -> StoredPoses:
     """Read what stands beside the coordinates of an HDF5 file or a zarr group; those are read where they lie."""
     with refuse_unreadable(path):
         coordinates, others = open_datasets(path, dataset, _NAMES[role])
-        wanted = {key: value for key, value in others.items() if key in _RESERVED or key in COMMON_LABELS}
-        headers: dict[str, Header] = {key: (np.shape(value), False, _dtype(value)) for key, value in wanted.items()}
         array = DatasetArray(coordinates)
-        members = _declared(headers, "", array.shape, path.name, lambda key: _loaded(wanted[key]))
+        members = declared_beside({k: v for k, v in others.items() if k in DECLARED}, array.shape, path.name)
     return StoredPoses(path.name, array, **members)
+
+
+def declared_beside(values: Mapping[str, Any], coordinates: tuple[int, ...], name: str) -> dict[str, Any]:
+    """Read what datasets, attributes or arrays beside the coordinates declare, as attributes of StoredPoses.
+
+    Raises
+    ------
+    PoseDataError
+        For values of the wrong type, all at once.
+    """
+    headers: dict[str, Header] = {key: (np.shape(value), False, _dtype(value)) for key, value in values.items()}
+    return _declared(headers, "", coordinates, name, lambda key: _loaded(values[key]))
 
 
 def _dtype(value: Any) -> np.dtype[np.generic]:

@@ -70,20 +70,25 @@ def people(poses: Array, tool: str) -> dict[str, object]:
     return {"people": [{"pose_keypoints_3d": full[p, 0].ravel().tolist()} for p in range(2)]}
 
 
-@pytest.mark.parametrize(("tool", "ids"), [("openpose", "01"), ("mmpose", "01"), ("panoptic", "98")])
+@pytest.mark.parametrize(
+    ("tool", "ids", "kind"),
+    [("openpose", "01", "place in the list"), ("mmpose", "01", "place in the list"), ("panoptic", "98", "id")],
+)
 def test_one_of_several_people_is_chosen_and_none_is_taken_unasked(
-    poses: Array, tmp_path: Path, tool: str, ids: str
+    poses: Array, tmp_path: Path, tool: str, ids: str, kind: str
 ) -> None:
     (tmp_path / "a.json").write_text(json.dumps(people(poses, tool)))
     words = (
-        rf'^a\.json: 2 people in a frame; expected one\. Pass person="{ids[0]}", or another of {ids[0]}, {ids[1]}\.$'
+        rf'^a\.json: 2 people in a frame; expected one\. Pass person="{ids[0]}", or another of {ids[0]}, {ids[1]} '
+        rf"\(by {kind}\)\.$"
     )
     with pytest.raises(PoseDataError, match=words):
         convert(tmp_path / "a.json", unit="m")
     members, _ = convert(tmp_path / "a.json", person=ids[1])
     np.testing.assert_allclose(members["truth"][0, :K], poses[0])
     assert convert(tmp_path / "a.json", person=int(ids[0]))[0]["truth"][0, 0, 0] == pytest.approx(poses[0, 0, 0] + 5)
-    with pytest.raises(PoseDataError, match=rf"^a\.json: no person 7 in a frame; it holds {ids[0]}, {ids[1]}\.$"):
+    words = rf"^a\.json: no person 7 in a frame; it holds {ids[0]}, {ids[1]} \(by {kind}\)\.$"
+    with pytest.raises(PoseDataError, match=words):
         convert(tmp_path / "a.json", person=7)
     out = str(tmp_path / "out.npz")
     done = CliRunner().invoke(app, ["convert", str(tmp_path / "a.json"), "-o", out, "--person", ids[1], "--unit", "cm"])
@@ -101,10 +106,33 @@ def test_frames_of_mmpose_without_people_are_left_out(poses: Array, tmp_path: Pa
     frames = [{"frame_id": 3, "instances": []}, {"frame_id": 4, "instances": [{"keypoints": poses[0].tolist()}]}]
     (tmp_path / "a.json").write_text(json.dumps({"instance_info": frames}))
     members, assumed = convert(tmp_path / "a.json", unit="m")
-    assert (members["frame_id"].tolist(), assumed[0]) == (["4"], "1 frames without people are left out")
+    assert (members["frame_id"].tolist(), assumed[0]) == (["4"], "left out: 1 frame without people")
     (tmp_path / "a.json").write_text(json.dumps({"instance_info": frames[:1]}))
     with pytest.raises(PoseDataError, match=r"^a\.json: no people in 1 frames; expected one in some\.$"):
         convert(tmp_path / "a.json", unit="m")
+
+
+def test_frames_without_the_chosen_person_are_left_out_and_counted(poses: Array, tmp_path: Path) -> None:
+    def one(m: int, track: int) -> dict[str, object]:
+        return {"keypoints": poses[m].tolist(), "track_id": track}
+
+    found = [[one(0, 4)], [], [one(3, 5), one(2, 4)], [one(3, 5)]]
+    frames = [{"frame_id": m, "instances": some} for m, some in enumerate(found)]
+    (tmp_path / "a.json").write_text(json.dumps({"instance_info": frames}))
+    members, assumed = convert(tmp_path / "a.json", unit="m", person=4)
+    np.testing.assert_allclose(members["truth"], poses[[0, 2]])
+    assert (members["frame_id"].tolist(), assumed[0]) == (["0", "2"], "left out: 2 frames without person 4")
+    with pytest.raises(PoseDataError, match=r"^a\.json: no person 0 in a frame; it holds 4 \(by track_id\)\.$"):
+        convert(tmp_path / "a.json", unit="m", person=0)
+    files = [tmp_path / f"{m}.json" for m in range(3)]
+    for m, path in enumerate(files):
+        keypoints = np.concatenate([poses[m], np.ones((K, 1))], axis=1).ravel().tolist()
+        path.write_text(json.dumps({"people": [{"pose_keypoints_3d": keypoints}] * (m != 1)}))
+    members, assumed = convert(files, unit="mm")
+    np.testing.assert_allclose(members["truth"], poses[[0, 2]])
+    assert (members["frame_id"].tolist(), assumed[1]) == (["0", "2"], "left out: 1 frame without people")
+    with pytest.raises(PoseDataError, match=r"^1\.json: 0 people in a frame; expected one\.$"):
+        convert(files, unit="mm", each_file="hypothesis")
 
 
 def test_interhand(tmp_path: Path) -> None:
@@ -152,6 +180,42 @@ def test_data_sets_of_mmpose(poses: Array, tmp_path: Path) -> None:
     assert "the fourth column is a confidence" in assumed
 
 
+@pytest.mark.parametrize("axes", [None, "MKC", "MKD"])
+def test_a_declared_confidence_is_taken_off_once(poses: Array, tmp_path: Path, axes: str | None) -> None:
+    seen = np.full((M, K, 1), 0.5)
+    seen[2, 1] = 0
+    np.save(tmp_path / "a.npy", np.concatenate([poses, seen], axis=2))
+    members, _ = convert(tmp_path / "a.npy", axes=axes, unit="mm")
+    poses[2, 1] = np.nan
+    np.testing.assert_allclose(members["truth"], poses)
+    np.testing.assert_array_equal(members["confidence"], seen[..., 0])
+    assert np.argwhere(~members["valid"]).tolist() == [[2, 1]]
+    with_confidence = np.concatenate([np.stack([poses, poses + 1], axis=1), np.stack([seen, seen], axis=1)], axis=3)
+    np.save(tmp_path / "b.npy", with_confidence)
+    members, _ = convert(tmp_path / "b.npy", axes="MNKC", unit="mm")
+    np.testing.assert_allclose(members["hypotheses"], [poses, poses + 1], rtol=1e-6)
+
+
+def test_what_hdf5_states_of_an_array_counts(poses: Array, tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["run/truth"] = poses.transpose(0, 2, 1) / 10
+        file["run/truth"].attrs["axes"] = "MDK"
+        file["run"].attrs["joints"] = JOINTS
+        file["run/frame_id"] = np.arange(M)
+        file.attrs["unit"] = "cm"
+        file.attrs["fps"] = 50
+    members, assumed = convert(tmp_path / "a.h5")
+    np.testing.assert_allclose(members["truth"], poses / 10)
+    assert (members["unit"], members["joints"].tolist(), members["fps"]) == ("cm", JOINTS, 50)
+    assert assumed[0] == "what else stands beside run/truth is not converted: frame_id"
+    for wrong in ({"unit": "mm"}, {"axes": "MKD"}, {"fps": 60}):
+        with pytest.raises(
+            PoseDataError, match=rf"^a\.h5 states {next(iter(wrong))} .*; expected no .*Leave it out\.$"
+        ):
+            convert(tmp_path / "a.h5", **wrong)  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize("version", ["5", "7.3"])
 def test_matlab(poses: Array, tmp_path: Path, version: str) -> None:
     pytest.importorskip("pymatreader")
@@ -193,6 +257,14 @@ def test_tensors_of_pytorch_and_nothing_else(poses: Array, tmp_path: Path) -> No
     torch.save({"poses": Path("/tmp")}, tmp_path / "b.pt")
     with pytest.raises(PoseFileError, match=r"^b\.pt: holds more than tensors"):
         convert(tmp_path / "b.pt", unit="mm")
+
+
+def test_tensors_of_half_precision(poses: Array, tmp_path: Path) -> None:
+    torch = pytest.importorskip("torch")
+    torch.save({"poses": torch.tensor(poses).bfloat16(), "unit": "mm"}, tmp_path / "a.pt")
+    members, _ = convert(tmp_path / "a.pt")
+    np.testing.assert_allclose(members["truth"], poses, rtol=2**-8)
+    assert members["unit"] == "mm"
 
 
 def test_pickles_of_arrays_and_nothing_else(poses: Array, tmp_path: Path) -> None:
@@ -304,6 +376,44 @@ def test_a_file_that_is_none_is_refused_in_one_message(tmp_path: Path, name: str
     assert (done.exit_code, done.stderr.count("\n")) == (3, done.stderr.count("\n"))
     assert words in " ".join(done.stderr.split())
     assert not (tmp_path / "out.npz").exists()
+
+
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [
+        ({"like": "openpose"}, r"a\.csv is no file of openpose; expected OpenPose: \.json of a frame\."),
+        ({"like": "long"}, r"a\.csv: no columns joint, x and y; expected those of a long table\."),
+        ({"axes": "MKD"}, r'a\.csv has no axes to declare; expected no axes="MKD"\. Leave it out\.'),
+        ({"dataset": "q"}, r'a\.csv holds no datasets; expected no dataset="q"\. Leave it out\.'),
+        (
+            {"joints": [*"abcd"]},
+            r"a\.csv names its joints itself \(Hip, RKnee, LKnee and 1 more\); expected no joints=",
+        ),
+        ({"output": "x.csv"}, r"x\.csv: \.csv; expected a name that ends with \.npz\."),
+    ],
+)
+def test_options_that_do_not_apply_are_refused(
+    poses: Array, tmp_path: Path, how: dict[str, object], words: str
+) -> None:
+    with pytest.raises((PoseDataError, PoseFileError), match=f"^{words}"):
+        convert(wide(poses, tmp_path / "a.csv"), unit="mm", **how)  # type: ignore[arg-type]
+
+
+def test_names_that_agree_or_are_numbers_may_be_declared(poses: Array, tmp_path: Path) -> None:
+    members, _ = convert(
+        wide(poses, tmp_path / "a.csv"), unit="mm", joints=["pelvis", "right_knee", "left_knee", "Head"]
+    )
+    assert members["joints"].tolist() == ["pelvis", "right_knee", "left_knee", "Head"]
+    named = pd.read_csv(tmp_path / "a.csv").rename(
+        columns=lambda c: f"p{JOINTS.index(c[:-2])}{c[-2:]}" if "_" in c else c
+    )
+    named.to_csv(tmp_path / "b.csv", index=False)
+    assert convert(tmp_path / "b.csv", unit="mm", joints=JOINTS)[0]["joints"].tolist() == JOINTS
+    keypoints = np.random.default_rng(0).uniform(1, 500, (25, 3))
+    (tmp_path / "a.json").write_text(json.dumps({"people": [{"pose_keypoints_2d": keypoints.ravel().tolist()}]}))
+    members, assumed = convert(tmp_path / "a.json", joints=[f"point {k}" for k in range(25)])
+    assert members["joints"][3] == "point 3"
+    assert not any("body-25" in line for line in assumed)
 
 
 def test_every_format_is_in_the_docs() -> None:

@@ -47,6 +47,41 @@ def test_a_long_table_holds_hypotheses(poses: Array, tmp_path: Path) -> None:
     assert "6 frames of 4 joints are 3 hypotheses" in assumed
 
 
+def test_a_hypothesis_that_lacks_a_frame_is_absent(poses: Array, tmp_path: Path) -> None:
+    both = [pd.read_csv(long(poses + 5 * n, tmp_path / "a.csv", hypothesis=n)) for n in range(3)]
+    both[1] = both[1][both[1]["frame"] != 4]
+    both = [some[(some["frame"] != 5) | (some["joint"] != "Head")] for some in both]
+    pd.concat(both).to_csv(tmp_path / "a.csv", index=False)
+    members, assumed = convert(tmp_path / "a.csv", unit="mm")
+    assert np.argwhere(np.isnan(members["hypotheses"]).all(axis=(2, 3))).tolist() == [[1, 4]]
+    assert np.argwhere(~members["valid"]).tolist() == [[5, JOINTS.index("Head")]]
+    assert "1 of 18 hypotheses are absent from a frame (NaN)" in assumed
+
+
+@pytest.mark.parametrize(("separator", "decimal"), [(";", "."), (";", ","), ("\t", ".")])
+def test_tables_of_other_separators(poses: Array, tmp_path: Path, separator: str, decimal: str) -> None:
+    table = pd.read_csv(wide(poses, tmp_path / "a.csv"))
+    table.to_csv(tmp_path / "a.csv", index=False, sep=separator, decimal=decimal)
+    members, _ = convert(tmp_path / "a.csv", unit="mm")
+    np.testing.assert_allclose(members["truth"], poses)
+    assert members["joints"].tolist() == JOINTS
+
+
+def test_decimal_commas_between_commas_are_called_so(poses: Array, tmp_path: Path) -> None:
+    head, *rows = wide(poses, tmp_path / "a.csv").read_text().splitlines()
+    (tmp_path / "a.csv").write_text("\n".join([head, *(row.replace(".", ",") for row in rows)]))
+    with pytest.raises(PoseDataError, match=r"^a\.csv: 25 columns below 13 names; expected as many\. Decimal commas\?"):
+        convert(tmp_path / "a.csv", unit="mm")
+
+
+def test_a_repeated_row_is_named_in_words(poses: Array, tmp_path: Path) -> None:
+    table = pd.read_csv(long(poses, tmp_path / "a.csv"))
+    pd.concat([table, table.iloc[[2 * K + 1]]]).to_csv(tmp_path / "a.csv", index=False)
+    words = rf"^a\.csv: row {M * K + 2} repeats a joint of its frame \(frame 2, joint RKnee\); expected each once\.$"
+    with pytest.raises(PoseDataError, match=words):
+        convert(tmp_path / "a.csv", unit="mm")
+
+
 def test_what_is_empty_is_not_valid(poses: Array, tmp_path: Path) -> None:
     poses[2, 1], poses[4] = np.nan, np.nan
     members, assumed = convert(wide(poses, tmp_path / "a.csv"), tmp_path / "gt.npz", unit="mm")
@@ -79,6 +114,26 @@ def test_deeplabcut(poses: Array, tmp_path: Path, form: str) -> None:
     assert members["joints"].tolist() == JOINTS
     assert members["unit"] == "px"
     np.testing.assert_allclose(members["confidence"], 0.9)
+
+
+@pytest.mark.parametrize("form", ["csv", "fixed"])
+def test_deeplabcut_of_several_animals_is_called_so(poses: Array, tmp_path: Path, form: str) -> None:
+    def save(animals: list[str]) -> Path:
+        keys = [["DLC"], animals, JOINTS, ["x", "y", "likelihood"]]
+        columns = pd.MultiIndex.from_product(keys, names=["scorer", "individuals", "bodyparts", "coords"])
+        values = np.concatenate([poses[..., :2], np.full((M, K, 1), 0.9)], axis=2).reshape(M, -1)
+        table = pd.DataFrame(np.tile(values, len(animals)), columns=columns)
+        if form == "csv":
+            table.to_csv(tmp_path / "a.csv")
+            return tmp_path / "a.csv"
+        pytest.importorskip("tables")
+        pytest.importorskip("h5py")
+        table.to_hdf(tmp_path / "a.h5", key="df_with_missing", mode="w", format=form)
+        return tmp_path / "a.h5"
+
+    with pytest.raises(PoseDataError, match=r"^a\.\w+: a table of 2 animals \(one, two\); expected one\. Keep the col"):
+        convert(save(["one", "two"]))
+    np.testing.assert_allclose(convert(save(["one"]))[0]["truth"], poses[..., :2])
 
 
 class Opens:

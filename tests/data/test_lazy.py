@@ -53,6 +53,25 @@ def test_files_of_hdf5_declare_what_archives_declare(tmp_path: Path, address: st
     assert report.totals.spec.joints[0] == "j0"
 
 
+def test_attributes_of_the_array_and_of_the_file_declare_too(tmp_path: Path) -> None:
+    h5py, zarr = pytest.importorskip("h5py"), pytest.importorskip("zarr")
+    np.savez(tmp_path / "gt.npz", truth=Y, unit="mm", sequence=SEQUENCE)
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["run/x"] = X.transpose(1, 0, 2, 3) / 10
+        file["run/x"].attrs["axes"] = "MNKD"
+        file["run/x"].attrs["unit"] = "cm"
+        file.attrs["unit"] = "m"  # of what states none itself
+        file["run/y"] = Y / 1000
+    group = zarr.open_group(str(tmp_path / "a.zarr"), mode="w")
+    array = group.create_array("hyps", shape=X.shape, dtype=X.dtype, chunks=(8, 16, 5, 3))
+    array[:] = X / 1000
+    array.attrs.update({"unit": "m", "axes": "NMKD"})
+    for address, truth in (("a.h5:run/x", "gt.npz"), ("a.zarr", "gt.npz"), ("a.zarr", "a.h5:run/y")):
+        labels = {} if truth == "gt.npz" else {"labels": {"sequence": SEQUENCE}}
+        report = posecal.evaluate(f"{tmp_path}/{address}", f"{tmp_path}/{truth}", root_joint="none", **labels)
+        assert report["mpjpe"] == pytest.approx(expected()["mpjpe"], rel=1e-6)
+
+
 def test_arrays_of_zarr(tmp_path: Path) -> None:
     zarr = pytest.importorskip("zarr")
     group = zarr.open_group(str(tmp_path / "a.zarr"), mode="w")

@@ -246,7 +246,7 @@ def test_the_first_hypotheses_may_be_kept() -> None:
             "where: bool (17, 7); expected bool (M, K) = (7, 17) or (M,), True where a joint counts.",
         ),
         ({"where": [[True], []]}, "where: lists of unequal lengths; expected an array."),
-        ({"occluded": OCCLUDED * 2}, "occluded: dtype int64; expected bool (M, K), or numbers 0 and 1."),
+        ({"occluded": OCCLUDED * 2}, "occluded: dtype int64, values 0, 2; expected bool (M, K), or numbers 0 and 1."),
         ({"occluded": OCCLUDED.T}, "truth: occluded (17, 7); expected (M, K) = (7, 17)."),
         ({"scores": SCORES.T}, "hypotheses: scores (7, 5); expected (N, M) = (5, 7)."),
         ({"scores": SCORES * np.nan}, "scores: 35 of 35 are NaN; expected numbers (N, M)."),

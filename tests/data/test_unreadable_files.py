@@ -282,8 +282,11 @@ def test_files_in_the_wrong_order_look_swapped(tmp_path: Path) -> None:
         ({"axes": ["N", "M"]}, r"hyps\.npz: axes: 2 values; expected one word\."),
         ({"unit": np.array([], dtype="U2")}, r"hyps\.npz: unit: 0 values; expected one word\."),
         ({"frame_id": np.arange(M) / 2}, r"hyps\.npz: frame_id: float64 \(7,\); expected one word or whole number per"),
-        ({"occluded": np.full((M, K), 0.5)}, r"hyps\.npz: occluded: dtype float64; expected bool \(M, K\), or "),
-        ({"visible": np.full((M, K), 2)}, r"hyps\.npz: visible: dtype int64; expected bool \(M, K\), or "),
+        (
+            {"occluded": np.full((M, K), 0.5)},
+            r"hyps\.npz: occluded: dtype float64, values 0\.5; expected bool \(M, K\), or ",
+        ),
+        ({"visible": np.full((M, K), 2)}, r"hyps\.npz: visible: dtype int64, values 2; expected bool \(M, K\), or "),
         ({"scores": [["a"] * M] * N}, r"hyps\.npz: scores: dtype <U1; expected real numbers such as float32\."),
         ({"scores": np.zeros((N, M), dtype=complex)}, r"hyps\.npz: scores: dtype complex128; expected real numbers"),
         ({"scores": np.full((N, M), np.nan)}, r"hyps\.npz: scores: 35 of 35 are NaN; expected numbers \(N, M\)\."),
@@ -322,7 +325,9 @@ def test_arrays_are_checked_as_members_are() -> None:
         as_labels([0.5, 1.5], "action")
     with pytest.raises(PoseDataError, match=r"^action: <U1 \(1, 2\); expected"):
         as_labels([["a", "b"]], "action")
-    with pytest.raises(PoseDataError, match=r"^occluded: dtype int64; expected bool \(M, K\), or numbers 0 and 1\.$"):
+    with pytest.raises(
+        PoseDataError, match=r"^occluded: dtype int64, values 0, 2; expected bool \(M, K\), or numbers 0 and 1\.$"
+    ):
         as_marks([[0, 2]], "occluded")
     assert as_scores([[1, 2]], "scores").dtype == np.float64
     with pytest.raises(PoseDataError, match=r"^scores: 1 of 2 are NaN"):
