@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from posecal.data.checks import TINY, metres_message, pose_size
-from posecal.data.declarations import Declarations, joint_names, named_call, quantity_of, resolve
+from posecal.data.declarations import Declarations, joint_names, named_call, quantity_of, refuse_other_names, resolve
 from posecal.data.degenerate import column_problem
 from posecal.data.layout import HYPOTHESES, Layout
 from posecal.data.match import Names, empty_problem, numbered
@@ -51,6 +51,7 @@ def resolve_hypotheses(
     n, m, k, d = named_call(poses, layout.shape, poses.array.shape)
     problems: list[str | PosecalError] = [empty_problem(poses)] if 0 in poses.array.shape else []
     unit, factor = attempt(problems, quantity_of, poses, "unit", declared.unit) or ("mm", 1.0)
+    attempt(problems, refuse_other_names, declared, poses)
     joints = joint_names(poses, k, declared, problems) or numbered(k)
     labels, frames = read_members(poses, (m, k), problems).labels, poses.frame_id
     if frames is not None and len(frames) != m:

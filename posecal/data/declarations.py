@@ -9,7 +9,7 @@ from numbers import Integral
 from typing import Any, Literal, TypeVar
 
 from posecal.data.arrays import checked_choice
-from posecal.data.joint_names import distinguished, repeated_names
+from posecal.data.joint_names import distinguished, joint_keys, repeated_names
 from posecal.data.layout import HYPOTHESES, TRUTH, Layout, plausible_layouts
 from posecal.data.own_skeleton import OwnSkeleton, as_skeleton, checked_parents
 from posecal.data.skeleton import joint_set
@@ -227,6 +227,24 @@ def joint_names(
     if repeated := repeated_names(names):
         problems.append(f"{poses.name} names joints more than once: {first_few(repeated)}.")
     return names
+
+
+def refuse_other_names(declared: Declarations, *stored: StoredPoses) -> None:
+    """Refuse names of joints for poses that all have names, of other joints.
+
+    Raises
+    ------
+    PoseDataError
+        With the poses.
+    """
+    named = [poses.joints for poses in stored if poses.joints is not None]
+    if declared.joints is None or len(named) < len(stored):
+        return
+    wanted = {*joint_keys(declared.joint_names or ())}
+    if all({*joint_keys(distinguished(names))} != wanted for names in named):
+        which = f"{' and '.join(poses.name for poses in stored)} {'names' if len(stored) == 1 else 'name'} joints"
+        what = option("joints", declared.joints if isinstance(declared.joints, str) else None)
+        raise PoseDataError(f"{which} ({first_few(named[0])}); expected no {what}. Leave it out.")
 
 
 def named_call(poses: StoredPoses, function: Callable[..., T], *arguments: Any) -> T:

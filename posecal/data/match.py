@@ -15,11 +15,11 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, checked_number
-from posecal.data.declarations import Declarations, choose_layouts, joint_names, quantity_of
+from posecal.data.declarations import Declarations, choose_layouts, joint_names, quantity_of, refuse_other_names
 from posecal.data.degenerate import column_problem
 from posecal.data.joint_names import match_joints, remarks_on_matched, remarks_on_names
 from posecal.data.layout import TRUTH, Layout, plausible_layouts
-from posecal.data.members import both, read_members
+from posecal.data.members import both, frame_id_remarks, read_members, unread_remarks
 from posecal.data.own_skeleton import parents_among
 from posecal.data.remarks import Count, Example, Remark
 from posecal.data.root import choose_root, origin, part_of_root, root_name
@@ -102,6 +102,7 @@ class Matcher:
         is_matched = not problems
         own_members = read_members(hypotheses, (m, k), problems)
         true_members = read_members(truth, self.true_shape[:2], problems)
+        self.remarks += unread_remarks(hypotheses, (m, k)) + unread_remarks(truth, self.true_shape[:2])
         scores, fps = hypotheses.scores, self._rate()
         if scores is not None:
             text = self.layouts[0].text
@@ -256,6 +257,7 @@ class Matcher:
                     f"{hypotheses.name} has M = {sizes[0]:,} poses and {truth.name} {sizes[1]:,}; expected as many."
                     f"{hint} Give both a frame_id to match them by ({without} without)."
                 )
+            self.remarks += frame_id_remarks(hypotheses, truth)
             return np.arange(sizes[0]), np.arange(sizes[1])
         ids, true_ids = hypotheses.frame_id.tolist(), truth.frame_id.tolist()
         for poses, names in ((hypotheses, ids), (truth, true_ids)):
@@ -290,6 +292,7 @@ class Matcher:
     def _joints(self) -> tuple[Names, Rows, Rows]:
         """Name joints, and match them by name, or by their order where the hypotheses' have none."""
         size, true_size = self.shape[2], self.true_shape[1]
+        attempt(self.problems, refuse_other_names, self.declared, self.hypotheses, self.truth)
         names = joint_names(self.hypotheses, size, self.declared, self.problems)
         true_names = joint_names(self.truth, true_size, self.declared, self.problems)
         true_names = true_names or (names if size == true_size else None) or numbered(true_size)
@@ -300,6 +303,7 @@ class Matcher:
                     f"{self.hypotheses.name} has K = {size} joints and {self.truth.name} {true_size}; expected as "
                     f"many, or joints named in both and {common}."
                 )
+            self.remarks += remarks_on_names(true_names, ALL_NAMES) if self.truth.joints else []
             return true_names, np.arange(size), np.arange(size)
         matched, ambiguous = match_joints(true_names, names)
         if ambiguous:

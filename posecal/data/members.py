@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
+import re
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from posecal.data.arrays import BoolArray, checked_mask
+from posecal.data.remarks import Example, Remark
 from posecal.data.stored_poses import Labels, Rows, StoredPoses
-from posecal.errors import PosecalError, attempt
+from posecal.errors import PosecalError, attempt, first_few
 
 
 @dataclass(frozen=True)
@@ -42,6 +46,27 @@ def read_members(poses: StoredPoses, shape: tuple[int, ...], problems: list[str 
         _valid(poses, shape, problems),
         None if poses.where is None else attempt(problems, checked_mask, poses.where, shape),
     )
+
+
+def unread_remarks(poses: StoredPoses, shape: tuple[int, ...]) -> list[str]:
+    """Remark on members with a value for each of (M, K) joints whose names say nothing to posecal."""
+    names = [key for key, size in poses.unread.items() if math.prod(size) == math.prod(shape)]
+    which, first = Example(poses.name), Example(first_few(names))
+    known = " (M, K); of that shape, valid, occluded and visible are. Rename what is meant."
+    return [Remark(which, ": not read: ", first, known)] if names else []
+
+
+def frame_id_remarks(hypotheses: StoredPoses, truth: StoredPoses) -> list[str]:
+    """Remark on names of frames that only one of two has, and say where their numbers are not in order."""
+    named = [poses for poses in (hypotheses, truth) if poses.frame_id is not None]
+    if len(named) != 1 or named[0].frame_id is None:
+        return []
+    ids = named[0].frame_id.tolist()
+    numbers = [re.fullmatch(r"(.*?)(\d{1,15})(\D*)", name, re.DOTALL) for name in ids]
+    pairs = [(a, b) for a, b in pairwise(numbers) if a and b and a.group(1, 3) == b.group(1, 3)]
+    is_shuffled = len({*ids}) == len(ids) and any(int(a[2]) > int(b[2]) for a, b in pairs)
+    order = "; its numbers are not in order: are the others in the same?" if is_shuffled else "."
+    return [Remark("frame_id: only ", Example(named[0].name), " has it, so frames are matched by their place", order)]
 
 
 def both(first: BoolArray | None, second: BoolArray | None) -> BoolArray | None:

@@ -109,7 +109,7 @@ def _read_archive(file: FileIO, path: Path, role: Role) -> StoredPoses:
     array = open_member(stored[chosen], file, path)
     if array.file is not file:
         file.close()
-    return StoredPoses(name, array, **members)
+    return StoredPoses(name, array, **members, unread=_unread(headers, chosen))
 
 
 def _read_datasets(path: Path, dataset: str, role: Role) -> StoredPoses:
@@ -118,7 +118,19 @@ def _read_datasets(path: Path, dataset: str, role: Role) -> StoredPoses:
         coordinates, others = open_datasets(path, dataset, _NAMES[role])
         array = DatasetArray(coordinates)
         members = declared_beside({k: v for k, v in others.items() if k in DECLARED}, array.shape, path.name)
-    return StoredPoses(path.name, array, **members)
+        datasets = {k: (v.shape, False, v.dtype) for k, v in others.items() if hasattr(v, "chunks")}
+    return StoredPoses(path.name, array, **members, unread=_unread(datasets, ""))
+
+
+def _unread(headers: Mapping[str, Header], chosen: str) -> dict[str, tuple[int, ...]]:
+    """Give the shapes of the arrays of numbers that evaluations don't read; what a file is trained with is no such."""
+    known = {chosen, *_RESERVED, *_NAMES["hypotheses"], *_NAMES["truth"]}
+    known |= {"confidence"} if "valid" in headers else set()  # of convert, which makes valid of it
+    return {
+        key: shape
+        for key, (shape, _, dtype) in headers.items()
+        if key not in known and not key.startswith("keypoints_") and len(shape) > 1 and dtype.kind in "biuf"
+    }
 
 
 def declared_beside(values: Mapping[str, Any], coordinates: tuple[int, ...], name: str) -> dict[str, Any]:

@@ -54,6 +54,8 @@ class StoredPoses:
         The model's score of each hypothesis.
     fps : float or None
         Frames per second.
+    unread : mapping of tuples of int
+        The shapes of other members of several axes, by name, which nothing reads.
     """
 
     name: str
@@ -70,6 +72,7 @@ class StoredPoses:
     valid: BoolArray | None = None
     scores: FloatArray | None = None
     fps: float | None = None
+    unread: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
 
     @property
     def frame_members(self) -> dict[str, npt.NDArray[np.generic]]:
