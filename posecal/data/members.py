@@ -14,6 +14,9 @@ from posecal.data.remarks import Example, Remark
 from posecal.data.stored_poses import Labels, Rows, StoredPoses
 from posecal.errors import PosecalError, attempt, first_few
 
+_LOOKED_AT = 10_000
+"""Names of frames whose order is looked at."""
+
 
 @dataclass(frozen=True)
 class Members:
@@ -61,7 +64,7 @@ def frame_id_remarks(hypotheses: StoredPoses, truth: StoredPoses) -> list[str]:
     named = [poses for poses in (hypotheses, truth) if poses.frame_id is not None]
     if len(named) != 1 or named[0].frame_id is None:
         return []
-    ids = named[0].frame_id.tolist()
+    ids = named[0].frame_id[:_LOOKED_AT].tolist()
     numbers = [re.fullmatch(r"(.*?)(\d{1,15})(\D*)", name, re.DOTALL) for name in ids]
     pairs = [(a, b) for a, b in pairwise(numbers) if a and b and a.group(1, 3) == b.group(1, 3)]
     is_shuffled = len({*ids}) == len(ids) and any(int(a[2]) > int(b[2]) for a, b in pairs)
