@@ -113,6 +113,13 @@ class FrameCheck:
         ]
 
 
+def frame_remark(data: PoseData) -> str:
+    """Remark on the frames of pose data as they are; empty where nothing is to be said."""
+    check = FrameCheck()
+    check.add(data)
+    return "".join(check.remarks())
+
+
 def _mean(poses: FloatArray, axis: int) -> FloatArray:
     """Mean over joints that are known, with the axis kept."""
     known = np.isfinite(poses)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import posecal
-from posecal.data.frames import DIFFERENT_FRAMES, FrameCheck
+from posecal.data.frames import DIFFERENT_FRAMES, frame_remark
 from posecal.data.pose_data import PoseData
 from tests.situations.people import JOINTS, about, people
 
@@ -19,9 +19,7 @@ SIDES = [
 
 def remark_of(x: Array, y: Array, **options: Any) -> str:
     given = {"unit": "mm", "joints": JOINTS, "axes": "NMKD", **options}
-    check = FrameCheck()
-    check.add(PoseData(x, y, **given))
-    return "".join(check.remarks())
+    return frame_remark(PoseData(x, y, **given))
 
 
 def model(seed: int = 0, spread: float = 40.0) -> tuple[Array, Array]:
