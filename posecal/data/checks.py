@@ -7,10 +7,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from posecal.data.arrays import FloatArray
-from posecal.data.degenerate import distinct_hypotheses
-from posecal.data.remarks import Example, Remark
+from posecal.data.degenerate import FEWEST_JOINTS
+from posecal.data.remarks import Count, Example, Remark
 from posecal.data.skeleton import Skeleton, known_set
 from posecal.errors import PoseDataError, option
+
+_FACTOR = 50.0
+"""Poses that differ so much in size are in two units."""
+
+_FEWEST_ANGLES = 100
+"""Of fewer angles nothing is said."""
 
 if TYPE_CHECKING:
     from posecal.data.declarations import Declarations
@@ -21,6 +27,9 @@ BONES = (50.0, 700.0)
 
 CENTIMETRES = 20.0, 60.0
 """Poses of a size within this range, in what should be mm, are hands or faces, or people in centimetres."""
+
+HUGE = 20_000.0
+"""Poses of this size, in what should be mm, are in mm and declared as m."""
 
 TINY = 10.0
 """Poses of this size, in what should be mm, look like metres: a person's joints lie some 400 mm from their centre."""
@@ -54,8 +63,9 @@ def check_units(
     """
     *_, k, d = data.shape
     some = some[:, :8]
-    has_weights = data.scores is not None and not data.scores.all()  # of which 0 is that of an absent hypothesis
-    remarks = [] if has_weights else _distinct(data.names[0], some)
+    if data.unit == "deg":
+        return _angle_remarks(data, some, "rad" in (unit, true_unit, declared.unit, declared.truth_unit))
+    remarks = _mixed_sizes(data)
     if data.unit != "mm":
         return remarks
     name, true_name = data.names
@@ -78,6 +88,9 @@ def check_units(
             "right."
         )
     remarks += [Remark(Example(message), f" Is the unit of {which} right?") for _, which, message, _ in tiny]
+    if true_size > HUGE:
+        far = Example(f"{true_size / 1000:,.0f} m")
+        remarks.append(Remark(f"joints of {true_name} lie ", far, " from the middle of the pose. Is its unit right?"))
     if size > 0 and true_size > 0 and (ratio := ratio_message(name, true_name, size, true_size)):
         if declared.truth_unit is None and not (is_known and true_unit is not None):
             raise PoseDataError(
@@ -87,8 +100,9 @@ def check_units(
         remarks.append(Remark(Example(ratio), ". Are their units right?"))
     sizes = [size for _, _, size, known in sides if not known and size > 0]
     remarks = remarks or [*_check_bones(data), *_remark_on_centimetres(data, max(sizes, default=0.0))][:1]
-    if d == 2 and not (is_known or is_true_known):
-        remarks.append(f"two coordinates without a unit are taken as mm; {option('unit', 'px')} declares pixels.")
+    if d < 3 and not (is_known or is_true_known):
+        what, word, meant = ("two coordinates", "px", "pixels") if d == 2 else ("single coordinates", "deg", "degrees")
+        remarks.append(f"{what} without a unit are taken as mm; {option('unit', word)} declares {meant}.")
     return remarks
 
 
@@ -115,22 +129,40 @@ def refuse_tiny(hypotheses: FloatArray, truth: FloatArray) -> None:
         raise PoseDataError(f"{message}; expected one unit. Convert one of the two, or pass {right}.")
 
 
+def _angle_remarks(data: PoseData, some: FloatArray, are_radians: bool) -> list[str]:
+    """Remark on degrees that look like radians, of both or of one."""
+    with np.errstate(invalid="ignore", over="ignore"):  # joints that don't count may hold anything
+        sizes = [np.abs(poses[np.isfinite(poses)].astype(np.float64)) for poses in (some, data.truth)]
+    if are_radians or min(map(len, sizes)) < _FEWEST_ANGLES:
+        return []
+    size, true_size = (float(np.sqrt(np.mean(angles**2))) for angles in sizes)
+    if all(1 < angles.max() <= 2 * np.pi for angles in sizes):
+        return [f"all angles lie within 6.3 degrees. Are they radians? {option('unit', 'rad')} declares them."]
+    if size > 0 and true_size > 0 and (ratio := ratio_message(*data.names, size, true_size)):
+        return [Remark(Example(ratio), ". Is one of the two in radians?")]
+    return []
+
+
+def _mixed_sizes(data: PoseData) -> list[str]:
+    """Remark on true poses that differ in size as two units do."""
+    if data.truth.shape[1] < FEWEST_JOINTS or data.truth.shape[2] < 2:
+        return []
+    some = _sample(data.truth if data.where is None else np.where(data.where[..., None], data.truth, np.nan))
+    some = some[np.isfinite(some).all(axis=(1, 2))]
+    sizes = np.median(np.abs(some - np.median(some, axis=1, keepdims=True)).max(axis=2), axis=1)
+    sizes = sizes[sizes > 0]
+    far = int((np.abs(np.log(sizes / np.median(sizes))) > np.log(_FACTOR)).sum()) if len(sizes) else 0
+    if not far:
+        return []
+    words = f" of {data.names[1]} are over {_FACTOR:g} times larger or smaller than most. Are all in one unit?"
+    return [Remark("at least ", Count(far, "pose"), words)]
+
+
 def ratio_message(name: str, true_name: str, size: float, true_size: float) -> str:
     """Describe two sizes that can't be in one unit; empty where they can."""
     if 0.05 < size / true_size < 20:
         return ""
     return f"{name} and {true_name} differ in size by a factor of {max(size / true_size, true_size / size):,.0f}"
-
-
-def _distinct(name: str, some: FloatArray) -> list[str]:
-    """Remark on hypotheses of which some repeat others."""
-    distinct, n = distinct_hypotheses(some), len(some)
-    if 1 < distinct < n:
-        number = Example(f"{distinct} of N = {n} hypotheses are distinct, by the first {some.shape[1]} frames")
-        return [
-            Remark(f"{name}: only ", number, ". Spread, calibration and scores are then those of fewer hypotheses.")
-        ]
-    return []
 
 
 def metres_message(name: str, size: float) -> str:

@@ -146,7 +146,7 @@ def choose_layouts(
     if len(x) != len(layout.groups):
         raise PoseDataError(f"{both}. Declare another layout of {hypotheses.name} with {option('axes')}.")
     true_shape = named_call(truth, true_layout.shape, y)
-    if own is None and true_own is None and true_shape[1] == 3 != true_shape[2]:
+    if own is None and true_own is None and true_shape[1] == 3 != true_shape[2] > 1:
         raise PoseDataError(f"{both}, coordinates last. Pass {option('truth_axes', 'MDK')}.")
     if own is not None:
         named_call(hypotheses, layout.shape, x)

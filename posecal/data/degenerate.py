@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,16 +16,25 @@ from posecal.errors import PoseDataError, first_few, option
 LARGEST = 1e7
 """A coordinate beyond this, in mm (10 km), is a fill value or an overflow, and refused as one that is not finite."""
 
+LARGEST_ANGLE = 1e5
+"""An angle beyond this, in degrees, likewise."""
+
 FEWEST_JOINTS = 3
 """Poses of fewer joints that count are never said to be one point."""
+
+_FEWEST_COORDINATES = 6
+"""Fewer whole numbers may be equal by chance."""
+
+_FILL = 1000.0
+"""Three coordinates of this size, in any unit, are not equal by chance."""
 
 _PIXELS = 20.0
 """Coordinates with a standard deviation above this are none of metres."""
 
 
-def is_outside(coordinates: FloatArray) -> BoolArray:
-    """Find coordinates that are NaN, infinite or beyond :data:`LARGEST`."""
-    return np.asarray(~(np.abs(coordinates) <= LARGEST))
+def is_outside(coordinates: FloatArray, limit: float = LARGEST) -> BoolArray:
+    """Find coordinates that are NaN, infinite or beyond a limit."""
+    return np.asarray(~(np.abs(coordinates) <= limit))
 
 
 def column_problem(name: str, poses: npt.NDArray[Any], parameter: str, axes: str) -> str:
@@ -60,6 +70,21 @@ def column_problem(name: str, poses: npt.NDArray[Any], parameter: str, axes: str
     )
 
 
+def is_one_point(poses: FloatArray, where: BoolArray | None) -> BoolArray:
+    """Find poses (..., M, K, D), D > 1, of which all joints that count, (M, K), three or more, lie in one point."""
+    k, d = poses.shape[-2:]
+    found = (poses[..., 0, :] == poses[..., -1, :]).all(axis=-1) & (k >= FEWEST_JOINTS) & (d > 1)
+    if where is not None:
+        found |= ~(where[:, 0] & where[:, -1]) & (k >= FEWEST_JOINTS) & (d > 1)
+    if not found.any():
+        return np.asarray(found)
+    some = poses[found]
+    counts = np.ones(some.shape[:2], dtype=bool) if where is None else np.broadcast_to(where, poses.shape[:-1])[found]
+    first = np.take_along_axis(some, counts.argmax(axis=1)[:, None, None], axis=1)
+    found[found] = ((some == first) | ~counts[..., None]).all(axis=(1, 2)) & (counts.sum(axis=1) >= FEWEST_JOINTS)
+    return np.asarray(found)
+
+
 def refuse_one_point(truth: FloatArray, where: BoolArray | None, frames: npt.NDArray[np.str_], name: str) -> None:
     """Refuse true poses of which all joints that count lie in one point.
 
@@ -80,16 +105,7 @@ def refuse_one_point(truth: FloatArray, where: BoolArray | None, frames: npt.NDA
         With their number and the first of them. Poses of one coordinate, and of fewer than three joints that count,
         pass.
     """
-    if truth.shape[2] < 2 or truth.shape[1] < FEWEST_JOINTS:
-        return
-    candidates = np.flatnonzero((truth[:, 0] == truth[:, -1]).all(axis=1) | (where is not None))
-    some = truth[candidates]
-    counts = np.ones(some.shape[:2], dtype=bool) if where is None else where[candidates]
-    low, high = (
-        reduce(np.where(counts[..., None], some, fill), axis=1)
-        for reduce, fill in ((np.min, np.inf), (np.max, -np.inf))
-    )
-    bad = candidates[(low == high).all(axis=1) & (counts.sum(axis=1) >= FEWEST_JOINTS)]
+    bad = np.flatnonzero(is_one_point(truth, where))
     if len(bad):
         raise PoseDataError(
             f"{name}: in {len(bad):,} of {len(truth):,} frames (first: {first_few(frames[bad].tolist())}) all joints "
@@ -97,110 +113,140 @@ def refuse_one_point(truth: FloatArray, where: BoolArray | None, frames: npt.NDA
         )
 
 
-def truth_remarks(
-    truth: FloatArray, where: BoolArray | None, joints: Sequence[str], root: Sequence[int], name: str
-) -> list[str]:
-    """Remark on joints that repeat others in every frame, and on joints that are a fill value in some frames.
+class Fills:
+    """Joints whose coordinates are all one number in some poses, such as 0 or -1000: it may be a fill value."""
 
-    Parameters
-    ----------
-    truth : array (M, K, D)
-        True poses, as stored.
-    where : bool array (M, K) or None
-        The joints that count.
-    joints : sequence of str
-        K names.
-    root : sequence of int
-        The joints that are subtracted, which may be 0.
-    name : str
-        What messages call the truth.
+    def __init__(self) -> None:
+        self._places, self._poses = Counter[float](), Counter[float]()
+        self._first: dict[float, str] = {}
+        self._range, self._d = (np.inf, -np.inf), 0
 
-    Returns
-    -------
-    list of str
-        Remarks.
-    """
-    m, k, d = truth.shape
-    if d < 2 or m < 2 or k < FEWEST_JOINTS:
-        return []
-    copies = [] if where is not None else _copies(truth)
-    remarks: list[str] = []
-    if 0 < len(copies) < k - 1:
-        pairs = [f"{joints[j]} = {joints[original]}" for j, original in copies]
-        remarks.append(
+    def add(
+        self,
+        poses: FloatArray,
+        others: FloatArray,
+        where: BoolArray | None,
+        counted: BoolArray,
+        resting: Sequence[int],
+        joints: Sequence[str],
+    ) -> None:
+        """Look at more poses.
+
+        Parameters
+        ----------
+        poses : array (N, M, K, D)
+            Hypotheses, or the truth as one.
+        others : array (M, K, D)
+            The truth, or a hypothesis: where both are 0, that is a root.
+        where : bool array (M, K) or None
+            The joints that count.
+        counted : bool array (N, M)
+            The poses that count.
+        resting : sequence of int
+            Joints that may be 0.
+        joints : sequence of str
+            K names.
+        """
+        self._d = poses.shape[3]
+        if self._d == 2:
+            low, high = self._range
+            self._range = min(low, float(np.nanmin(poses))), max(high, float(np.nanmax(poses)))
+        n, m, k = np.nonzero(poses[..., 0] == poses[..., 1])
+        values = poses[n, m, k]
+        is_fill = (values == values[:, :1]).all(axis=1) & counted[n, m]
+        is_fill &= values.any(axis=1) | (others[m, k].any(axis=1) & ~np.isin(k, resting))
+        if where is not None:
+            is_fill &= where[m, k]
+        n, m, k, values = n[is_fill], m[is_fill], k[is_fill], values[is_fill, 0] + 0  # -0 as 0
+        for value in np.unique(values):
+            at = values == value
+            self._places[float(value)] += int(at.sum())
+            self._poses[float(value)] += len(np.unique(n[at] * counted.shape[1] + m[at]))
+            self._first.setdefault(float(value), joints[k[at][0]])
+
+    def remarks(self, name: str, words: tuple[str, str], total: int | None) -> list[str]:
+        """Give a remark for each such number.
+
+        A number other than 0 is found in two places or more, or is at least 1000 in three coordinates; of two
+        coordinates it is the least or the largest of all, since whole pixels may be equal by chance.
+        """
+        return [
             Remark(
-                f"{name}: {len(copies)} of {k} joints equal others in every frame (",
+                f"{name}: joints are exactly {value:g} in ",
+                Count(self._poses[value], *words, of=total),
+                " (first: ",
+                Example(self._first[value]),
+                "). Where that stands for a joint that is not known, mark it in a member valid (M, K).",
+            )
+            for value, number in sorted(self._places.items())
+            if value == 0
+            or (number > 1 and (self._d > 2 or value in self._range))
+            or (self._d > 2 and abs(value) >= _FILL)
+        ]
+
+
+class Repeats:
+    """Joints that equal others in some frames, in all hypotheses."""
+
+    def __init__(self) -> None:
+        self._pairs, self._sure = Counter[str](), dict[str, None]()
+        self._frames = self._coordinates = self._k = 0
+
+    def add(
+        self,
+        poses: FloatArray,
+        others: FloatArray | None,
+        where: BoolArray | None,
+        resting: Sequence[int],
+        joints: Sequence[str],
+    ) -> None:
+        """Look at more poses, (N, M, K, D), as :meth:`Fills.add`; joints that are equal in ``others`` don't count."""
+        _, m, k, d = poses.shape
+        self._k = k
+        self._coordinates += poses[..., 0, :].size
+        keys = (poses[0] * np.random.default_rng(0).normal(size=d)).sum(axis=2)
+        order = np.argsort(keys, axis=1, kind="stable")
+        keys = np.take_along_axis(keys, order, axis=1)
+        rows, places = np.nonzero(keys[:, 1:] == keys[:, :-1])
+        pairs, numbers = np.unique(order[rows, places] * k + order[rows, places + 1], return_counts=True)
+        sure = np.zeros(m, dtype=bool)
+        for pair in pairs[np.argsort(-numbers, kind="stable")][:k]:
+            j, copy = divmod(int(pair), k)
+            if j in resting and copy in resting:
+                continue
+            values = poses[:, :, j]
+            equal = (values == poses[:, :, copy]).all(axis=(0, 2))
+            if where is not None:
+                equal &= where[:, j] & where[:, copy]
+            if others is not None:
+                equal &= (others[:, j] != others[:, copy]).any(axis=1)
+            if not equal.any():
+                continue
+            text = f"{joints[copy]} = {joints[j]}"
+            self._pairs[text] += int(equal.sum())
+            by_chance = (values == np.rint(values)).all(axis=(0, 2)) & (values[:, :1].size < _FEWEST_COORDINATES)
+            by_chance |= (values == values[..., :1]).all(axis=(0, 2))  # a fill value
+            if (equal & ~by_chance).any():
+                sure |= equal & ~by_chance
+                self._sure[text] = None
+        self._frames += int(sure.sum())
+
+    def remarks(self, name: str, total: int) -> list[str]:
+        """Give a remark on them, of so many frames.
+
+        Whole numbers of few coordinates may be equal by chance, and fill values are no repetition: such joints count if
+        they are equal in every frame.
+        """
+        always = [text for text, number in self._pairs.items() if number == total]
+        pairs = list(dict.fromkeys([*always * (self._coordinates >= _FEWEST_COORDINATES), *self._sure]))
+        if not 0 < len(pairs) < self._k - 1:
+            return []
+        return [
+            Remark(
+                f"{name}: joints equal others in ",
+                Count(total if always else self._frames, "frame", of=total),
+                " (",
                 Example(first_few(pairs, 8)),
                 "), which so count twice in means over joints. The protocol's option joints chooses those to score.",
             )
-        )
-    return remarks + fill_remarks(truth, where, joints, [*root, *(j for j, _ in copies)], name)
-
-
-def _copies(truth: FloatArray) -> list[tuple[int, int]]:
-    """Give joints that equal an earlier one in every frame, each with that one."""
-    _, first, group = np.unique(truth[0], axis=0, return_index=True, return_inverse=True)
-    original = first[group.reshape(-1)].tolist()  # the first joint that lies where each does in the first frame
-    return [
-        (j, original[j])
-        for j in range(len(original))
-        if original[j] != j and np.array_equal(truth[:, j], truth[:, original[j]])
-    ]
-
-
-def fill_remarks(
-    poses: FloatArray, where: BoolArray | None, joints: Sequence[str], resting: Sequence[int], name: str
-) -> list[str]:
-    """Remark on joints whose coordinates are all one number in some poses, such as 0 or -1000: it may be a fill value.
-
-    Parameters
-    ----------
-    poses : array (M, K, D)
-        True poses, or hypotheses one after another.
-    where : bool array (M, K) or None
-        The joints that count.
-    joints : sequence of str
-        K names.
-    resting : sequence of int
-        Joints that may be 0.
-    name : str
-        What messages call the poses.
-
-    Returns
-    -------
-    list of str
-        A remark for each such number. Other than 0 it is found at two joints or more and, of two coordinates, as the
-        least or the largest of all, since whole pixels may be equal by chance.
-    """
-    counted = np.ones(poses.shape[:2], dtype=bool) if where is None else where
-    equal = (poses == poses[..., :1]).all(axis=2) & counted
-    equal &= ~equal.all(axis=1, keepdims=True)  # a pose in one point is another fault
-    values, numbers = np.unique(poses[..., 0][equal], return_counts=True)
-    if poses.shape[2] == 2 and values.size:
-        numbers *= np.isin(values, np.array([0, np.nanmin(poses), np.nanmax(poses)]))
-    remarks: list[str] = []
-    for value in values[(values == 0) | (numbers > 1)]:
-        found = equal & (poses[..., 0] == value)
-        if value == 0:
-            found[:, [*resting, *np.flatnonzero((found | ~counted).all(axis=0))]] = False
-        if found.any():
-            places = [f"{joints[j]} in {number:,}" for j, number in enumerate(found.sum(axis=0)) if number]
-            remarks.append(
-                Remark(
-                    f"{name}: joints are exactly {value:g} in ",
-                    Count(int(found.any(axis=1).sum()), "pose", of=len(poses)),
-                    " (",
-                    Example(first_few(places)),
-                    "). Where that stands for a joint that is not known, mark it in a member valid (M, K).",
-                )
-            )
-    return remarks
-
-
-def distinct_hypotheses(hypotheses: FloatArray) -> int:
-    """Count the distinct hypotheses of a pose, the median over some poses, (N, M, K, D)."""
-    n, m = hypotheses.shape[:2]
-    flat = hypotheses.reshape(n, m, -1)
-    with np.errstate(invalid="ignore", over="ignore"):  # joints that don't count may hold anything
-        seen = np.sort((flat * np.random.default_rng(0).normal(size=flat.shape[2])).sum(axis=2), axis=0)
-    return int(np.median(1 + (np.diff(seen, axis=0) != 0).sum(axis=0)))
+        ]

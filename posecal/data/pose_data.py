@@ -14,19 +14,18 @@ import numpy.typing as npt
 from posecal.data.arrays import BoolArray, FloatArray, as_array, as_label_arrays, as_labels, as_marks, as_scores
 from posecal.data.checks import check_units
 from posecal.data.declarations import Declarations
-from posecal.data.degenerate import FEWEST_JOINTS, fill_remarks, truth_remarks
 from posecal.data.layout import HYPOTHESES
 from posecal.data.match import Matcher
 from posecal.data.read import read_poses
-from posecal.data.root import AnyRoot, root_joints
+from posecal.data.root import AnyRoot
 from posecal.data.stored_poses import Hypotheses, Labels, Rows, StoredPoses, sample_rows
 from posecal.errors import PosecalError, PoseDataError, attempt, raise_all
 
 T = TypeVar("T")
 Source = npt.ArrayLike | str | os.PathLike[str]
 
-_FRAMES, _HYPOTHESES = 16, 32
-"""How many frames are looked at, and of how many hypotheses for fill values."""
+_FRAMES = 16
+"""Of how many frames the units of hypotheses are judged."""
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -301,17 +300,4 @@ def match_poses(
     some = data.hypotheses.select(rows).read(0, len(rows))
     remarks = attempt(matcher.problems, check_units, data, some, hypotheses.unit, truth.unit, declared) or []
     raise_all(matcher.problems)
-    remarks += truth_remarks(data.truth, data.where, data.joints, root_joints(data.root), truth.name)
-    remarks += _hypotheses_remarks(data, some, rows)
     return data.replace(remarks=(*data.remarks, *remarks))
-
-
-def _hypotheses_remarks(data: PoseData, some: FloatArray, rows: Rows) -> list[str]:
-    """Remark on joints of hypotheses that are a fill value, in some frames."""
-    n, m, k, d = data.shape
-    if d < 2 or k < FEWEST_JOINTS:
-        return []
-    some = some[:_HYPOTHESES]
-    where = None if data.where is None else np.tile(data.where[rows], (len(some), 1))
-    name = data.names[0] if len(rows) == m and len(some) == n else f"{data.names[0]} ({len(rows)} frames looked at)"
-    return fill_remarks(some.reshape(-1, k, d), where, data.joints, root_joints(data.root), name)

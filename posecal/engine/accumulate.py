@@ -21,10 +21,10 @@ from posecal.data.pose_data import PoseData
 from posecal.engine.block import block_length
 from posecal.engine.cells import CellIndex
 from posecal.engine.chunks import Chunk, Indices, join_chunks, read_chunks
-from posecal.engine.coinciding import Coinciding
 from posecal.engine.measure import Measured, measure_block, measure_segment
 from posecal.engine.metric import Metric, Statistic
 from posecal.engine.pose_hashes import PoseHashes, add_hashes, pose_hashes, repeated_remarks, smallest_hashes
+from posecal.engine.pose_remarks import PoseRemarks
 from posecal.engine.prepare import Prepared, refuse_non_finite
 from posecal.engine.protocol import Protocol
 from posecal.engine.ragged import lay_out
@@ -86,7 +86,7 @@ class Accumulator:
         needs_segments = any(statistic.by_segment for statistic in self.statistics)
         self._segments = Segments(protocol.segment_length if needs_segments else 0)
         self._last_sequence: str | None = None  # of the pose that came last, None where it does not count
-        self._coinciding = Coinciding()
+        self._remarks = PoseRemarks()
         self._failure = ""  # what stopped a batch when some of it was counted
 
     def add(
@@ -179,7 +179,7 @@ class Accumulator:
             version=posecal.__version__,
             cells={name: values[used] for name, values in cells.items()},
             poses=final._poses[used],
-            remarks=(*self._coinciding.remarks(), *repeated_remarks(hashes, self._truth_name)),
+            remarks=(*self._remarks.remarks(), *repeated_remarks(hashes, int(final._poses.sum()), self._truth_name)),
             has_sequences=self._index.has_sequences,
             sums={name: sums[used] for name, (sums, _) in final._sums.items()},
             counts={name: counts[used] for name, (_, counts) in final._sums.items()},
@@ -261,7 +261,7 @@ class Accumulator:
             stop = start + len(chunk)
             follows = chunk.follows.copy()
             follows[0] |= continues and start == 0
-            self._coinciding.add(data.names[0], chunk.hypotheses, chunk.where, data.frame_id[start:stop])
+            self._remarks.add(data.names, chunk, data.frame_id[start:stop], self.spec)
             part = slice(start, stop)
             labels = {name: values[part] for name, values in data.labels.items()}
             hashes = pose_hashes(chunk.truth, labels, data.frame_id[part] if data.has_frame_id else None)

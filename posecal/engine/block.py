@@ -17,7 +17,7 @@ import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
 from posecal.data.arrays import BoolArray, FloatArray, squared_norms, working_dtype
-from posecal.data.degenerate import LARGEST, is_outside
+from posecal.data.degenerate import LARGEST, LARGEST_ANGLE, is_outside
 from posecal.data.root import AnyRoot, Root, origin
 from posecal.engine.circular import circular_mean, turns_of_pool, unwrapped, wrapped
 from posecal.engine.coordinate_range import CoordinateRange, coordinate_range
@@ -109,7 +109,8 @@ class Block:
         self.where = np.ones(truth.shape[:2], dtype=bool) if where is None else where
         self.offsets, self.period = _offsets(hypotheses, truth, root), period
         if period is not None:
-            self.offsets = unwrapped(self.offsets, period)
+            outside = is_outside(self.offsets, LARGEST_ANGLE)
+            self.offsets = np.where(outside, np.nan, unwrapped(self.offsets, period))
         self.truth = _relative(truth, root, self.offsets.dtype)
         if not self.where.all():
             self.offsets[~self.where] = 0
@@ -154,7 +155,7 @@ class Block:
 
     @cached_property
     def non_finite(self) -> BoolArray:
-        """The poses and joints, (B, K), at which a coordinate that counts is NaN, infinite or beyond 10 km."""
+        """The poses and joints, (B, K), at which a coordinate that counts is NaN, infinite or too large."""
         if np.einsum("bkn->", self.squared_errors) < LARGEST**2:  # one fast pass; true of nearly every block
             return np.zeros_like(self.where)
         return np.asarray(is_outside(self.offsets).any(axis=(2, 3)))

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from posecal.data.remarks import Count, Example, Remark, join_remarks
-from posecal.engine.pose_hashes import shared_poses, smallest_hashes
+from posecal.engine.pose_hashes import MOST_HASHES, shared_poses, smallest_hashes
 from posecal.engine.totals import Totals, difference_of_signatures, different_metrics
 from posecal.errors import PoseDataError, first_few, option, raise_all
 
@@ -157,10 +157,12 @@ def _refuse_unlike(parts: Sequence[Totals], names: Sequence[str]) -> None:
 
 def _refuse_shared(parts: Sequence[Totals], names: Sequence[str]) -> None:
     """Refuse poses that two shards have in common."""
-    first, second, number = shared_poses([part.pose_hashes for part in parts])
+    hashes = [part.pose_hashes for part in parts]
+    first, second, number = shared_poses(hashes)
     if number:
+        some = "at least " * any(len(of_part) == MOST_HASHES for of_part in hashes)
         raise PoseDataError(
-            f"{names[first]} and {names[second]} hold the same poses: {number:,} with the same truth and labels; "
+            f"{names[first]} and {names[second]} hold the same poses: {some}{number:,} with the same truth and labels; "
             "expected every pose in one only. Leave them out of one, or give both a frame_id where they are different "
             "frames."
         )

@@ -56,18 +56,19 @@ def smallest_hashes(parts: Sequence[PoseHashes]) -> PoseHashes:
     return hashes[np.lexsort(hashes.T[::-1])][:MOST_HASHES]
 
 
-def repeated_remarks(hashes: PoseHashes, name: str) -> list[str]:
-    """Remark on poses, by their sorted hashes, that equal another in truth, labels and frame.
+def repeated_remarks(hashes: PoseHashes, poses: int, name: str) -> list[str]:
+    """Remark on poses, by the sorted hashes of all or of a sample, that equal another in truth, labels and frame.
 
     Nothing is said where most do, as where cameras without a label see one moment.
     """
     number, repeated = len(hashes), int((hashes[1:] == hashes[:-1]).all(axis=1).sum())
     if not 0 < repeated < number / 2:
         return []
+    is_sample = number == MOST_HASHES < poses
     return [
         Remark(
-            f"{name}: ",
-            Count(repeated, "frame", of=number),
+            f"{name}: {'about ' * is_sample}",
+            Count(round(repeated * poses / number) if is_sample else repeated, "frame", of=poses),
             " with truth and labels of another count twice. Were they repeated to fill a batch? Leave them out, or "
             "give all frames a frame_id.",
         )

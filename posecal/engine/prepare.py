@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray
-from posecal.data.degenerate import LARGEST, is_outside, refuse_one_point
+from posecal.data.degenerate import LARGEST, LARGEST_ANGLE, is_outside, refuse_one_point
 from posecal.data.pose_data import PoseData
 from posecal.data.remarks import Count, Example, Remark
 from posecal.data.root import root_joints, root_name
@@ -135,7 +135,7 @@ def select_scored(data: PoseData, protocol: Protocol) -> PoseData:
         scored = data.occluded if protocol.where == "occluded" else ~data.occluded
         usable = np.ones_like(scored) if where is None else where
         where = scored if where is None else scored & where
-    bad = is_outside(data.truth).any(axis=2)
+    bad = is_outside(data.truth, _limit(data)).any(axis=2)
     refuse_non_finite(data, name, np.argwhere(bad if where is None else bad & where))
     refuse_one_point(data.truth, where, data.frame_id, name)
     return data.replace(where=where, usable=usable)
@@ -167,7 +167,7 @@ def _with_counting_root(data: PoseData, *, is_masked: bool) -> PoseData:
     if data.root is None or (data.where is None and not is_masked):
         return data
     joints = root_joints(data.root)
-    lost: BoolArray = np.asarray(is_outside(data.truth[:, joints]).any(axis=(1, 2)))
+    lost: BoolArray = np.asarray(is_outside(data.truth[:, joints], _limit(data)).any(axis=(1, 2)))
     if data.where is not None:
         lost |= ~data.where[:, joints].all(axis=1) & data.where.any(axis=1)
     if not lost.any():
@@ -196,6 +196,10 @@ def lack_of_scored(data: PoseData, protocol: Protocol) -> str:
     return ""
 
 
+def _limit(data: PoseData) -> float:
+    return LARGEST_ANGLE if data.unit == "deg" else LARGEST
+
+
 def refuse_non_finite(data: PoseData, name: str, bad: Indices) -> None:
     """Refuse coordinates that are not finite, at (pose, joint) pairs.
 
@@ -212,7 +216,8 @@ def refuse_non_finite(data: PoseData, name: str, bad: Indices) -> None:
             if not all(np.isfinite(pose[..., root, :]).all() for pose in poses):
                 joint = root  # which makes all others so
         is_finite = all(np.isfinite(pose[..., joint, :]).all() for pose in poses)
-        what = "coordinates beyond 10 km (1e7 mm)" if is_finite else "non-finite coordinates"
+        beyond = "angles beyond 100,000 degrees" if data.unit == "deg" else "coordinates beyond 10 km (1e7 mm)"
+        what = beyond if is_finite else "non-finite coordinates"
         raise PoseDataError(
             f"{name} has {what} in {frames:,} of {len(data.truth):,} frames (first: frame "
             f"{data.frame_id[frame]}, joint {data.joints[joint].removeprefix('joint ')}). Mask those joints (in a "
@@ -232,8 +237,8 @@ def refuse_non_finite_hypotheses(data: PoseData) -> None:
         start, bad = 0, np.zeros((0, 2), dtype=np.intp)
         for chunk in read_chunks(some.replace(reference=None)):
             flat = chunk.hypotheses.reshape(-1)
-            if not np.vdot(flat, flat) < LARGEST**2:  # one fast pass; true of nearly every batch
-                places = np.argwhere(is_outside(chunk.hypotheses).any(axis=(0, 3)))
+            if not np.vdot(flat, flat) < _limit(data) ** 2:  # one fast pass; true of nearly every batch
+                places = np.argwhere(is_outside(chunk.hypotheses, _limit(data)).any(axis=(0, 3)))
                 bad = np.concatenate([bad, places + np.array([start, 0])])
             start += len(chunk)
         refuse_non_finite(data, some.names[0], bad if data.where is None else bad[data.where[tuple(bad.T)]])

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 _SAMPLE = 64
 """How many poses are looked at for hypotheses that are absent."""
 
-_OF_WEIGHTS = 1e-3
-"""Scores whose sum is 1 to this are weights."""
+_OF_WEIGHTS = 2.5e-3
+"""Scores whose sum is 1 to this, as of numbers of bfloat16, are weights."""
 
 
 def present(hypotheses: FloatArray, scores: FloatArray | None) -> BoolArray:

@@ -1,4 +1,4 @@
-"""Poses that are one point, joints that repeat others, masks of what is known, and columns that are no coordinates."""
+"""Poses that are one point, masks of what is known, and columns that are no coordinates."""
 
 from typing import Any
 
@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import posecal
-from posecal.data.degenerate import column_problem, distinct_hypotheses, truth_remarks
+from posecal.data.degenerate import column_problem
 from posecal.data.layout import Layout, MemoryArray
 from posecal.data.pose_data import PoseData, match_poses
 from posecal.errors import PoseDataError
-from tests.helpers.small_files import FRAMES, JOINTS, K, M, N, gt, hypotheses, hyps, truth
+from tests.helpers.small_files import JOINTS, K, M, N, gt, hypotheses, hyps, truth
 
 Array = np.ndarray[Any, Any]
 
@@ -39,104 +39,6 @@ def test_only_the_joints_that_count_make_a_pose_one_point() -> None:
         evaluated(hypotheses(), y, where=where)
     where[2, 2:4] = False  # two joints that agree may be
     assert evaluated(hypotheses(), y, where=where).totals.poses.sum() == M
-
-
-def test_a_remark_counts_the_frames_whose_hypotheses_are_points_or_the_same() -> None:
-    x = hypotheses()
-    x[:, [1, 4]] = 0
-    x[:, 3] = x[0, 3]
-    remarks = evaluated(x, truth()).remarks
-    points = "hypotheses: in 2 of 7 frames (first: 1, 4) every hypothesis is one point. Are these frames without a "
-    assert any(remark.startswith(points) for remark in remarks)
-    assert (
-        "hypotheses: in 1 of 7 frames (first: 3) all hypotheses are the same. A sampler gives different ones."
-        in remarks
-    )
-
-
-def test_one_hypothesis_of_its_own_and_points_apart_are_no_remark() -> None:
-    x = hypotheses()
-    x[:-1, 1] = 0
-    remarks = " ".join(evaluated(x, truth()).remarks)
-    assert "one point" not in remarks
-    assert "the same" not in remarks
-
-
-def test_batches_count_coinciding_hypotheses_together() -> None:
-    x = hypotheses()
-    x[:, [1, 4, 5, 6]] = 0
-    evaluation = posecal.Evaluation(axes="NMKD", unit="mm", joints=JOINTS)
-    for rows in (slice(0, 3), slice(3, 7)):
-        evaluation.update(x[:, rows], truth()[rows], frame_id=FRAMES[rows])
-    wanted = (
-        f"hypotheses: in 4 of 7 frames (first: {FRAMES[1]}, {FRAMES[4]}, {FRAMES[5]}) every hypothesis is one point"
-    )
-    assert [remark for remark in evaluation.compute().remarks if remark.startswith(wanted)]
-
-
-@pytest.mark.parametrize(("copies", "distinct"), [(1, 5), (2, 3), (3, 2)])
-def test_copies_of_hypotheses_are_remarked_on_with_how_many_are_distinct(copies: int, distinct: int) -> None:
-    x = hypotheses()[np.arange(N) // copies]
-    assert distinct_hypotheses(x) == distinct
-    remarks = [remark for remark in evaluated(x, truth()).remarks if "distinct" in remark]
-    assert remarks == [
-        f"hypotheses: only {distinct} of N = 5 hypotheses are distinct, by the first 7 frames. Spread, calibration and "
-        "scores are then those of fewer hypotheses."
-    ] * (copies > 1)
-
-
-# --- joints ---------------------------------------------------------------------------------------------------
-
-
-def test_joints_that_equal_others_in_every_frame_are_named_with_them() -> None:
-    y = truth().astype(float)
-    y[:, 5], y[:, 9] = y[:, 2], y[:, 2]
-    y[1:, 12] = y[1:, 3]  # not in the first frame
-    y[:1, 14] = y[:1, 4]  # in the first frame alone
-    remarks = truth_remarks(y, None, [f"j{k}" for k in range(K)], [0], "gt")
-    assert remarks == [
-        "gt: 2 of 17 joints equal others in every frame (j5 = j2, j9 = j2), which so count twice in means over joints. "
-        "The protocol's option joints chooses those to score."
-    ]
-
-
-def test_joints_that_are_zero_in_some_frames_are_remarked_on_but_the_root() -> None:
-    y = truth().astype(float)
-    y[[1, 2, 6], 7] = 0
-    assert not y[:, 0].any()
-    remarks = truth_remarks(y, None, JOINTS, [0], "gt")
-    assert remarks == [
-        "gt: joints are exactly 0 in 3 of 7 poses (Spine in 3). Where that stands for a joint that is not known, mark "
-        "it in a member valid (M, K)."
-    ]
-    where = np.ones((M, K), dtype=bool)
-    where[[1, 2], 7] = where[3, 0] = False
-    (remark,) = truth_remarks(y, where, JOINTS, [], "gt")
-    assert remark.startswith("gt: joints are exactly 0 in 1 of 7 poses (Spine in 1).")  # Hip is 0 wherever it counts
-
-
-@pytest.mark.parametrize("d", [2, 3])
-@pytest.mark.parametrize("value", [-1000.0, 9999.0, -1.0])
-def test_joints_that_are_a_fill_value_are_remarked_on_in_truth_and_hypotheses(value: float, d: int) -> None:
-    random = np.random.default_rng(0)
-    y = random.uniform(100, 900, (20, K, d))
-    x = y + random.normal(0, 30, (5, *y.shape))
-    y[[3, 4, 11], 2] = x[:, [6, 18], 5] = value
-    words = f"joints are exactly {value:g} in"
-    found = [remark for remark in posecal.PoseData(x, y, unit="px", axes="NMKD").remarks if "exactly" in remark]
-    assert found[0].startswith(f"truth: {words} 3 of 20 poses (joint 2 in 3).")
-    assert found[1].startswith(f"hypotheses (16 frames looked at): {words} 10 of 80 poses (joint 5 in 10).")
-    assert len(found) == 2
-    where = np.ones(y.shape[:2], dtype=bool)
-    where[[3, 4, 11], 2] = where[[6, 18], 5] = False
-    masked = posecal.PoseData(x, y, where=where, unit="px", axes="NMKD")
-    assert not [remark for remark in masked.remarks if "exactly" in remark]
-
-
-def test_whole_pixels_that_are_equal_by_chance_are_no_fill_values() -> None:
-    y = np.random.default_rng(1).integers(0, 400, (500, K, 2)).astype(float)
-    assert (y[..., 0] == y[..., 1]).sum() > 10
-    assert truth_remarks(y, None, JOINTS, [], "gt") == []
 
 
 # --- what is known --------------------------------------------------------------------------------------------

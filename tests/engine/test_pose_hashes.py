@@ -125,3 +125,24 @@ def test_few_coordinates_that_are_equal_by_chance_say_nothing_without_frame_ids(
     named = posecal.evaluate(samples, angles, unit="deg", axes="NMKD", frame_id=range(30)).totals
     with pytest.raises(PoseDataError, match="hold the same poses: 30"):
         merge_totals([named, named])
+
+
+def test_of_many_poses_the_repeated_ones_are_estimated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From the hashes that are kept, of which the smallest may be of any pose."""
+    hashes = np.repeat(
+        np.random.default_rng(1).integers(1, 1 << 60, (1000, 2), dtype=np.uint64), [1, 1, 1, 1, 2] * 200, 0
+    )
+    monkeypatch.setattr(module, "MOST_HASHES", 300)
+    (remark,) = module.repeated_remarks(smallest_hashes([hashes]), 1200, "truth")
+    number = int(remark.split("about ")[1].split(" of 1,200 frames")[0])
+    assert number == pytest.approx(200, rel=0.2)
+    monkeypatch.setattr(module, "MOST_HASHES", 1200)
+    (remark,) = module.repeated_remarks(smallest_hashes([hashes]), 1200, "truth")
+    assert remark.startswith("truth: 200 of 1,200 frames with truth")
+
+
+def test_poses_that_are_shared_are_at_least_those_whose_hashes_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    parts = [part(np.arange(20), labels=labels(np.arange(20)))] * 2
+    monkeypatch.setattr("posecal.engine.merge.MOST_HASHES", 20)
+    with pytest.raises(PoseDataError, match="hold the same poses: at least 20 with"):
+        merge_totals(parts)

@@ -458,7 +458,10 @@ SITUATIONS = (
         "detectors that write -1000 or 9999 for what they did not find",
         "no remark",
         fill_values,
-        says=("gt.npz: joints are exactly -1000 in 3 of 40 poses", "looked at): joints are exactly -1000 in"),
+        says=(
+            "gt.npz: joints are exactly -1000 in 3 of 40 poses",
+            "hyps.npz: joints are exactly -1000 in 40",
+        ),
     ),
     Situation(
         "One hypothesis that overflowed",

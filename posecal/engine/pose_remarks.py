@@ -1,0 +1,170 @@
+"""Remarks on hypotheses and truth that may be none: every pose is looked at as it is read, so that counts add up."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from posecal.data.arrays import BoolArray, FloatArray
+from posecal.data.degenerate import FEWEST_JOINTS, Fills, Repeats, is_one_point
+from posecal.data.joint_names import joint_keys
+from posecal.data.remarks import Count, Example, Remark
+from posecal.data.root import root_joints
+from posecal.engine.chunks import Chunk
+from posecal.engine.ragged import present
+from posecal.engine.scope import DataSpec
+
+_SHOWN = 3
+"""How many frames a remark names."""
+
+_FEWEST_COORDINATES = 9
+"""Hypotheses of fewer may be equal by chance."""
+
+_FACTOR = 100.0
+"""Hypotheses so many times as large as the truth, or as small, are in another unit."""
+
+_OF_FRAMES = {
+    "points": "every hypothesis is one point. Are these frames without a prediction? Leave them out.",
+    "same": "all hypotheses are the same. A sampler gives different ones.",
+    "size": f"hypotheses are over {_FACTOR:g} times larger or smaller than the truth. Are all in one unit?",
+    "truth": "a hypothesis equals the truth. Is the truth among the samples?",
+}
+_OF_HYPOTHESES = {
+    "some points": "are one point, and count. If they stand for absent ones, store NaN.",
+    "equal": "equal another of their frame. Spread, calibration and scores are then those of fewer.",
+    "score 0": "have score 0 or -inf, and count: the scores of their frame are no weights (at least 0, of sum 1). If "
+    "they stand for absent ones, store weights, or NaN as coordinates.",
+}
+
+
+class PoseRemarks:
+    """Hypotheses that look like none, or like no samples, and joints that look like none."""
+
+    def __init__(self) -> None:
+        self._frames, self._hypotheses = Counter[str](), Counter[str]()
+        self._first: dict[str, list[str]] = {}
+        self._looks = (Fills(), Repeats()), (Fills(), Repeats())  # at hypotheses, at truth
+        self._poses, self._names = 0, ("", "")
+
+    def add(self, names: tuple[str, str], chunk: Chunk, frames: npt.NDArray[np.str_], spec: DataSpec) -> None:
+        """Look at more poses.
+
+        Parameters
+        ----------
+        names : tuple of two str
+            What messages call hypotheses and truth.
+        chunk : Chunk
+            The m poses.
+        frames : array of str (m,)
+            Names of their frames.
+        spec : DataSpec
+            What all poses have in common.
+        """
+        self._poses, self._names = self._poses + len(frames), names
+        x, y, where = chunk.hypotheses, chunk.truth, chunk.where
+        there = present(x, chunk.scores) if spec.is_ragged else np.ones(x.shape[:2], dtype=bool)
+        with np.errstate(invalid="ignore", over="ignore"):  # joints that don't count may hold anything
+            points = is_one_point(x, where) & there
+            empty = (points == there).all(axis=0)
+            self._note("points", empty, frames)
+            self._note("some points", points & ~empty, frames)
+            self._note("score 0", _without_weight(chunk.scores, there), frames)
+            self._note_equal(x, where, there & ~points, frames)
+            self._note_truth(x, y, where, frames)
+            if x.shape[2] >= FEWEST_JOINTS and x.shape[3] > 1:
+                self._note("size", _differ_in_size(x[0], y, where) & ~points[0], frames)
+                keys, root = joint_keys(spec.joints), root_joints(spec.root)
+                resting = root or [keys.index("Hip") if "Hip" in keys else 0]
+                for some, others, counted, fills, repeats in (
+                    (x, y, there & ~points, *self._looks[0]),
+                    (y[None], x[0], np.ones((1, len(y)), dtype=bool), *self._looks[1]),
+                ):
+                    fills.add(some, others, where, counted, resting, spec.joints)
+                    repeats.add(some, others if some is x else None, where, root, spec.joints)
+
+    def remarks(self) -> list[str]:
+        """Give remarks on them."""
+        found: list[str] = []
+        for kind, words in (_OF_FRAMES | _OF_HYPOTHESES).items():
+            if self._frames[kind]:
+                number = Count(self._hypotheses[kind], "hypothesis", "hypotheses")
+                frames = Count(self._frames[kind], "frame", of=self._poses)
+                first = Example(", ".join(self._first[kind]))
+                start = [f"{self._names[0]}: in "] if kind in _OF_FRAMES else [f"{self._names[0]}: ", number, " in "]
+                found.append(Remark(*start, frames, " (first: ", first, f") {words}"))
+        words_of = (("hypothesis", "hypotheses"), None), (("pose", ""), self._poses)
+        for name, (fills, repeats), (of, total) in zip(self._names, self._looks, words_of, strict=True):
+            found += [*repeats.remarks(name, self._poses), *fills.remarks(name, of, total)]
+        return found
+
+    def _note(self, kind: str, found: BoolArray, frames: Sequence[str] | npt.NDArray[np.str_]) -> None:
+        """Count frames (m,), or hypotheses (N, m)."""
+        if found.any():
+            rows = np.flatnonzero(found if found.ndim == 1 else found.any(axis=0))
+            self._frames[kind] += len(rows)
+            self._hypotheses[kind] += int(found.sum())
+            self._first[kind] = [*self._first.get(kind, []), *(str(frames[row]) for row in rows[:_SHOWN])][:_SHOWN]
+
+    def _note_equal(
+        self, x: FloatArray, where: BoolArray | None, counted: BoolArray, frames: npt.NDArray[np.str_]
+    ) -> None:
+        """Count hypotheses that equal another one of their pose, and poses of which all do."""
+        n, _, k, d = x.shape
+        if n < 2 or (n - 1) * k * d < _FEWEST_COORDINATES - 3:
+            return
+        keys = np.where(counted, x[:, :, [0, k // 2, k - 1], 0].sum(axis=2, dtype=np.float64), np.nan)
+        if where is None:
+            rows = np.flatnonzero((np.diff(np.sort(keys, axis=0), axis=0) == 0).any(axis=0))
+        else:
+            rows = np.arange(x.shape[1])
+        if not len(rows):
+            return
+        some = x[:, rows].astype(np.float64)
+        if where is not None:
+            some = np.where(where[rows][..., None], some, 0)
+        keys = (some.reshape(n, len(rows), -1) * np.random.default_rng(0).normal(size=k * d)).sum(axis=2)
+        keys = np.sort(np.where(counted[:, rows], keys, np.nan), axis=0)
+        repeated = np.zeros((n, x.shape[1]), dtype=bool)
+        repeated[1:, rows] = np.diff(keys, axis=0) == 0
+        same = (repeated.sum(axis=0) == counted.sum(axis=0) - 1) & (counted.sum(axis=0) > 1)
+        self._note("same", same, frames)
+        if k * d >= _FEWEST_COORDINATES:
+            self._note("equal", repeated & ~same, frames)
+
+    def _note_truth(self, x: FloatArray, y: FloatArray, where: BoolArray | None, frames: npt.NDArray[np.str_]) -> None:
+        """Count poses of which a hypothesis equals the truth at the joints that count."""
+        k, d = y.shape[1:]
+        if k * d < _FEWEST_COORDINATES:
+            return
+        true = y.astype(x.dtype, copy=False)
+        ends = [0, k // 2, k - 1]
+        ignored = np.zeros(y.shape[:2], dtype=bool) if where is None else ~where
+        may = ((x[:, :, ends] == true[:, ends]) | ignored[:, ends, None]).all(axis=(2, 3))
+        numbers, rows = np.nonzero(may)
+        equal = ((x[numbers, rows] == true[rows]) | ignored[rows][..., None]).all(axis=(1, 2))
+        found = np.zeros(len(y), dtype=bool)
+        found[rows[equal]] = True
+        self._note("truth", found & ~ignored.all(axis=1), frames)
+
+
+def _without_weight(scores: FloatArray | None, there: BoolArray) -> BoolArray:
+    """Find hypotheses (N, m) that are there, of a score that may stand for none."""
+    if scores is None:
+        return np.zeros_like(there)
+    found = (scores == -np.inf) & there
+    if (scores >= 0).all() and (scores > 0).sum(axis=0).max() > 1:  # one above 0 marks a hypothesis
+        found |= (scores == 0) & there
+    return np.asarray(found)
+
+
+def _differ_in_size(x: FloatArray, y: FloatArray, where: BoolArray | None) -> BoolArray:
+    """Find hypotheses (N, m) that differ from the truth in the size of a triangle of joints as two units do."""
+    ends = [0, y.shape[1] // 2, y.shape[1] - 1]
+    size, true_size = (
+        np.linalg.norm(some[..., ends, :] - some[..., np.roll(ends, 1), :], axis=-1).sum(axis=-1) for some in (x, y)
+    )
+    found = (size > 0) & (true_size > 0) & ((size > _FACTOR * true_size) | (true_size > _FACTOR * size))
+    return np.asarray(found if where is None else found & where[:, ends].all(axis=1))
