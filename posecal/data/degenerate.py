@@ -73,9 +73,11 @@ def column_problem(name: str, poses: npt.NDArray[Any], parameter: str, axes: str
 def is_one_point(poses: FloatArray, where: BoolArray | None) -> BoolArray:
     """Find poses (..., M, K, D), D > 1, of which all joints that count, (M, K), three or more, lie in one point."""
     k, d = poses.shape[-2:]
-    found = (poses[..., 0, :] == poses[..., -1, :]).all(axis=-1) & (k >= FEWEST_JOINTS) & (d > 1)
+    if k < FEWEST_JOINTS or d < 2:
+        return np.zeros(poses.shape[:-2], dtype=bool)
+    found = poses[..., 0, 0] == poses[..., -1, 0]  # few poses are left to look at closely
     if where is not None:
-        found |= ~(where[:, 0] & where[:, -1]) & (k >= FEWEST_JOINTS) & (d > 1)
+        found |= ~(where[:, 0] & where[:, -1])
     if not found.any():
         return np.asarray(found)
     some = poses[found]
@@ -151,10 +153,13 @@ class Fills:
         if self._d == 2:
             low, high = self._range
             self._range = min(low, float(np.nanmin(poses))), max(high, float(np.nanmax(poses)))
-        n, m, k = np.nonzero(poses[..., 0] == poses[..., 1])
+        equal = poses[..., 0] == poses[..., 1]
+        for joint in resting:
+            equal[:, :, joint] &= poses[:, :, joint, 0] != 0
+        n, m, k = np.unravel_index(np.flatnonzero(equal), equal.shape)
         values = poses[n, m, k]
         is_fill = (values == values[:, :1]).all(axis=1) & counted[n, m]
-        is_fill &= values.any(axis=1) | (others[m, k].any(axis=1) & ~np.isin(k, resting))
+        is_fill &= values.any(axis=1) | others[m, k].any(axis=1)
         if where is not None:
             is_fill &= where[m, k]
         n, m, k, values = n[is_fill], m[is_fill], k[is_fill], values[is_fill, 0] + 0  # -0 as 0

@@ -115,11 +115,11 @@ class PoseRemarks:
         n, _, k, d = x.shape
         if n < 2 or (n - 1) * k * d < _FEWEST_COORDINATES - 3:
             return
-        keys = np.where(counted, x[:, :, [0, k // 2, k - 1], 0].sum(axis=2, dtype=np.float64), np.nan)
-        if where is None:
-            rows = np.flatnonzero((np.diff(np.sort(keys, axis=0), axis=0) == 0).any(axis=0))
-        else:
-            rows = np.arange(x.shape[1])
+        keys = np.zeros(x.shape[:2], dtype=x.dtype)
+        for j in {0, k // 2, k - 1}:
+            keys += x[:, :, j, 0] if where is None else np.where(where[:, j], x[:, :, j, 0], 0)
+        keys = np.sort(np.where(counted, keys, np.nan), axis=0)  # few poses are left to look at closely
+        rows = np.flatnonzero((keys[1:] == keys[:-1]).any(axis=0))
         if not len(rows):
             return
         some = x[:, rows].astype(np.float64)
@@ -140,9 +140,10 @@ class PoseRemarks:
         if k * d < _FEWEST_COORDINATES:
             return
         true = y.astype(x.dtype, copy=False)
-        ends = [0, k // 2, k - 1]
         ignored = np.zeros(y.shape[:2], dtype=bool) if where is None else ~where
-        may = ((x[:, :, ends] == true[:, ends]) | ignored[:, ends, None]).all(axis=(2, 3))
+        may = np.ones(x.shape[:2], dtype=bool)
+        for j in (k // 2, k - 1):  # few poses are left to look at closely
+            may &= (x[:, :, j, 0] == true[:, j, 0]) | ignored[:, j]
         numbers, rows = np.nonzero(may)
         equal = ((x[numbers, rows] == true[rows]) | ignored[rows][..., None]).all(axis=(1, 2))
         found = np.zeros(len(y), dtype=bool)

@@ -42,6 +42,58 @@ def test_two_coordinates_without_a_unit_are_remarked_on() -> None:
         assert [remark.split(";")[0] for remark in data.remarks if words in remark] == expected
 
 
+def test_single_coordinates_without_a_unit_are_remarked_on() -> None:
+    x, y = hypotheses()[..., 2:], truth()[..., 2:]
+    for unit, number in ((None, 1), ("mm", 0), ("deg", 0)):
+        data = PoseData(x, y, joints=JOINTS, unit=unit, axes="NMKD", truth_axes="MKD")
+        assert sum("single coordinates without a unit are taken as mm" in remark for remark in data.remarks) == number
+
+
+def angles(scale: float = 1, true_scale: float = 1, unit: str = "deg", spread: float = 8) -> list[str]:
+    """The remarks on angles of three joints."""
+    random = np.random.default_rng(0)
+    y = random.uniform(-150, 150, (60, 3, 1))
+    x = y + random.normal(0, spread, (12, *y.shape))
+    return [*PoseData(x * scale, y * true_scale, unit=unit, axes="NMKD", truth_axes="MKD").remarks]
+
+
+def test_angles_that_look_like_radians_are_remarked_on() -> None:
+    degree = math.radians(1)
+    (remark,) = angles(degree, degree)
+    assert remark.startswith("all angles lie within 6.3 degrees. Are they radians?")
+    for scale, true_scale in ((degree, 1), (1, degree)):
+        (remark,) = angles(scale, true_scale)
+        assert re.fullmatch(
+            r"hypotheses and truth differ in size by a factor of (5\d|60)\. Is one of the two in radians\?", remark
+        )
+    assert angles() == angles(degree, degree, "rad") == angles(spread=90) == angles(0.05, 0.05, "rad") == []
+
+
+@pytest.mark.parametrize("number", [0, 1, 10])
+def test_true_poses_of_two_units_are_remarked_on(number: int) -> None:
+    y = np.random.default_rng(0).normal(0, 300, (40, 17, 3))
+    y[40 - number :] /= 1000
+    data = PoseData(np.stack([y, y + 1]), y, joints=JOINTS, unit="mm", axes="NMKD")
+    words = f"at least {number} poses of truth are over 50 times larger or smaller than most. Are all in one unit?"
+    assert [remark for remark in data.remarks if "at least" in remark] == [words] * (number > 0)
+
+
+@pytest.mark.parametrize("where", [False, True])
+def test_one_joint_far_away_or_masked_makes_no_other_unit(where: bool) -> None:
+    y = np.random.default_rng(0).normal(0, 300, (40, 17, 3))
+    y[3, 5] = 1e6
+    mask = None
+    if where:
+        y[4], mask = y[4] * 1e4, np.ones((40, 17), dtype=bool)
+        mask[4, :16] = False
+    data = PoseData(np.stack([y, y + 1]), y, joints=JOINTS, unit="mm", axes="NMKD", where=mask)
+    assert not [remark for remark in data.remarks if "one unit" in remark]
+
+
+def test_millimetres_declared_as_metres_are_remarked_on() -> None:
+    assert PoseData(hypotheses(), truth(), unit="m", axes="NMKD").remarks[-1].startswith("joints of truth lie 513 m")
+
+
 LOOKS = "looks like metres: joints lie 0.53 from the middle of the pose; expected some 400 (mm)."
 TRUTH_LOOKS = LOOKS.replace("0.53", "0.51")
 

@@ -135,6 +135,35 @@ def test_fill_values_are_refused_in_one_call_and_in_batches(value: float) -> Non
         evaluated(hypotheses(), y)
 
 
+@pytest.mark.parametrize("value", [1.1e5, -1e9])
+def test_angles_beyond_many_turns_are_refused(value: float) -> None:
+    y = np.random.default_rng(0).uniform(-180, 180, (30, 3, 1))
+    x = y + np.random.default_rng(1).normal(0, 9, (8, *y.shape))
+    options: dict[str, Any] = {"unit": "deg", "axes": "NMKD", "truth_axes": "MKD", "joints": ["a", "b", "c"]}
+    x[:, 5] += 360 * 250  # turns that are whole
+    assert posecal.evaluate(x, y, **options)["mpjpe"] < 9
+    x[3, 21, 1] = value
+    words = r"^hypotheses has angles beyond 100,000 degrees in 1 of 30 frames \(first: frame 21, joint b\)"
+    with pytest.raises(PoseDataError, match=words):
+        posecal.evaluate(x, y, **options)
+    evaluation = posecal.Evaluation(**options)
+    with pytest.raises(PoseDataError, match=words):
+        evaluation.update(x, y)
+    x[3, 21, 1], y[4, 2] = 0, value
+    with pytest.raises(
+        PoseDataError, match=words.replace("hypotheses", "truth").replace("21", "4").replace("b\\)", "c")
+    ):
+        posecal.evaluate(x, y, **options)
+
+
+def test_three_joints_of_one_coordinate_are_not_said_to_be_three_coordinates() -> None:
+    y = np.random.default_rng(0).uniform(-180, 180, (30, 3, 1))
+    data = PoseData(np.stack([y] * 5), y, unit="deg")
+    assert data.shape == (5, 30, 3, 1)
+    with pytest.raises(PoseDataError, match=r"coordinates last\. Pass truth_axes=.MDK."):
+        PoseData(np.zeros((5, 30, 3, 17)), np.zeros((30, 3, 17)), unit="mm")
+
+
 # --- columns and axes -----------------------------------------------------------------------------------------
 
 

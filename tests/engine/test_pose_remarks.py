@@ -271,3 +271,23 @@ def test_counts_of_every_kind_add_up_over_batches_and_results() -> None:
     for remarks in in_parts(x, y, 10):
         found = [remark for remark in remarks if remark.startswith(("hypotheses:", "truth:"))]
         assert sorted(without_examples(found)) == sorted(whole)
+
+
+@pytest.mark.parametrize("kind", ["float32", "float16", "N = 1", "K = 3", "degrees", "masked", "far away"])
+def test_poses_of_any_kind_are_taken_without_a_word(kind: str) -> None:
+    x, y, options = X, Y, dict[str, Any]()
+    if kind.startswith("float"):
+        x, y = x.astype(kind), y.astype(kind)
+    elif kind == "N = 1":
+        x = x[:1]
+    elif kind == "K = 3":
+        x, y, options = x[:, :, :3], y[:, :3], {"joints": None}
+    elif kind == "degrees":
+        x, y, options = np.rint(x[..., :1] / 4), np.rint(y[..., :1] / 4), {"unit": "deg", "truth_axes": "MKD"}
+    elif kind == "masked":
+        where = np.random.default_rng(0).random((LONG, K)) < 0.7
+        where[:, 0] = True
+        x, y, options = np.where(where[..., None], x, 9.0), np.where(where[..., None], y, 9.0), {"where": where}
+    else:
+        x, y = np.float32(x + 5000), np.float32(y + 5000)
+    assert said(x, y, "hypotheses:", "truth:", "one unit", "radians", **options) == []
