@@ -154,8 +154,8 @@ def _mixed_sizes(data: PoseData) -> list[str]:
     far = int((np.abs(np.log(sizes / np.median(sizes))) > np.log(_FACTOR)).sum()) if len(sizes) else 0
     if not far:
         return []
-    words = f" of {data.names[1]} are over {_FACTOR:g} times larger or smaller than most. Are all in one unit?"
-    return [Remark("at least ", Count(far, "pose"), words)]
+    words = f" of {data.names[1]} differs from that of most over {_FACTOR:g} times. Are all in one unit?"
+    return [Remark("the size of at least ", Count(far, "pose"), words)]
 
 
 def ratio_message(name: str, true_name: str, size: float, true_size: float) -> str:

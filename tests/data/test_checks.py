@@ -74,7 +74,8 @@ def test_true_poses_of_two_units_are_remarked_on(number: int) -> None:
     y = np.random.default_rng(0).normal(0, 300, (40, 17, 3))
     y[40 - number :] /= 1000
     data = PoseData(np.stack([y, y + 1]), y, joints=JOINTS, unit="mm", axes="NMKD")
-    words = f"at least {number} poses of truth are over 50 times larger or smaller than most. Are all in one unit?"
+    poses = "1 pose" if number == 1 else f"{number} poses"
+    words = f"the size of at least {poses} of truth differs from that of most over 50 times. Are all in one unit?"
     assert [remark for remark in data.remarks if "at least" in remark] == [words] * (number > 0)
 
 
