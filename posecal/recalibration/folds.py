@@ -20,10 +20,11 @@ from posecal.data.stored_poses import Rows
 from posecal.data.units import PERIODS, quantity
 from posecal.engine.block import Block
 from posecal.engine.chunks import map_blocks, read_chunks
-from posecal.engine.coinciding import Coinciding
+from posecal.engine.pose_remarks import PoseRemarks
 from posecal.engine.prepare import lack_of_scored, refuse_non_finite, select_scored
 from posecal.engine.protocol import Protocol
 from posecal.engine.ragged import has_absent, has_absent_anywhere, n_present
+from posecal.engine.scope import DataSpec
 from posecal.errors import PoseDataError, first_few, option
 
 T = TypeVar("T")
@@ -105,12 +106,11 @@ def _absent(data: PoseData) -> PoseDataError:
 
 def remarks_of(data: PoseData) -> tuple[str, ...]:
     """Give the remarks that an evaluation of the same data would have on hypotheses and frames."""
-    coinciding, start = Coinciding(), 0
+    looks, start, spec = PoseRemarks(), 0, DataSpec.of(data)
     for chunk in read_chunks(data.replace(reference=None)):
-        frames = data.frame_id[start : start + len(chunk)]
-        coinciding.add(data.names[0], chunk.hypotheses, chunk.where, frames)
+        looks.add(data.names, chunk, data.frame_id[start : start + len(chunk)], spec)
         start += len(chunk)
-    return join_remarks([*data.remarks, *filter(None, [frame_remark(data)]), *coinciding.remarks()])
+    return join_remarks([*data.remarks, *filter(None, [frame_remark(data)]), *looks.remarks()])
 
 
 def measure_blocks(data: PoseData, measure: Callable[[Block], T], threads: int | None) -> Iterator[T]:
