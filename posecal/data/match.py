@@ -6,7 +6,6 @@ Everything that does not fit is raised together.
 from __future__ import annotations
 
 import math
-import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -17,6 +16,7 @@ import numpy.typing as npt
 from posecal.data.arrays import BoolArray, checked_number
 from posecal.data.declarations import Declarations, choose_layouts, joint_names, quantity_of, refuse_other_names
 from posecal.data.degenerate import column_problem
+from posecal.data.frame_numbers import order_by_number
 from posecal.data.joint_names import match_joints, remarks_on_matched, remarks_on_names
 from posecal.data.layout import TRUTH, Layout, plausible_layouts
 from posecal.data.members import both, frame_id_remarks, read_members, unread_remarks
@@ -81,7 +81,7 @@ class Matcher:
             self._rate()
 
     def attributes(self) -> dict[str, Any]:
-        """Give the attributes of :class:`posecal.data.pose_data.PoseData`, in the truth's order of frames and joints.
+        """Give the attributes of :class:`posecal.data.pose_data.PoseData`, ordered as :func:`match_poses` says.
 
         Raises
         ------
@@ -137,6 +137,16 @@ class Matcher:
         if chosen is None:
             raise_all(problems)
         assert chosen is not None
+        order: Rows | None = None
+        if truth.frame_id is not None and "sequence" in labels:
+            ordered = order_by_number(truth.frame_id[true_rows], labels["sequence"])
+            if ordered is not None:
+                by_number, order, remarks = ordered
+                self.remarks += remarks
+                rows, true_rows = rows[by_number], true_rows[by_number]
+                known = None if known is None else known[by_number]
+                labels = {name: values[by_number] for name, values in labels.items()}
+                members, others = own_members.select(rows, columns), true_members.select(true_rows, true_columns)
         (of_all, remark), root = chosen, part_of_root(chosen[0], true_columns.tolist())
         predicted = ArrayHypotheses(hypotheses.array, self.layouts[0], rows, columns, factor, n)
         lost = root_name(of_all, true_names)
@@ -158,7 +168,7 @@ class Matcher:
             "root": root,
             "frame_id": true_rows.astype(str) if truth.frame_id is None else truth.frame_id[true_rows],
             "has_frame_id": truth.frame_id is not None,
-            "order": self._order(true_rows, labels),
+            "order": true_rows if order is None else order,
             "labels": labels,
             "occluded": members.occluded if others.occluded is None else others.occluded,
             "scores": None if scores is None else scores[:n, rows],
@@ -169,23 +179,6 @@ class Matcher:
             "remarks": tuple(self.remarks),
             "reference": None,
         }
-
-    def _order(self, rows: Rows, labels: Labels) -> Rows:
-        """Number the frames so that those that follow each other differ by 1: by the numbers in their names, if any."""
-        names, sequence = self.truth.frame_id, labels.get("sequence")
-        if names is None or sequence is None or len(rows) < 2:
-            return rows
-        numbers = [re.search(r"(\d{1,15})\D*$", name) for name in names[rows].tolist()]
-        if None in numbers:
-            return rows
-        steps = np.diff([int(match[1]) for match in numbers if match])
-        within = steps[sequence[1:] == sequence[:-1]]
-        if not within.size or (within <= 0).any():  # they are names, and no numbers of frames
-            return rows
-        apart = int(within.min())
-        if apart > 1:
-            self.remarks.append(f"frame numbers are {apart} apart: velocities are of steps of {apart} frames.")
-        return np.asarray(rows[0] + np.concatenate([[0], np.cumsum(np.where(steps == apart, 1, 2))]))
 
     def _columns_beside(self, truth: npt.NDArray[np.generic]) -> list[str]:
         """Say which of the two hold something beside coordinates; the hypotheses are looked at where it may be so."""

@@ -94,7 +94,8 @@ class PoseData:
     has_frame_id : bool
         Whether these are names that the user gave; else they are the rows of the truth.
     order : array of int (M,)
-        The index of each pose among the truth's frames as stored: two poses are consecutive where these are.
+        A rising number of each pose: two poses are consecutive where these are. The index among the truth's frames as
+        stored, or what :mod:`posecal.data.frame_numbers` gives.
     labels : mapping of arrays of str (M,)
         Other properties of each pose.
     occluded : bool array (M, K) or None
@@ -286,7 +287,7 @@ def match_poses(
     Returns
     -------
     PoseData
-        In the order of the truth's frames and joints.
+        In the order of the truth's joints, and of its frames: by sequence and number where ``frame_id`` has numbers.
 
     Raises
     ------

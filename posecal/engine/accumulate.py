@@ -85,7 +85,7 @@ class Accumulator:
         self._before: Chunk | None = None  # so many poses before the pending ones
         needs_segments = any(statistic.by_segment for statistic in self.statistics)
         self._segments = Segments(protocol.segment_length if needs_segments else 0)
-        self._last_sequence: str | None = None  # of the pose that came last, None where it does not count
+        self._last: tuple[str, int] | None = None  # sequence and order of the last pose; None where it was dropped
         self._remarks = PoseRemarks()
         self._failure = ""  # what stopped a batch when some of it was counted
 
@@ -95,20 +95,17 @@ class Accumulator:
         progress: Progress | None = None,
         *,
         pending: Pending = "rest",
-        n_given: int | None = None,
     ) -> None:
         """Add poses.
 
         Parameters
         ----------
         data : PoseData
-            The next poses.
+            The next poses; the first one continues the last one's sequence where their ``order`` differs by 1.
         progress : callable, optional
             Called with the number of poses that are done.
         pending : str
             Which of them wait for the next ones: the ``rest`` that fills no block, ``none``, or ``all``.
-        n_given : int, optional
-            How many poses came, those among them that don't count; as many by default.
 
         Raises
         ------
@@ -126,8 +123,7 @@ class Accumulator:
         except BaseException as error:  # an interrupt as well
             self._failure = f"{type(error).__name__}: {error}".strip(": ")
             raise
-        is_last = n_given is None or int(data.order[-1]) == n_given - 1
-        self._last_sequence = str(data.labels["sequence"][-1]) if is_last and "sequence" in data.labels else None
+        self._last = (str(data.labels["sequence"][-1]), int(data.order[-1])) if "sequence" in data.labels else None
 
     def _add(self, data: PoseData, numbers: Indices, progress: Progress | None, pending: Pending) -> None:
         most = max(data.shape[0], 0 if data.reference is None else data.reference.shape[0])
@@ -197,7 +193,7 @@ class Accumulator:
             poses = replace(poses, follows=follows).select(np.flatnonzero(chosen))
             self._pending = [poses] if len(poses) else []
             if not chosen[-1]:
-                self._last_sequence = None
+                self._last = None
 
     def with_absent(self, statistics: Sequence[Statistic]) -> Accumulator:
         """Copy the sums of some statistics, those of poses with absent hypotheses, so that such poses can be added."""
@@ -208,10 +204,6 @@ class Accumulator:
         other._cell_of = other._cell_of if other._per_pose else []
         other._earlier, other._segments = 0, Segments(0)  # no such metric is of poses with absent hypotheses
         return other
-
-    def end_run(self) -> None:
-        """Let the next pose follow none, because poses came in between that don't count."""
-        self._last_sequence = None
 
     @property
     def n_pending(self) -> int:
@@ -256,7 +248,7 @@ class Accumulator:
     def _located(self, data: PoseData, cells: Indices, numbers: Indices) -> Iterator[Chunk]:
         """Read the poses with their cells, and with the numbers of their sequences in the coordinate range."""
         sequence, start = data.labels.get("sequence"), 0
-        continues = sequence is not None and str(sequence[0]) == self._last_sequence and int(data.order[0]) == 0
+        continues = sequence is not None and (str(sequence[0]), int(data.order[0]) - 1) == self._last
         for chunk in read_chunks(data, self._length):
             stop = start + len(chunk)
             follows = chunk.follows.copy()

@@ -91,7 +91,7 @@ def _cut_sequences(parts: Sequence[Totals]) -> str:
     is_over_time = any(word in name for name in parts[0].sums for word in _OVER_TIME)
     if not is_over_time or not all(part.has_sequences for part in parts):
         return ""
-    in_parts = Counter(name for part in parts for name in {*part.cells["sequence"].tolist()})
+    in_parts = Counter(name for part in parts for name in dict.fromkeys(part.cells["sequence"].tolist()))
     if cut := [name for name, number in in_parts.items() if number > 1]:
         return Remark(
             Count(len(cut), "sequence lies", "sequences lie"),

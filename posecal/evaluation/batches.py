@@ -15,6 +15,7 @@ import numpy.typing as npt
 from posecal.calibration.rank_tests import PreRank
 from posecal.data.arrays import as_labels
 from posecal.data.declarations import Declarations
+from posecal.data.frame_numbers import Place, continued
 from posecal.data.frames import FrameCheck
 from posecal.data.layout import HYPOTHESES
 from posecal.data.pose_data import PoseData
@@ -124,6 +125,7 @@ class Evaluation:
         self._frames_of_others: set[str] = set()
         self._others: list[Totals] = []
         self._remarks, self._frame_check = join_remarks([]), FrameCheck()
+        self._place: Place = 0, [], ""  # of the last pose
         self._batches = self._n_frames = 0
 
     def update(
@@ -148,6 +150,7 @@ class Evaluation:
             Of the batch, as for :func:`evaluate`.
         frame_id : array (M,), optional
             Names of the frames. A frame that came before is counted once: samplers for several processes repeat some.
+            Differences over time follow the numbers in them, from batch to batch too.
         **labels
             Labels of the poses by name, such as ``sequence=``: an array (M,), or one value for the batch.
 
@@ -186,12 +189,14 @@ class Evaluation:
         if names.shape != (len(data.truth),):
             raise PoseDataError(f"frame_id: {names.shape}; expected one name per pose, ({len(data.truth)},).")
         if self._has_frames is False:
-            found = "given for this batch and not for the earlier ones"
-            raise PoseDataError(f"frame_id: {found}; expected one in every batch.")
+            raise PoseDataError("frame_id: given for this batch and not for the earlier ones; expected in every one.")
+        if data.has_frame_id and {*names.tolist()} != {*data.frame_id.tolist()}:
+            raise PoseDataError(f"frame_id: others than those in {data.names[1]}; expected one of the two.")
+        names = data.frame_id if data.has_frame_id else names  # a file's are in the order of their numbers
         known = self._frames.keys() | self._frames_of_others if self._frames_of_others else self._frames
         first = {name: row for row, name in reversed(list(enumerate(names.tolist()))) if name not in known}
-        rows = np.sort(np.array(list(first.values()), dtype=np.intp))
-        return data.replace(frame_id=names, has_frame_id=True).select(rows)
+        data = data.replace(frame_id=names, has_frame_id=True)
+        return data.select(np.sort(np.array([*first.values()], dtype=np.intp)))
 
     def add(
         self,
@@ -227,6 +232,7 @@ class Evaluation:
         n_given = len(checked_type(data, "data", PoseData).truth) if n_given is None else n_given
         has_mask = data.where is not None
         data = data if wants_reference(self.protocol) else data.replace(reference=None)
+        data, place = (data, self._place) if complete else continued(data, n_given, self._place)
         data = select_scored(data, self.protocol)
         lack = lack_of_scored(data, self.protocol)
         if lack and complete:
@@ -234,7 +240,7 @@ class Evaluation:
         remarks = [*data.remarks]
         if len(data.truth):
             pending: Pending = "all" if hold_back else "none" if complete else "rest"
-            count = partial(self._count, data, progress, pending, n_given, has_mask)
+            count = partial(self._count, data, progress, pending, has_mask)
             ragged = is_ragged(data, self._accumulator)
             try:
                 remarks.append(count(ragged))
@@ -242,16 +248,13 @@ class Evaluation:
                 if ragged or not has_absent_anywhere(data):
                     raise
                 remarks.append(count(True))
-        elif self._accumulator is not None:
-            self._accumulator.end_run()
         self._remarks = join_remarks([*self._remarks, *filter(None, remarks)])
+        self._place = place
         self._n_frames += n_given
         self._lack = lack if self._lack is None else self._lack and lack
         self._has_frames, self._batches = hold_back, self._batches + 1
 
-    def _count(
-        self, data: PoseData, progress: Progress | None, pending: Pending, n_given: int, has_mask: bool, ragged: bool
-    ) -> str:
+    def _count(self, data: PoseData, progress: Progress | None, pending: Pending, has_mask: bool, ragged: bool) -> str:
         """Add poses that count to the sums, and give a remark on them, or none."""
         complete = pending == "none"
         spec = DataSpec.of(data, has_mask=has_mask, preranks=tuple(self._preranks), is_ragged=ragged)
@@ -264,7 +267,7 @@ class Evaluation:
             accumulator = start_accumulator(spec, self.protocol, data, *options, complete=complete)
         else:
             accumulator = continue_accumulator(self._accumulator, spec, self.by, self._preranks, self._batches + 1)
-        accumulator.add(data, progress, pending=pending, n_given=n_given)
+        accumulator.add(data, progress, pending=pending)
         self._accumulator = accumulator
         self._frame_check.add(data)
         if pending == "all":
@@ -356,20 +359,16 @@ class Evaluation:
         self._n_frames += other._n_frames
         self._batches += other._batches
         self._has_frames = other._has_frames if self._has_frames is None else self._has_frames
-        lacks = [lack for lack in (self._lack, other._lack) if lack is not None]
-        self._lack = min(lacks, key=len, default=None)  # "" where one of the two has something that counts
+        self._lack = min((k for k in (self._lack, other._lack) if k is not None), key=len, default=None)
 
     def _drop_pending(self, names: Sequence[str]) -> list[str]:
         """Drop frames that are pending, and give those that are not."""
-        if self._accumulator is None:
-            return list(names)
-        pending = self._held
-        dropped = set(names).intersection(pending)
-        if dropped:
+        dropped = set(names).intersection(self._held)
+        if dropped and self._accumulator is not None:
             self._accumulator = copy.copy(self._accumulator)
-            self._accumulator.select_pending(np.array([name not in dropped for name in pending]))
+            self._accumulator.select_pending(np.array([name not in dropped for name in self._held]))
             self._frames = dict.fromkeys(name for name in self._frames if name not in dropped)
-            self._held = [name for name in pending if name not in dropped]
+            self._held = [name for name in self._held if name not in dropped]
             self._remarks = join_remarks([*self._remarks, *dropped_remarks(len(dropped))])
         return [name for name in names if name not in dropped]
 

@@ -54,6 +54,12 @@ def _of_statistics(report: Report) -> Iterator[str]:
     if (average := totals.protocol.average) != "poses":
         groups = [value for value, _ in totals.groups(average)]
         yield f"numbers are means over {len(groups):,} values of {average} ({first_few(groups, 5)})."
+    steps = {name: m.statistic for name, m in report.metrics.items() if m.statistic.earlier == 1}
+    if steps and totals.has_sequences and totals.poses.sum() > sequences and not any(map(totals.count, steps.values())):
+        yield (
+            f"{next(iter(steps))}: no value, because no frame comes right after another of its sequence; expected the "
+            "frames of each sequence one after another, or a frame_id with their numbers."
+        )
     if line := left_out(totals.protocol, totals.spec):
         yield line
     n = totals.spec.n_hypotheses
