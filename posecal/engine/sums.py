@@ -62,3 +62,32 @@ def mean_of_known(values: FloatArray) -> float:
     """Give the mean of those that are not NaN."""
     known = values[~np.isnan(values)]
     return float(known.mean()) if known.size else float("nan")
+
+
+def batches(sequence: Indices, number: int, group: Indices) -> Indices:
+    """Number the batches of so many sequences, in the order of their first rows, within each group.
+
+    Parameters
+    ----------
+    sequence, group : arrays of int (R,)
+        Of each row.
+    number : int
+        Sequences of a batch; the last of a group has those that are left.
+
+    Returns
+    -------
+    array of int (R,)
+        The batch of each row.
+
+    Examples
+    --------
+    >>> batches(np.array([2, 0, 1, 2, 0]), 2, np.array([0, 0, 0, 1, 1])).tolist()
+    [0, 0, 1, 2, 2]
+    """
+    _, first, codes = np.unique(group * (sequence.max() + 1) + sequence, return_index=True, return_inverse=True)
+    order = np.lexsort((first, group[first]))
+    groups = group[first][order]
+    begins = (np.arange(len(order)) - np.searchsorted(groups, groups)) % number == 0
+    batch = np.empty(len(order), dtype=np.intp)
+    batch[order] = np.cumsum(begins) - 1
+    return batch[codes]

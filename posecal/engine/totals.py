@@ -23,7 +23,7 @@ from posecal.engine.metric import Metric, ReadOff, Statistic
 from posecal.engine.pose_hashes import PoseHashes
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec
-from posecal.engine.sums import Cells, Counts, Indices, compact, mean_of, mean_of_known, split_by, sum_by
+from posecal.engine.sums import Cells, Counts, Indices, batches, compact, mean_of, mean_of_known, split_by, sum_by
 from posecal.errors import PoseDataError, did_you_mean
 
 CURVES = ("calibration", "rank_tests")
@@ -279,8 +279,7 @@ class Totals:
     def sequences_in_order(self, metric: Metric, cells: Cells) -> tuple[Indices, FloatArray, Counts]:
         """Sum a metric's statistic over each sequence among some cells, in the order of their first cells.
 
-        Where one hypothesis is chosen for each sequence, it is chosen over all cells of the sequence, also where a
-        group holds some of its poses only, and the sums are of that hypothesis alone.
+        Where one hypothesis is chosen for each sequence or batch, over all its cells, the sums are of that one alone.
 
         Returns
         -------
@@ -294,17 +293,18 @@ class Totals:
         np.minimum.at(first, codes, np.arange(len(codes)))
         order = np.argsort(first)
         sums, counts = self.of_cells(metric.statistic, cells)
-        if cells is not None and _chooses_for_each_sequence(metric):
-            sums = np.take_along_axis(sums, self._chosen(metric.statistic)[self.sequence_of[cells], None], axis=-1)
+        if cells is not None and _chooses_for_sequences(metric):
+            sums = np.take_along_axis(sums, self._chosen(metric)[cells, None], axis=-1)
         return order, sum_by(codes, n, sums)[order], sum_by(codes, n, counts)[order]
 
-    def _chosen(self, statistic: Statistic) -> Indices:
-        """Choose for each sequence, over all its cells, the hypothesis of the smallest sum of a statistic (..., N)."""
-        chosen, _ = self._shared.get(("chosen", statistic.name), (None, None))
-        if chosen is None:
-            chosen = np.asarray(sum_by(*compact(self.sequence_of, None), self.sums[statistic.name]).argmin(axis=-1))
-            self._shared["chosen", statistic.name] = chosen, np.zeros(0)
-        return chosen
+    def _chosen(self, metric: Metric) -> Indices:
+        """Give for each cell the hypothesis of the smallest sum over its sequence, or its batch within ``average``."""
+        name, k = metric.statistic.name, metric.sequences_per_batch
+        if ("chosen", name) not in self._shared:
+            batch = batches(self.sequence_of, k, self.group_of * (k > 1))
+            chosen = sum_by(*compact(batch, None), self.sums[name]).argmin(axis=-1)[batch]
+            self._shared["chosen", name] = chosen, np.zeros(0)
+        return np.asarray(self._shared["chosen", name][0])
 
     def known_poses(self, statistic: Statistic, cells: Cells = None) -> Indices:
         """Give the indices of the poses of some cells whose values per pose hold no NaN."""
@@ -355,9 +355,9 @@ class Totals:
         return " ".join(f"{key}={value.replace(' ', '_')}" for key, value in shown.items())
 
 
-def _chooses_for_each_sequence(metric: Metric) -> bool:
-    """Whether a metric is the smallest of the hypotheses' means over each sequence."""
-    return metric.sequences_per_batch == 1 and isinstance(metric.finish, partial) and metric.finish.func is np.min
+def _chooses_for_sequences(metric: Metric) -> bool:
+    """Whether a metric is the smallest of the hypotheses' means over each sequence or batch of them."""
+    return metric.sequences_per_batch > 0 and isinstance(metric.finish, partial) and metric.finish.func is np.min
 
 
 def batch_sums(metric: Metric, sums: FloatArray, counts: Counts) -> tuple[FloatArray, FloatArray]:

@@ -76,3 +76,33 @@ def test_the_best_of_a_sequence_is_chosen_over_all_of_it_also_in_groups() -> Non
         assert high - low == pytest.approx(
             2 * 2.200985 * np.sqrt(11 / 12 * ((without - without.mean()) ** 2).sum()), rel=1e-4
         )
+
+
+@pytest.mark.parametrize("average", ["poses", "action"])
+def test_the_best_of_a_batch_is_chosen_over_all_of_it_also_in_groups(average: str) -> None:
+    random = np.random.default_rng(4)
+    clip, action, half = (
+        np.repeat(np.arange(6), 10),
+        np.repeat(["sit", "walk", "sit"], 20),
+        np.tile(np.arange(10) // 5, 6),
+    )
+    y = random.normal(0, 300, (60, 5, 3))
+    x = y + random.normal(0, 60, (8, 60, 5, 3)) * random.uniform(0.3, 2, (8, 60, 1, 1))
+    labels = {"sequence": clip.astype(str), "action": action, "half": half.astype(str)}
+    how = posecal.Protocol(best="batch:4", average=average, metrics="min_mpjpe")
+    options: dict[str, Any] = {"unit": "mm", "axes": "NMKD", "root_joint": "none", "labels": labels, "protocol": how}
+    report = posecal.evaluate(x, y, by=("half", "action"), **options)
+    errors = np.linalg.norm(x - y, axis=-1).mean(axis=-1)
+    best = np.zeros(60)
+    # batches of the first four clips and of the last two; with averages over actions of clips 0, 1, 4, 5 and of 2, 3
+    for batch in ([0, 1, 2, 3], [4, 5]) if average == "poses" else ([0, 1, 4, 5], [2, 3]):
+        poses = np.isin(clip, batch)
+        best[poses] = errors[errors[:, poses].mean(axis=1).argmin(), poses]
+
+    def mean(poses: Any) -> float:
+        groups = [action == "sit", action == "walk"] if average == "action" else [np.ones(60, dtype=bool)]
+        return float(np.mean([best[poses & group].mean() for group in groups if (poses & group).any()]))
+
+    assert report["min_mpjpe"] == pytest.approx(mean(np.ones(60, dtype=bool)), rel=1e-9)
+    for group, poses in {"half=0": half == 0, "half=1": half == 1, "action=sit": action == "sit"}.items():
+        assert report.value("min_mpjpe", group) == pytest.approx(mean(poses), rel=1e-9)
