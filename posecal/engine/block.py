@@ -35,9 +35,6 @@ BLOCK_BYTES = 1536 * 1024
 MOST_POSES = 2048
 """The most poses of a block, however few hypotheses they have: tables of a pose have a size of their own."""
 
-MOST_EARLIER = 3
-"""How many poses before it a pose is compared with, for differences over time."""
-
 
 class Block:
     """B poses as offsets from the truth, laid out so that rows are contiguous, and what several metrics share.
@@ -53,7 +50,7 @@ class Block:
     root : int or Root, optional
         What is subtracted from every pose; None leaves positions as they are.
     previous : callable, optional
-        Lays out the poses before the first one, at most :data:`MOST_EARLIER` of them, for differences over time.
+        Lays out the poses before the first one, as many as the highest order of differences over time, or all.
     follows : bool array (B,), optional
         Whether each pose comes right after the one before it in its sequence.
     scores : array (N, B), optional

@@ -12,7 +12,7 @@ from posecal.data.arguments import checked, period_of
 from posecal.data.arrays import BoolArray, FloatArray, checked_root
 from posecal.data.degenerate import is_outside
 from posecal.data.root import AnyRoot
-from posecal.engine.block import MOST_EARLIER, Block, block_length
+from posecal.engine.block import Block, block_length
 from posecal.engine.coordinate_range import coordinate_range
 from posecal.errors import PoseDataError
 
@@ -25,6 +25,7 @@ def per_pose(
     *,
     root: int | None = None,
     follows: BoolArray | None = None,
+    earlier: int = 0,
     axes: str | None = None,
     unit: str | float | None = None,
 ) -> FloatArray:
@@ -40,6 +41,8 @@ def per_pose(
         The joint to subtract from every pose; poses in which it does not count don't count.
     follows : bool array (M,), optional
         Whether each pose comes right after the one before it.
+    earlier : int
+        How many poses before each pose the statistic needs, for differences over time.
 
     Returns
     -------
@@ -60,7 +63,7 @@ def per_pose(
         mask = mask & mask[:, [root]]  # relative to a root that does not count, no joint does
     parts: list[FloatArray] = []
     length = block_length(x.shape, x.dtype)
-    blocks = iter_blocks(x, y, mask, root=root, follows=follows, period=period_of(unit))
+    blocks = iter_blocks(x, y, mask, root=root, follows=follows, earlier=earlier, period=period_of(unit))
     for number, lay_out in enumerate(blocks):
         block = lay_out()
         if block.non_finite.any():
@@ -86,6 +89,7 @@ def iter_blocks(
     *,
     root: AnyRoot = None,
     follows: BoolArray | None = None,
+    earlier: int = 0,
     sequence: npt.NDArray[np.intp] | None = None,
     period: float | None = None,
 ) -> Iterator[Callable[[], Block]]:
@@ -95,6 +99,8 @@ def iter_blocks(
     ----------
     hypotheses, truth, where, root, follows, sequence, period
         As for :class:`Block`, of M poses instead of B.
+    earlier : int
+        How many poses before it a block holds as well, for differences over time.
 
     Yields
     ------
@@ -114,7 +120,7 @@ def iter_blocks(
                 follows=None if follows is None else follows[part],
                 period=period,
             )
-            for part in (slice(max(0, start - MOST_EARLIER), start), slice(start, start + step))
+            for part in (slice(max(0, start - earlier), start), slice(start, start + step))
         )
         yield partial(
             poses,

@@ -77,7 +77,7 @@ def occlusion_metrics(scope: Scope, occlusion: str) -> Iterator[Metric]:
     yield error(
         name="min_mpjpe",
         label="minMPJPE",
-        definition=f"{of} of ‖x − y‖, of the best of N={n} hypotheses for it",
+        definition=f"{of} of ‖x − y‖, of the best of N={n} hypotheses for these joints of each pose",
         finish=entry(row, 0),
     )
     yield error(name="mpjpe", label="MPJPE", definition=f"{of} of ‖x − y‖, mean of N={n}", finish=entry(row, 1))
@@ -118,6 +118,8 @@ def occlusion_metrics(scope: Scope, occlusion: str) -> Iterator[Metric]:
 def occlusion_metrics_of(protocol: Protocol, spec: DataSpec) -> dict[str, dict[str, Metric]]:
     """Give the numbers over occluded and over visible joints, by the kind of joint and by name.
 
+    Those that were asked for by name; all of them where none was, or ``default`` or ``all``.
+
     Parameters
     ----------
     protocol : Protocol
@@ -144,4 +146,20 @@ def occlusion_metrics_of(protocol: Protocol, spec: DataSpec) -> dict[str, dict[s
     if spec.n_hypotheses < 2:
         raise PoseDataError("by: occlusion needs at least 2 hypotheses; there is 1.")
     scope = Scope(protocol, spec)
-    return {kind: {m.name: in_unit(m, spec) for m in occlusion_metrics(scope, kind)} for kind in OCCLUSION}
+    metrics = {kind: [*occlusion_metrics(scope, kind)] for kind in OCCLUSION}
+    known = {metric.name for metric in metrics[OCCLUSION[0]]}
+    asked = known.intersection(protocol.wanted)
+    if not asked or {"default", "all"}.intersection(protocol.wanted):
+        asked = known
+    return {kind: {m.name: in_unit(m, spec) for m in some if m.name in asked} for kind, some in metrics.items()}
+
+
+def occlusion_words(protocol: Protocol, spec: DataSpec) -> str:
+    """Say what the numbers by occlusion are of, where the others are of other joints, choices or metrics."""
+    scope, metrics = Scope(protocol, spec), occlusion_metrics_of(protocol, spec)[OCCLUSION[0]].values()
+    parts = [f"means over the occluded or visible ones of {scope.size(scope.moving)}"]
+    if protocol.best != "frame" and any(metric.name == "min_mpjpe" for metric in metrics):
+        parts.append(f"minMPJPE of the best hypothesis for these joints of each pose, not by best={protocol.best}")
+    if not {"default", "all", *(metric.name for metric in metrics)}.intersection(protocol.wanted):
+        parts.append("what was asked for is not among them")
+    return f"numbers by occlusion: {'; '.join(parts)}."

@@ -273,7 +273,7 @@ def _over_time(
     rate = 1.0 if fps is None else checked_number(fps, "fps", lambda fps: 0 < fps < np.inf, "frames per second above 0")
     follows = np.concatenate([[False], labels[1:] == labels[:-1]])
     statistic = partial(motion, order=order, of=of)
-    return per_pose(statistic, hypotheses, truth, where, follows=follows, **options) * rate**order
+    return per_pose(statistic, hypotheses, truth, where, follows=follows, earlier=order, **options) * rate**order
 
 
 # --- metrics --------------------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from posecal.data.frames import DIFFERENT_FRAMES
 from posecal.engine.totals import Totals
 from posecal.errors import first_few, for_python
+from posecal.metrics.occlusion import occlusion_words
 from posecal.registry import left_out
 from posecal.report.format import counted, p_value
 from posecal.stats.resampling import LEVEL, MIN_SEQUENCES
@@ -62,6 +63,8 @@ def _of_statistics(report: Report) -> Iterator[str]:
         )
     if line := left_out(totals.protocol, totals.spec):
         yield line
+    if "occlusion" in report.by:
+        yield occlusion_words(totals.protocol, totals.spec)
     n = totals.spec.n_hypotheses
     if n < 2:
         yield "calibration and spread need at least 2 hypotheses; there is 1."

@@ -389,7 +389,7 @@ def test_blocks_of_every_length_join_to_one_block(m: int, n: int, k: int, d: int
     all_poses = Block(x, y, where, follows=follows, sequence=sequence)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("posecal.engine.block.BLOCK_BYTES", length * n * k * d * 8)
-        blocks = [lay_out() for lay_out in iter_blocks(x, y, where, follows=follows, sequence=sequence)]
+        blocks = [lay_out() for lay_out in iter_blocks(x, y, where, follows=follows, earlier=3, sequence=sequence)]
     assert [len(block.where) for block in blocks][:-1] == [max(length, 1)] * (len(blocks) - 1)
     for order in (1, 2, 3):
         for whole, *parts in zip(*(block.differences(order, "offsets") for block in (all_poses, *blocks)), strict=True):
