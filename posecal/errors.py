@@ -15,7 +15,7 @@ import json
 import os
 import re
 import shlex
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
 from numbers import Integral
@@ -33,7 +33,7 @@ _SEPARATORS = re.compile(r"[-_@\s]")
 _MOST_NAMED = 12
 """How many known names, and how many problems, a message has at most."""
 
-_UNPRINTABLE = re.compile("[\\x00-\\x1f\\x7f-\\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]")
+UNPRINTABLE = re.compile("[\\x00-\\x1f\\x7f-\\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]")
 """Characters that steer a terminal, reorder text, or are no text in UTF-8 or XML."""
 
 _ITEM = "\n  - "
@@ -114,49 +114,7 @@ def printable(text: str) -> str:
     >>> print(printable(f"RWrist {chr(27)}[31m"))
     RWrist \x1b[31m
     """
-    return _UNPRINTABLE.sub(lambda match: repr(match[0])[1:-1], text)
-
-
-def json_text(value: object, indent: int | None = None) -> str:
-    r"""Write JSON whose characters all can be shown; what can't is escaped, and read back as it was.
-
-    Examples
-    --------
-    >>> print(json_text(["RWrist " + chr(0x9B)]))
-    ["RWrist \u009b"]
-    """
-    text = json.dumps(value, ensure_ascii=False, indent=indent)
-    return _UNPRINTABLE.sub(lambda match: match[0] if match[0] == "\n" else f"\\u{ord(match[0]):04x}", text)
-
-
-def json_lines(about: Mapping[str, object]) -> str:
-    """Write a mapping as JSON, a list or an iterator with a line for each of its items.
-
-    Examples
-    --------
-    >>> print(json_lines({"poses": 2, "rows": iter([{"a": 1}, {"a": 2}]), "none": []}))
-    {
-     "poses": 2,
-     "rows": [
-      {"a": 1},
-      {"a": 2}
-     ],
-     "none": [
-     ]
-    }
-    """
-
-    def pieces() -> Iterator[str]:
-        for number, (key, value) in enumerate(about.items()):
-            yield f"{',' if number else '{'}\n {json_text(key)}: "
-            if isinstance(value, list | Iterator):
-                yield "["
-                yield from (f"{',' * (k > 0)}\n  {json_text(item)}" for k, item in enumerate(value))
-                yield "\n ]"
-            else:
-                yield json_text(value)
-
-    return "".join(pieces()) + "\n}"
+    return UNPRINTABLE.sub(lambda match: repr(match[0])[1:-1], text)
 
 
 class PosecalError(Exception):

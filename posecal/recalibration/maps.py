@@ -17,11 +17,12 @@ from posecal.data.arrays import FloatArray
 from posecal.data.declarations import Declarations, quantity_of
 from posecal.data.read import read_poses
 from posecal.data.root import AnyRoot, Root, parse_root, root_name
+from posecal.data.texts import json_text
 from posecal.data.units import PERIODS, quantity
 from posecal.data.write import Archive, write_file
 from posecal.engine.chunks import WINDOW_BYTES
 from posecal.engine.storage import digest_of
-from posecal.errors import PoseDataError, PoseFileError, json_text, refuse_unreadable
+from posecal.errors import PoseDataError, PoseFileError, refuse_unreadable
 from posecal.evaluation.sources import Source
 from posecal.recalibration.dispersion import SpreadMap, rescaled
 from posecal.recalibration.folds import refuse_another_unit, refuse_exchanged, refuse_unusable, values_for_joints

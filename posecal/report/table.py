@@ -16,8 +16,9 @@ import numpy as np
 
 from posecal.calibration import DEFINITIONS, Definition, perfect_sampler
 from posecal.data.arrays import FloatArray
+from posecal.data.texts import json_lines, printable_table
 from posecal.engine.metric import Direction, Metric
-from posecal.errors import PoseDataError, for_python, json_lines, printable
+from posecal.errors import PoseDataError, for_python
 from posecal.report.format import counted
 from posecal.report.summary import remarks
 from posecal.stats.uncertainty import effective_sample_size, unbiased_squared_error
@@ -311,15 +312,10 @@ def as_frame(rows: Iterable[Row]) -> pd.DataFrame:
     return pd.DataFrame([[getattr(row, name) for name in _COLUMNS] for row in rows], columns=_COLUMNS)
 
 
-def as_printable(frame: pd.DataFrame) -> pd.DataFrame:
-    """Escape the characters in a data frame that a terminal or a file of text can't show."""
-    return frame.map(lambda value: printable(value) if isinstance(value, str) else value)
-
-
 def as_csv(report: Report, words: Callable[[str], str] = for_python) -> str:
     """Write the rows of a report as CSV, and a row for each remark; what can't be shown of names is escaped."""
     notes = [Row("remark", "remark", None, None, math.nan, "", "none", text, 0) for text in remarks(report, words)]
-    return str(as_printable(as_frame((*report.rows, *notes))).to_csv(index=False, lineterminator="\n")).rstrip("\n")
+    return str(printable_table(as_frame((*report.rows, *notes))).to_csv(index=False, lineterminator="\n")).rstrip("\n")
 
 
 def _or_none(value: Any) -> Any:

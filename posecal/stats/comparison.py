@@ -18,11 +18,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from posecal.data.arrays import BoolArray, FloatArray
+from posecal.data.texts import json_lines, printable_table
 from posecal.engine.measure import SUM_OF_TRUE_POSES
 from posecal.engine.metric import Metric
 from posecal.engine.sums import sum_by
 from posecal.engine.totals import Totals, difference_of_signatures, different_metrics
-from posecal.errors import PoseDataError, did_you_mean, for_python, json_lines, option, printable
+from posecal.errors import PoseDataError, did_you_mean, for_python, option, printable
 from posecal.registry import metrics_of
 from posecal.stats.jackknife import Interval, counting_sequences, jackknife, leave_one_out, paired_p
 from posecal.stats.resampling import LEVEL, MIN_SEQUENCES, Null, holm
@@ -87,10 +88,12 @@ class Comparison:
         return f"<Comparison of {printable(', '.join(self.names))}: M = {first.poses.sum():,}, {first.units()}>"
 
     def __str__(self) -> str:
-        return "\n".join([*self._notes, self._shown.to_string(index=False)])
+        return "\n".join([*self._notes, printable_table(self.table).to_string(index=False)])
 
     def _repr_html_(self) -> str:
-        return "\n".join([*(f"<p>{escape(note)}</p>" for note in self._notes), self._shown.to_html(index=False)])
+        return "\n".join(
+            [*(f"<p>{escape(note)}</p>" for note in self._notes), printable_table(self.table).to_html(index=False)]
+        )
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -148,11 +151,6 @@ class Comparison:
         table.attrs = {"remarks": list(self.remarks)}
         return table
 
-    @property
-    def _shown(self) -> pd.DataFrame:
-        """The table with what can't be shown of names escaped."""
-        return self.table.map(lambda value: printable(value) if isinstance(value, str) else value)
-
     def feasible(self, metric: str = "ece") -> float:
         """Give the largest calibration error that a calibrated sampler would show here: its 95 % quantile.
 
@@ -198,7 +196,7 @@ class Comparison:
         PoseDataError
             For another form.
         """
-        remarks, shown = [*map(printable, self.remarks_in(words))], self._shown
+        remarks, shown = [*map(printable, self.remarks_in(words))], printable_table(self.table)
         if form == "csv":
             notes = shown.iloc[:0].reindex(range(len(remarks))).assign(metric="remark", first=remarks)
             parts = [part.to_csv(index=False, header=part is shown, lineterminator="\n") for part in (shown, notes)]
