@@ -20,6 +20,9 @@ from posecal.engine.scope import DataSpec
 _SHOWN = 3
 """How many frames a remark names."""
 
+_BYTES = 2 * 1024 * 1024
+"""How much of the hypotheses is looked at at a time, of what memory holds."""
+
 _FEWEST_COORDINATES = 9
 """Hypotheses of fewer may be equal by chance."""
 
@@ -64,6 +67,12 @@ class PoseRemarks:
             What all poses have in common.
         """
         self._poses, self._names = self._poses + len(frames), names
+        step = max(1, _BYTES // chunk.hypotheses[:, 0].nbytes)
+        for start in range(0, len(chunk), step):
+            part = slice(start, start + step)
+            self._look(chunk.select(part), frames[part], spec)
+
+    def _look(self, chunk: Chunk, frames: npt.NDArray[np.str_], spec: DataSpec) -> None:
         x, y, where = chunk.hypotheses, chunk.truth, chunk.where
         there = present(x, chunk.scores) if spec.is_ragged else np.ones(x.shape[:2], dtype=bool)
         with np.errstate(invalid="ignore", over="ignore"):  # joints that don't count may hold anything
