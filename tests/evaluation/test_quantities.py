@@ -117,6 +117,7 @@ def test_a_default_report_of_every_quantity_prints_its_unit_and_no_other(unit: s
     assert ("pa_min_mpjpe" in report.metrics) == (d == 3 and unit != "deg")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("unit", "shown"), [("deg", "deg"), ("rad", "deg"), ("px", "px"), ("none", "")])
 @pytest.mark.parametrize("d", [1, 2, 3])
 def test_the_commands_report_draw_and_compare_every_quantity_in_its_unit(

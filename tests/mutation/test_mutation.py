@@ -212,6 +212,7 @@ def test_a_modules_tests_are_found(tmp_path: Path) -> None:
         find_tests("posecal/nothing.py", tmp_path)
 
 
+@pytest.mark.slow
 def test_the_accepted_survivors_are_still_mutants_and_say_why() -> None:
     accepted = survivors(SURVIVORS)
     assert all(reason.strip() for reason in accepted.values())
