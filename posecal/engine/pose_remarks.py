@@ -20,7 +20,7 @@ from posecal.engine.scope import DataSpec
 _SHOWN = 3
 """How many frames a remark names."""
 
-_BYTES = 2 * 1024 * 1024
+_BYTES = 8 * 1024 * 1024
 """How much of the hypotheses is looked at at a time, of what memory holds."""
 
 _FEWEST_COORDINATES = 9
