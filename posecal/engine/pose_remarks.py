@@ -20,6 +20,9 @@ from posecal.engine.scope import DataSpec
 _SHOWN = 3
 """How many frames a remark names."""
 
+_HYPOTHESES = 50
+"""Of twice as many and more, some are looked at for fill values."""
+
 _BYTES = 8 * 1024 * 1024
 """How much of the hypotheses is looked at at a time, of what memory holds."""
 
@@ -50,7 +53,7 @@ class PoseRemarks:
         self._frames, self._hypotheses = Counter[str](), Counter[str]()
         self._first: dict[str, list[str]] = {}
         self._looks = (Fills(), Repeats()), (Fills(), Repeats())  # at hypotheses, at truth
-        self._poses, self._names = 0, ("", "")
+        self._poses, self._names, self._step = 0, ("", ""), 1
 
     def add(self, names: tuple[str, str], chunk: Chunk, frames: npt.NDArray[np.str_], spec: DataSpec) -> None:
         """Look at more poses.
@@ -67,6 +70,7 @@ class PoseRemarks:
             What all poses have in common.
         """
         self._poses, self._names = self._poses + len(frames), names
+        self._step = max(1, len(chunk.hypotheses) // _HYPOTHESES)
         step = max(1, _BYTES // chunk.hypotheses[:, 0].nbytes)
         for start in range(0, len(chunk), step):
             part = slice(start, start + step)
@@ -91,7 +95,8 @@ class PoseRemarks:
                     (x, y, there & ~points, *self._looks[0]),
                     (y[None], x[0], np.ones((1, len(y)), dtype=bool), *self._looks[1]),
                 ):
-                    fills.add(some, others, where, counted, resting, spec.joints)
+                    few = slice(None, None, self._step if some is x else 1)
+                    fills.add(some[few], others, where, counted[few], resting, spec.joints)
                     repeats.add(some, others if some is x else None, where, root, spec.joints)
 
     def remarks(self) -> list[str]:
@@ -106,7 +111,9 @@ class PoseRemarks:
                 found.append(Remark(*start, frames, " (first: ", first, f") {words}"))
         words_of = (("hypothesis", "hypotheses"), None), (("pose", ""), self._poses)
         for name, (fills, repeats), (of, total) in zip(self._names, self._looks, words_of, strict=True):
-            found += [*repeats.remarks(name, self._poses), *fills.remarks(name, of, total)]
+            found += repeats.remarks(name, self._poses)
+            looked_at = f"{name} (one in {self._step} looked at)" if total is None and self._step > 1 else name
+            found += fills.remarks(looked_at, of, total)
         return found
 
     def _note(self, kind: str, found: BoolArray, frames: Sequence[str] | npt.NDArray[np.str_]) -> None:
