@@ -146,3 +146,21 @@ def test_poses_that_are_shared_are_at_least_those_whose_hashes_are_kept(monkeypa
     monkeypatch.setattr("posecal.engine.merge.MOST_HASHES", 20)
     with pytest.raises(PoseDataError, match="hold the same poses: at least 20 with"):
         merge_totals(parts)
+
+
+def test_zero_has_one_hash_whatever_its_sign_and_nine_coordinates_are_enough() -> None:
+    truth = np.array([[[0.0, 1, 2], [3, 0, 5], [6, 7, 0]]])
+    plain = pose_hashes(truth, {}, None)
+    assert plain[0, 0] > 0
+    np.testing.assert_array_equal(pose_hashes(np.where(truth == 0, -0.0, truth), {}, None), plain)
+    assert not pose_hashes(truth[:, :, :2], {}, None).any()
+
+
+def test_many_parts_are_put_together_and_hold_the_same_hashes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "_MOST_PARTS", 4)
+    hashes = np.random.default_rng(0).integers(1, 1 << 60, (23, 2), dtype=np.uint64)
+    parts: list[Any] = []
+    for row in hashes:
+        module.add_hashes(parts, row[None])
+        assert len(parts) <= 4
+    np.testing.assert_array_equal(smallest_hashes(parts), smallest_hashes([hashes]))
