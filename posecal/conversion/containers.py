@@ -17,6 +17,7 @@ from posecal.conversion.tracks import Tracks
 from posecal.data import pickles
 from posecal.data.archive import read_archive
 from posecal.data.arrays import as_array
+from posecal.data.child_process import run_in_child
 from posecal.data.file_array import Source, open_array, opened
 from posecal.data.layout import LazyArray
 from posecal.data.lazy import DatasetArray, refuse_unwritten
@@ -279,15 +280,19 @@ def _refuse_cut_c3d(path: Path) -> None:
         raise ValueError(f"{size:,} of {needed:,} bytes are there")
 
 
+def _in_child(read: Callable[[Path, str | None], Tracks]) -> Callable[[Path, str | None], Tracks]:
+    return lambda path, dataset: run_in_child(path, read, path, dataset)
+
+
 CONTAINERS: dict[str, Callable[[Path, str | None], Tracks]] = {
     ".npz": read_numpy,
     ".npy": read_numpy,
-    ".mat": read_mat,
-    ".h5": read_hdf5,
-    ".hdf5": read_hdf5,
+    ".mat": _in_child(read_mat),
+    ".h5": _in_child(read_hdf5),
+    ".hdf5": _in_child(read_hdf5),
     ".pt": read_torch,
     ".pth": read_torch,
     ".pkl": read_pickle,
     ".pickle": read_pickle,
-    ".c3d": read_c3d,
+    ".c3d": _in_child(read_c3d),
 }

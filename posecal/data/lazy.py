@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from posecal.data.child_process import run_in_child
 from posecal.errors import PoseDataError, PoseFileError, refuse_unreadable
 
 LIBRARIES = {".h5": "h5py", ".hdf5": "h5py", ".zarr": "zarr"}
@@ -75,6 +76,26 @@ class DatasetArray:
             return np.asarray(self.dataset[where])
         except Exception as error:  # noqa: BLE001  the libraries raise of every kind
             raise PoseFileError(f"{self.name}: can't be read ({error}). Was the file closed, or cut off?") from None
+
+
+def _walk(path: Path) -> None:
+    """Read the structure of an HDF5 file: what its library may crash on, so that it does not do so here."""
+    h5py = import_module("h5py")
+
+    def look(_name: str, node: Any) -> None:
+        dict(node.attrs)
+        if not isinstance(node, h5py.Dataset):
+            return
+        if node.chunks is not None:
+            node.id.get_num_chunks()
+        if node.dtype.kind not in "fiu" or (node.size or 0) * node.dtype.itemsize <= _LEAST_CLAIMED:
+            node[()]
+        else:
+            node[(0,) * node.ndim], node[tuple(length - 1 for length in node.shape)]
+
+    with refuse_unreadable(path, "can't be read by h5py ({})."), h5py.File(path, "r") as file:
+        look("/", file)
+        file.visititems(look)
 
 
 def refuse_unwritten(dataset: Any) -> None:
@@ -142,6 +163,8 @@ def open_datasets(path: Path, dataset: str, names: tuple[str, ...]) -> tuple[Any
         raise PoseDataError(
             f"{path.name}: needs {library}, which is not installed. pip install 'posecal[{_EXTRA[library]}]' brings it."
         ) from None
+    if library == "h5py":
+        run_in_child(path, _walk, path)
     with refuse_unreadable(path, f"can't be read by {library} ({{}})."), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of files beside the arrays of a zarr group
         root = module.File(path, "r") if library == "h5py" else module.open(str(path), mode="r")

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from posecal.data.child_process import seconds_for, time_limit
 from posecal.data.skeleton import joint_set
 from posecal.errors import PoseDataError, PoseFileError, refuse_unreadable
 from posecal_models.data.lifting_set import LiftingSet
@@ -105,7 +106,7 @@ def _read(path: Path, dimensions: int) -> npt.NDArray[np.float64]:
         import cdflib
     except ImportError as problem:
         raise PoseFileError(f"{path}: reading .cdf needs cdflib. Install it: pip install cdflib.") from problem
-    with refuse_unreadable(path, "can't be read as .cdf ({})."):
+    with refuse_unreadable(path, "can't be read as .cdf ({})."), time_limit(seconds_for(path)):
         values = np.asarray(cdflib.CDF(path).varget("Pose"), float)
     if values.shape[-1:] != (32 * dimensions,):
         raise PoseDataError(f"{path}: Pose {values.shape}; expected (1, F, {32 * dimensions}).")

@@ -122,8 +122,7 @@ OBJECT_NPZ = (
 )
 OBJECT_NPZ += (bytes_and_zips.repacked(arrays.with_other_array),)
 WEIGHTS = (*bytes_and_zips.BYTES, *[pickled.safetensors] * 10)
-HDF5 = (bytes_and_zips.cut, *[pickled.hdf5] * 4)
-"""Without flips within: HDF5 has no checksums, and those crash its own library now and then."""
+HDF5 = (*bytes_and_zips.BYTES, *[pickled.hdf5] * 4)
 
 
 # --- files ----------------------------------------------------------------------------------------------------
