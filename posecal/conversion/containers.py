@@ -28,7 +28,7 @@ _LEAST_CLAIMED = 1 << 24
 """Bytes up to which a tensor may repeat its numbers."""
 
 _EXTRAS = {"h5py": "convert", "pymatreader": "convert", "ezc3d": "c3d", "torch": "models"}
-_STATED = ("axes", "fps", "joints", "unit")
+_BESIDE = ("frame_id", "parents", "scores", "valid")
 _LIKELY = (
     "hypotheses",
     "hyps",
@@ -88,11 +88,11 @@ def _tracks(arrays: Mapping[str, Any], dataset: str | None, name: str) -> Tracks
     group = key.rpartition("/")[0]
     near = {word: [f"{key}/{word}", f"{group}/{word}", word] for word in sorted(DECLARED)}
     found = {word: next((p for p in places if p in arrays and p != key), None) for word, places in near.items()}
-    stated = {word: arrays[place] for word, place in found.items() if word in _STATED and place is not None}
+    stated = {word: arrays[place] for word, place in found.items() if place is not None}
     if _has_numbers(stated.get("joints")):
         del stated["joints"]  # positions, beside those that were asked for
-    others = [word for word, place in found.items() if word not in _STATED and place is not None]
     declared = declared_beside(stated, coordinates.shape, name)
+    others = {**declared["labels"], **declared["marks"], **{word: declared[word] for word in _BESIDE}}
     is_dataset = hasattr(coordinates, "chunks")
     return Tracks(
         (_whole(DatasetArray(coordinates)) if is_dataset else coordinates).astype(np.float64),
@@ -101,7 +101,7 @@ def _tracks(arrays: Mapping[str, Any], dataset: str | None, name: str) -> Tracks
         declared["fps"] or 0.0,
         axes=declared["axes"] or "",
         is_array=True,
-        assumed=[f"what else stands beside {key} is not converted: {first_few(others)}"] if others else [],
+        beside={word: np.asarray(value) for word, value in others.items() if value is not None},
     )
 
 

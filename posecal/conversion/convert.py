@@ -134,8 +134,11 @@ def convert(
     if poses.ndim == 4 and not is_hypotheses:
         raise PoseDataError(f"role: truth for {len(poses)} poses of each frame; expected one, or hypotheses.")
     poses = poses[None] if is_hypotheses and poses.ndim == 3 else poses
+    beside = first.beside if len(tracks) == 1 else {}
     unit = _declared("unit", unit, first.unit.strip().lower() or None, paths[0])
     known, n_absent = _known(poses)
+    if "valid" in beside:
+        known = known & (beside["valid"] if beside["valid"].ndim == 2 else beside["valid"][:, None]).astype(bool)
     names = _joint_names(joints, first, paths[0], poses.shape[-2])
     rate = _declared("fps", fps, first.fps or None, paths[0])
     members: dict[str, Any] = {
@@ -147,6 +150,7 @@ def convert(
         **({} if rate is None else {"fps": float(rate)}),
         **({} if known.all() and (len(tracks) > 1 or first.confidence is None) else {"valid": known}),
         **(first.labels if len(tracks) == 1 else {}),
+        **{word: value for word, value in beside.items() if word != "valid"},
     }
     if len(tracks) == 1 and first.confidence is not None:
         members["confidence"] = first.confidence
@@ -218,7 +222,27 @@ def _read(path: Path, like: str, dataset: str | None, axes: str | None, person: 
         tracks.poses, tracks.confidence = tracks.poses[..., :-1], tracks.poses[..., -1]
     if axes is None:
         tracks.assumed.append(f"an array {shape} is {text}")
+    _keep_what_fits(tracks, is_transposed="N" in text and text.index("M") < text.index("N"))
     return _without_unseen(tracks)
+
+
+def _keep_what_fits(tracks: Tracks, *, is_transposed: bool) -> None:
+    """Keep what stands beside an array where it is of its frames, joints or hypotheses, as shapes show."""
+    *n, m, k, _ = tracks.poses.shape
+    shapes: dict[str, list[tuple[int, ...]]] = {
+        "parents": [(k,)],
+        "occluded": [(m, k)],
+        "visible": [(m, k)],
+        "valid": [(m, k), (m,)],
+    }
+    shapes["scores"] = [(m, *n) if is_transposed else (*n, m)] if n else []
+    others = {word: value for word, value in tracks.beside.items() if value.shape not in shapes.get(word, [(m,)])}
+    tracks.beside = {word: value for word, value in tracks.beside.items() if word not in others}
+    if is_transposed and "scores" in tracks.beside:
+        tracks.beside["scores"] = tracks.beside["scores"].T
+    if others:
+        shown = first_few([f"{word} {value.shape}" for word, value in others.items()])
+        tracks.assumed.append(f"what is not of its {m:,} frames or {k} joints is not converted: {shown}")
 
 
 def _known(poses: FloatArray) -> tuple[BoolArray, int]:

@@ -34,6 +34,8 @@ class Tracks:
         Of the detector.
     labels : dict
         Labels of the frames, by name.
+    beside : dict
+        What else an array's file declares of its frames, joints or hypotheses, by the names that posecal reads.
     assumed : list of str
         What the file does not say and was assumed.
     axes : str
@@ -49,6 +51,7 @@ class Tracks:
     frame_id: Sequence[str] = ()
     confidence: FloatArray | None = None
     labels: dict[str, npt.NDArray[np.generic]] = field(default_factory=dict)
+    beside: dict[str, npt.NDArray[np.generic]] = field(default_factory=dict)
     assumed: list[str] = field(default_factory=list)
     axes: str = ""
     is_array: bool = False

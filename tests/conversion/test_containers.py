@@ -44,18 +44,37 @@ def test_what_hdf5_states_of_an_array_counts(poses: Array, tmp_path: Path) -> No
         file["run/truth"] = poses.transpose(0, 2, 1) / 10
         file["run/truth"].attrs["axes"] = "MDK"
         file["run"].attrs["joints"] = JOINTS
-        file["run/frame_id"] = np.arange(M)
+        file["run/frame_id"] = np.arange(10, 10 + M)
+        file["run/sequence"] = np.array(["walk"] * M, "S")
+        file["run/action"] = np.array(["walk", "run"], "S")
+        file["run/valid"] = np.arange(M) > 0
         file.attrs["unit"] = "cm"
         file.attrs["fps"] = 50
     members, assumed = convert(tmp_path / "a.h5")
     np.testing.assert_allclose(members["truth"], poses / 10)
     assert (members["unit"], members["joints"].tolist(), members["fps"]) == ("cm", JOINTS, 50)
-    assert assumed[0] == "what else stands beside run/truth is not converted: frame_id"
+    assert members["frame_id"].tolist() == [str(10 + frame) for frame in range(M)]
+    assert members["sequence"].tolist() == ["walk"] * M
+    assert members["valid"].tolist() == [[frame > 0] * K for frame in range(M)]
+    words = f"what is not of its {M} frames or {K} joints is not converted: action (2,)"
+    assert words in assumed
+    assert "action" not in members
     for wrong in ({"unit": "mm"}, {"axes": "MKD"}, {"fps": 60}):
         with pytest.raises(
             PoseDataError, match=rf"^a\.h5 states {next(iter(wrong))} .*; expected no .*Leave it out\.$"
         ):
             convert(tmp_path / "a.h5", **wrong)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("axes", "shape"), [("NMKD", (2, M)), ("MNKD", (M, 2))])
+def test_scores_follow_the_layout(poses: Array, tmp_path: Path, axes: str, shape: tuple[int, int]) -> None:
+    hypotheses = np.stack([poses, poses + 1], axis=axes.index("N"))
+    scores = np.arange(2 * M, dtype=np.float64).reshape(shape)
+    np.savez(tmp_path / "a.npz", hypotheses=hypotheses, scores=scores, axes=axes, unit="mm")
+    members, _ = convert(tmp_path / "a.npz")
+    assert members["axes"] == "NMKD"
+    np.testing.assert_array_equal(members["scores"], scores if axes == "NMKD" else scores.T)
+    np.testing.assert_allclose(members["hypotheses"], [poses, poses + 1], rtol=1e-6)
 
 
 @pytest.mark.parametrize("version", ["5", "7.3"])
