@@ -19,6 +19,7 @@ from posecal.data.degenerate import column_problem
 from posecal.data.frame_numbers import order_by_number
 from posecal.data.joint_names import match_joints, remarks_on_matched, remarks_on_names
 from posecal.data.layout import TRUTH, Layout, plausible_layouts
+from posecal.data.log_density import log_density
 from posecal.data.members import both, frame_id_remarks, read_members, unread_remarks
 from posecal.data.own_skeleton import parents_among
 from posecal.data.remarks import Count, Example, Remark
@@ -159,6 +160,8 @@ class Matcher:
                 y = y - origin(y, of_all)
             remark = f"{hypotheses.name} lacks the root {lost}; its positions are taken as relative to it."
         self.remarks += [remark] if remark else []
+        frames = self._frame_names(true_rows)
+        log_prob, dimensions = log_density(hypotheses, self.shape, rows, frames, root, factor, problems)
         return {
             "hypotheses": predicted,
             "truth": np.ascontiguousarray(y[true_rows][:, true_columns]),
@@ -172,6 +175,8 @@ class Matcher:
             "labels": labels,
             "occluded": members.occluded if others.occluded is None else others.occluded,
             "scores": None if scores is None else scores[:n, rows],
+            "log_prob": log_prob,
+            "dimensions": dimensions,
             "fps": fps,
             "names": (hypotheses.name, truth.name),
             "where": both(known, others.where),

@@ -15,6 +15,7 @@ from posecal.data.arrays import BoolArray, FloatArray, as_array, as_label_arrays
 from posecal.data.checks import check_units
 from posecal.data.declarations import Declarations
 from posecal.data.layout import HYPOTHESES
+from posecal.data.log_density import as_dimensions, as_log_prob
 from posecal.data.match import Matcher
 from posecal.data.read import read_poses
 from posecal.data.root import AnyRoot
@@ -54,6 +55,10 @@ class PoseData:
         The joints whose keypoints were not visible, of the truth; instead of a file's.
     scores : array (N, M), optional
         The model's score of each hypothesis, (M, N) where ``axes`` has M first; instead of a file's.
+    log_prob : array (M,), optional
+        The model's log density at the true pose, nats, of coordinates in ``unit``; instead of a file's.
+    dimensions : int, optional
+        The number of coordinates that this density is over; those of the joints that are not the root by default.
     fps : float, optional
         Frames per second; instead of a file's.
     frame_id : array (M,), optional
@@ -102,6 +107,10 @@ class PoseData:
         The joints whose keypoints were not visible.
     scores : array (N, M) or None
         The model's score of each hypothesis.
+    log_prob : array (M,) or None
+        The model's log density at the true pose, nats, of coordinates in ``unit``.
+    dimensions : int
+        The number of coordinates that it is over; 0 without it.
     fps : float or None
         Frames per second.
     names : tuple of two str
@@ -148,6 +157,8 @@ class PoseData:
     labels: Labels
     occluded: BoolArray | None
     scores: FloatArray | None
+    log_prob: FloatArray | None
+    dimensions: int
     fps: float | None
     names: tuple[str, str]
     where: BoolArray | None
@@ -167,6 +178,8 @@ class PoseData:
         labels: Mapping[str, npt.ArrayLike] | None = None,
         occluded: npt.ArrayLike | None = None,
         scores: npt.ArrayLike | None = None,
+        log_prob: npt.ArrayLike | None = None,
+        dimensions: int | None = None,
         fps: float | None = None,
         frame_id: npt.ArrayLike | None = None,
         truth_frame_id: npt.ArrayLike | None = None,
@@ -192,6 +205,8 @@ class PoseData:
             "labels": (as_label_arrays, labels),
             "occluded": (as_marks, occluded),
             "scores": (as_scores, scores),
+            "log_prob": (as_log_prob, log_prob),
+            "dimensions": (as_dimensions, dimensions),
             "where": (as_array, where),
             "frame_id": (as_labels, frame_id),
             "truth_frame_id": (as_labels, truth_frame_id),
@@ -209,7 +224,7 @@ class PoseData:
         predicted = replace(
             predicted,
             frame_id=predicted.frame_id if ids is None else ids,
-            scores=arrays.get("scores", predicted.scores),
+            **{name: arrays[name] for name in ("scores", "log_prob", "dimensions") if name in arrays},
         )
         true = replace(
             true,
@@ -250,7 +265,7 @@ class PoseData:
         part = {
             name: None if values is None else values[..., rows] if name == "scores" else values[rows]
             for name, values in vars(self).items()
-            if name in ("truth", "frame_id", "order", "occluded", "scores", "where", "usable")
+            if name in ("truth", "frame_id", "order", "occluded", "scores", "log_prob", "where", "usable")
         }
         return self.replace(
             **part,

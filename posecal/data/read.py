@@ -13,6 +13,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from posecal.data import log_density as density
 from posecal.data.archive import Header, open_archive
 from posecal.data.arrays import LABEL_KINDS, as_labels, as_marks, as_scores, as_text, checked_choice, real_array
 from posecal.data.file_array import Source, open_array, open_member, opened
@@ -29,7 +30,7 @@ _ALWAYS_READ = 1000
 """Values of a member that are read whatever there are of coordinates, so that messages can say what they are."""
 
 _MARKS = ("occluded", "visible")
-_RESERVED = (*_MARKS, "axes", "unit", "joints", "frame_id", "scores", "fps", "valid", "parents")
+_RESERVED = (*_MARKS, "axes", "unit", "joints", "frame_id", "scores", "fps", "valid", "parents", *density.MEMBERS)
 DECLARED = frozenset((*_RESERVED, *COMMON_LABELS))
 """Names under which something beside the coordinates is read, whatever its kind."""
 
@@ -198,6 +199,8 @@ def _declared(
         "labels": {key: values for key, values in labels.items() if values is not None},
         "marks": {key: mask for key, mask in marks.items() if mask is not None},
         "scores": read(as_scores, "scores"),
+        "log_prob": read(density.as_log_prob, "log_prob"),
+        "dimensions": read(density.as_dimensions, "dimensions"),
         "valid": read(as_marks, "valid"),
         "fps": read(_number, "fps"),
     }

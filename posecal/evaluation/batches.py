@@ -53,7 +53,7 @@ class Evaluation:
 
     Parameters
     ----------
-    joints, root_joint, unit, truth_unit, axes, truth_axes, fps, shared_joints, n_hypotheses, skeleton
+    joints, root_joint, unit, truth_unit, axes, truth_axes, fps, shared_joints, n_hypotheses, skeleton, dimensions
         Of all batches; as for :func:`evaluate`.
     by, metrics, preranks, protocol, threads
         As for :func:`evaluate`.
@@ -92,6 +92,7 @@ class Evaluation:
         shared_joints: Literal["same", "common"] = "same",
         n_hypotheses: int | None = None,
         skeleton: object = None,
+        dimensions: int | None = None,
         by: Sequence[str] | str = (),
         metrics: str | Sequence[str] | None = None,
         preranks: Mapping[str, PreRank] | None = None,
@@ -103,8 +104,8 @@ class Evaluation:
         self._options |= {"axes": axes, "truth_axes": truth_axes, "fps": fps, "shared_joints": shared_joints}
         self._options |= {"truth_unit": truth_unit, "n_hypotheses": n_hypotheses, "skeleton": skeleton}
         Declarations(**{k: v for k, v in self._options.items() if k != "fps"})  # refuses values that no data could have
-        preranks = {} if preranks is None else preranks
-        check_callables("preranks", preranks)
+        self._options |= {"dimensions": dimensions}
+        check_callables("preranks", preranks := {} if preranks is None else preranks)
         if not isinstance(prepared, Prepared | None):
             raise PoseDataError(f"prepared: {type(prepared).__name__}; expected what posecal.prepare gives.")
         self.protocol = as_protocol(protocol, metrics)
@@ -137,6 +138,7 @@ class Evaluation:
         where: npt.ArrayLike | None = None,
         occluded: npt.ArrayLike | None = None,
         scores: npt.ArrayLike | None = None,
+        log_prob: npt.ArrayLike | None = None,
         frame_id: npt.ArrayLike | None = None,
         **labels: npt.ArrayLike,
     ) -> None:
@@ -146,7 +148,7 @@ class Evaluation:
         ----------
         hypotheses, truth : arrays
             In the layout and unit that were declared once; tensors of any device.
-        where, occluded, scores
+        where, occluded, scores, log_prob
             Of the batch, as for :func:`evaluate`.
         frame_id : array (M,), optional
             Names of the frames. A frame that came before is counted once: samplers for several processes repeat some.
@@ -161,17 +163,16 @@ class Evaluation:
 
         Notes
         -----
-        Where a metric of one's own fails, or the user interrupts, some poses of the batch may be counted already. Then
-        all later calls are refused until :meth:`reset`.
+        Where a metric of one's own fails, or the user interrupts, all later calls are refused until :meth:`reset`.
         """
         if not labels.keys() <= self._label_names:
             check_label_names(labels, inspect.signature(self.update), inspect.signature(Evaluation))
             self._label_names = self._label_names | labels.keys()
-        given: dict[str, Any] = {"where": where, "occluded": occluded, "scores": scores, "labels": labels or None}
+        given: dict[str, Any] = {"where": where, "occluded": occluded, "scores": scores, "log_prob": log_prob}
         is_stored = isinstance(hypotheses, str | os.PathLike)  # a file may declare its own layout
         if self._axes is not None and not is_stored:
             given["axes"] = self._axes
-        data = as_pose_data(hypotheses, truth, {**self._options, **given})
+        data = as_pose_data(hypotheses, truth, {**self._options, **given, "labels": labels or None})
         n_given = len(data.truth)
         if frame_id is not None:
             data = self._new_frames(data, frame_id)

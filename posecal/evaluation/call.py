@@ -29,6 +29,8 @@ def evaluate(
     labels: Mapping[str, npt.ArrayLike] | None = None,
     occluded: npt.ArrayLike | None = None,
     scores: npt.ArrayLike | None = None,
+    log_prob: npt.ArrayLike | None = None,
+    dimensions: int | None = None,
     fps: float | None = None,
     frame_id: npt.ArrayLike | None = None,
     truth_frame_id: npt.ArrayLike | None = None,
@@ -71,6 +73,10 @@ def evaluate(
         The joints whose keypoints were not seen; instead of a file's.
     scores : array (N, M), optional
         The model's score of each hypothesis, (M, N) where ``axes`` has M first; instead of a file's.
+    log_prob : array (M,), optional
+        The model's log density at the true pose, nats, of coordinates in ``unit``; instead of a file's.
+    dimensions : int, optional
+        The number of coordinates that this density is over; those of the joints that are not the root by default.
     fps : float, optional
         Frames per second; instead of a file's.
     frame_id, truth_frame_id : arrays (M,), optional
@@ -139,6 +145,8 @@ def evaluate(
         "labels": labels,
         "occluded": occluded,
         "scores": scores,
+        "log_prob": log_prob,
+        "dimensions": dimensions,
         "fps": fps,
         "frame_id": frame_id,
         "truth_frame_id": truth_frame_id,
@@ -174,4 +182,4 @@ def _reference(
         return climatology(data)
     if truth is None:
         raise PoseDataError('reference: expected "climatology" or PoseData where the data are PoseData.')
-    return as_pose_data(reference, truth, {**options, "scores": None})
+    return as_pose_data(reference, truth, {**options, "scores": None, "log_prob": None, "dimensions": None})
