@@ -19,6 +19,7 @@ from posecal.errors import PoseDataError, did_you_mean, option, raise_all
 from posecal.metrics.best_of import ROUND_SIZES, subset_curve, subset_metrics
 from posecal.metrics.brier import brier_metrics
 from posecal.metrics.cps import cps_curve, cps_metrics
+from posecal.metrics.likelihood import LIKELIHOODS, likelihood_metrics
 from posecal.metrics.limbs import limb_metrics
 from posecal.metrics.mpjpe import mpjpe_metrics
 from posecal.metrics.occlusion import occlusion_metrics_of
@@ -154,7 +155,7 @@ def _all_metrics(
     scope = Scope(protocol, spec)
     found = [*mpjpe_metrics(scope), *vertex_metrics(scope), *subset_metrics(scope)]
     found += [*pck_metrics(scope), *cps_metrics(scope), *velocity_metrics(scope), *world_metrics(scope)]
-    found += [*limb_metrics(scope), *root_metrics(scope)]
+    found += [*limb_metrics(scope), *root_metrics(scope), *likelihood_metrics(scope)]
     if spec.n_hypotheses > 1:
         found += [*calibration_metrics(scope), *interval_metrics(scope), *rank_test_metrics(scope, preranks)]
         found += [*score_metrics(scope), *brier_metrics(scope), *skill_metrics(scope)]
@@ -278,14 +279,8 @@ def reserved_names() -> frozenset[str]:
 @cache
 def _known_anywhere() -> frozenset[str]:
     """Names of the metrics of data that have everything."""
-    spec = DataSpec(
-        n_hypotheses=ROUND_SIZES[-1],
-        joints=JOINT_SETS["h36m-17"],
-        root=0,
-        labels=("sequence",),
-        has_scores=True,
-        reference="another",
-    )
+    person = ROUND_SIZES[-1], JOINT_SETS["h36m-17"], 0, ("sequence",)
+    spec = DataSpec(*person, has_scores=True, dimensions=48, reference="another")
     return frozenset(any_metrics(Protocol(), spec))
 
 
@@ -325,6 +320,8 @@ def _lacks(name: str, protocol: Protocol, spec: DataSpec, known: dict[str, Metri
     if not spec.has_scores and ("weighted_pose" in name or "mode_mpjpe" in name):
         mode = ", or set mode to an index" * ("mode_mpjpe" in name)
         return f"needs the model's scores. Store scores beside the hypotheses{mode}."
+    if not spec.dimensions and name in LIKELIHOODS:
+        return "needs the model's log densities. Store log_prob beside the hypotheses."
     if spec.n_hypotheses < 2 and name in {*GROUPS, *known_metrics(Protocol(), changed(spec, n_hypotheses=2))}:
         return "needs at least 2 hypotheses; there is 1."
     return f"is not known. {did_you_mean(name, known)}"
