@@ -155,11 +155,12 @@ def _all_metrics(
     scope = Scope(protocol, spec)
     found = [*mpjpe_metrics(scope), *vertex_metrics(scope), *subset_metrics(scope)]
     found += [*pck_metrics(scope), *cps_metrics(scope), *velocity_metrics(scope), *world_metrics(scope)]
-    found += [*limb_metrics(scope), *root_metrics(scope), *likelihood_metrics(scope)]
+    found += [*limb_metrics(scope), *root_metrics(scope)]
     if spec.n_hypotheses > 1:
         found += [*calibration_metrics(scope), *interval_metrics(scope), *rank_test_metrics(scope, preranks)]
         found += [*score_metrics(scope), *brier_metrics(scope), *skill_metrics(scope)]
         found += [*sharpness_metrics(scope), *uncertainty_metrics(scope)]
+    found += likelihood_metrics(scope)
     found += [_with_functions(metric) for metric in own]
     if protocol.average != "poses":
         found = [changed(metric, definition=f"{metric.definition}; {_averaged(metric, protocol)}") for metric in found]

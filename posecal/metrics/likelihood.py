@@ -194,7 +194,7 @@ def _smallest_deviation(spec: DataSpec) -> float:
 
 
 def moments_statistic(scope: Scope) -> Statistic | None:
-    """Give the statistic of true poses beside their log densities; None where there is none, or too many coordinates."""
+    """Give the statistic of log densities and true poses; None without a density, and of too many coordinates."""
     spec, d = scope.spec, _coordinates(scope.spec)
     if not spec.dimensions or d > MOST_DIMENSIONS or scope.protocol.where != "all" or spec.period is not None:
         return None
@@ -254,8 +254,8 @@ def likelihood_metrics(scope: Scope) -> Iterator[Metric]:
             statistic=statistic,
             finish=lambda means: np.asarray(means[..., 0] - means[..., 1]),
             range="no bound on either side; below 0 the model is worse than a Gaussian that ignores the image",
-            reading="What the model gains by the image, in nats: it depends on no unit. With few sequences the Gaussian "
-            "is a poor forecast, and the skill flatters.",
+            reading="What the model gains by the image, in nats: it depends on no unit. With few sequences the "
+            "Gaussian is a poor forecast, and the skill flatters.",
         )
 
 
