@@ -16,6 +16,7 @@ import numpy.typing as npt
 from posecal.data.arrays import BoolArray, checked_number
 from posecal.data.declarations import Declarations, choose_layouts, joint_names, quantity_of, refuse_other_names
 from posecal.data.degenerate import column_problem
+from posecal.data.draws import DrawnHypotheses, stated_log_density
 from posecal.data.frame_numbers import order_by_number
 from posecal.data.joint_names import match_joints, remarks_on_matched, remarks_on_names
 from posecal.data.layout import TRUTH, Layout, plausible_layouts
@@ -160,13 +161,20 @@ class Matcher:
                 y = y - origin(y, of_all)
             remark = f"{hypotheses.name} lacks the root {lost}; its positions are taken as relative to it."
         self.remarks += [remark] if remark else []
-        frames = self._frame_names(true_rows)
-        log_prob, dimensions = log_density(hypotheses, self.shape, rows, frames, root, factor, problems)
+        matched, frames = np.ascontiguousarray(y[true_rows][:, true_columns]), self._frame_names(true_rows)
+        names = tuple(true_names[k] for k in true_columns)
+        counts_at = both(known, others.where)
+        if isinstance(hypotheses.array, DrawnHypotheses):
+            place = rows, columns, frames, names, root, unit, factor, problems
+            log_prob, dimensions, remarks = stated_log_density(hypotheses, matched, counts_at, *place)
+            self.remarks += remarks
+        else:
+            log_prob, dimensions = log_density(hypotheses, self.shape, rows, frames, root, factor, problems)
         return {
             "hypotheses": predicted,
-            "truth": np.ascontiguousarray(y[true_rows][:, true_columns]),
+            "truth": matched,
             "unit": unit,
-            "joints": tuple(true_names[k] for k in true_columns),
+            "joints": names,
             "parents": parents_among(parents, true_columns.tolist()) if parents else (),
             "root": root,
             "frame_id": true_rows.astype(str) if truth.frame_id is None else truth.frame_id[true_rows],
@@ -179,7 +187,7 @@ class Matcher:
             "dimensions": dimensions,
             "fps": fps,
             "names": (hypotheses.name, truth.name),
-            "where": both(known, others.where),
+            "where": counts_at,
             "usable": None,
             "remarks": tuple(self.remarks),
             "reference": None,

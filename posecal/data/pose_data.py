@@ -14,6 +14,8 @@ import numpy.typing as npt
 from posecal.data.arrays import BoolArray, FloatArray, as_array, as_label_arrays, as_labels, as_marks, as_scores
 from posecal.data.checks import check_units
 from posecal.data.declarations import Declarations
+from posecal.data.draws import DrawnHypotheses, with_draws
+from posecal.data.gaussian import GaussianPrediction
 from posecal.data.layout import HYPOTHESES
 from posecal.data.log_density import as_dimensions, as_log_prob
 from posecal.data.match import Matcher
@@ -23,7 +25,7 @@ from posecal.data.stored_poses import Hypotheses, Labels, Rows, StoredPoses, sam
 from posecal.errors import PosecalError, PoseDataError, attempt, raise_all
 
 T = TypeVar("T")
-Source = npt.ArrayLike | str | os.PathLike[str]
+Source = npt.ArrayLike | str | os.PathLike[str] | GaussianPrediction
 
 _FRAMES = 16
 """Of how many frames the units of hypotheses are judged."""
@@ -35,9 +37,9 @@ class PoseData:
 
     Parameters
     ----------
-    hypotheses : array_like (N, M, K, D) or path
+    hypotheses : array_like (N, M, K, D), path or GaussianPrediction
         Hypotheses, in another layout if ``axes`` says so: NumPy, PyTorch or JAX arrays, or lists; or an ``.npz`` or
-        ``.npy`` file, which is read some poses at a time.
+        ``.npy`` file, which is read some poses at a time. Of distributions they are drawn, as they are read.
     truth : array_like (M, K, D) or path
         True poses, likewise.
     where : bool array (M, K) or (M,), optional
@@ -76,6 +78,8 @@ class PoseData:
         ``same``, or ``common`` to keep the joints that both have.
     n_hypotheses : int, optional
         How many hypotheses are read, the first ones; all by default.
+    draws, seed : int, optional
+        How many hypotheses are drawn from distributions, 200 by default, and the seed, 0 by default.
     skeleton : path, mapping or str, optional
         Names, parents and root of the joints: a ``.json`` or ``.toml`` file, or a mapping with ``names``, ``parents``
         and perhaps ``root``; or a joint set. By default they follow from the names, or from a member ``parents``.
@@ -191,6 +195,8 @@ class PoseData:
         shared_joints: Literal["same", "common"] = "same",
         n_hypotheses: int | None = None,
         skeleton: object = None,
+        draws: int | None = None,
+        seed: int | None = None,
     ) -> None:
         problems: list[str | PosecalError] = []
         declared: dict[str, Any] = {"axes": axes, "truth_axes": truth_axes, "unit": unit, "truth_unit": truth_unit}
@@ -220,6 +226,7 @@ class PoseData:
         possible |= dict.fromkeys(wrong & {"unit", "truth_unit"}, "mm")
         assert predicted is not None
         assert true is not None
+        predicted = attempt(problems, with_draws, predicted, draws, seed) or predicted
         ids, own_labels = arrays.get("frame_id"), arrays.get("labels") or {}
         predicted = replace(
             predicted,
@@ -235,7 +242,11 @@ class PoseData:
             where=arrays.get("where"),
             fps=true.fps if fps is None else fps,
         )
-        vars(self).update(vars(match_poses(predicted, true, Declarations(**possible), problems)))
+        matched = match_poses(predicted, true, Declarations(**possible), problems)
+        if not isinstance(predicted.array, DrawnHypotheses) and (draws, seed) != (None, None):
+            remark = f"{predicted.name} holds hypotheses: none are drawn, whatever draws and seed are."
+            matched = matched.replace(remarks=(*matched.remarks, remark))
+        vars(self).update(vars(matched))
 
     def __repr__(self) -> str:
         sizes = ", ".join(f"{letter}={size}" for letter, size in zip(HYPOTHESES, self.shape, strict=True))

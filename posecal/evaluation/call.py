@@ -42,6 +42,8 @@ def evaluate(
     shared_joints: Literal["same", "common"] = "same",
     n_hypotheses: int | None = None,
     skeleton: object = None,
+    draws: int | None = None,
+    seed: int | None = None,
     by: Sequence[str] | str = (),
     metrics: str | Sequence[str] | None = None,
     reference: Literal["climatology"] | Source | PoseData | None = None,
@@ -54,9 +56,9 @@ def evaluate(
 
     Parameters
     ----------
-    hypotheses : array (N, M, K, D), path or PoseData
-        Hypotheses, in ``unit`` and in the layout ``axes``; or a file that declares them itself; or pose data, then
-        without ``truth`` and without the options that describe data.
+    hypotheses : array (N, M, K, D), path, GaussianPrediction or PoseData
+        Hypotheses, in ``unit`` and in the layout ``axes``; or a file that declares them itself; or what they are drawn
+        from; or pose data, then without ``truth`` and without the options that describe data.
     truth : array (M, K, D) or path
         True poses, likewise.
     where : bool array (M, K) or (M,), optional
@@ -95,6 +97,8 @@ def evaluate(
         Take only the first so many hypotheses.
     skeleton : path, mapping or str, optional
         Names, parents and root of the joints; see :class:`posecal.PoseData`.
+    draws, seed : int, optional
+        How many hypotheses are drawn from distributions, 200 by default, and the seed, 0 by default.
     by : sequence of str
         Labels to group by; one alone may be given as it is. ``occlusion`` separates occluded from visible joints,
         ``predicted_spread`` cuts terciles of the predicted spread.
@@ -158,6 +162,8 @@ def evaluate(
         "shared_joints": shared_joints,
         "n_hypotheses": n_hypotheses,
         "skeleton": skeleton,
+        "draws": draws,
+        "seed": seed,
     }
     problems: list[str | PosecalError] = []
     options: dict[str, Any] = {"by": by, "metrics": metrics, "preranks": preranks, "protocol": protocol}
