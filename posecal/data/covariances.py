@@ -76,8 +76,9 @@ def factored(spread: FloatArray, kind: Kind, d: int) -> tuple[FloatArray, BoolAr
     on_axis = np.broadcast_to(still, spread.shape[:-1])
     matrix = np.where(on_axis[..., None] | on_axis[..., None, :], np.eye(size), spread)
     deviation = np.sqrt(np.maximum(np.diagonal(matrix, axis1=-2, axis2=-1), 0))
-    allowed = _SYMMETRY * deviation[..., None] * deviation[..., None, :]
-    wrong = ~(np.abs(matrix - matrix.swapaxes(-1, -2)) <= allowed).all(axis=(-1, -2))  # NaN and infinite as well
+    with np.errstate(invalid="ignore"):  # what is not finite is wrong too
+        allowed = _SYMMETRY * deviation[..., None] * deviation[..., None, :]
+        wrong = ~(np.abs(matrix - matrix.swapaxes(-1, -2)) <= allowed).all(axis=(-1, -2))
     matrix = np.where(wrong[..., None, None], np.eye(size), matrix)
     try:
         factor = np.linalg.cholesky(matrix)
@@ -101,9 +102,11 @@ def times(factor: FloatArray, z: FloatArray, kind: Kind, shape: tuple[int, int])
 
 def normal_log_density(away: FloatArray, factor: FloatArray, kind: Kind) -> FloatArray:
     """Log density of normal deviations (C, m, K, D), (C, m)."""
+    z: FloatArray
+    scale: FloatArray
     with np.errstate(divide="ignore", invalid="ignore"):  # of frames that are refused
         if kind == "sigma":
-            z, scale = away / factor, np.asarray(factor, dtype=np.float64)
+            z, scale = away / factor, factor
         else:
             away = away.reshape(*away.shape[:2], -1) if kind == "full" else away
             z = np.linalg.solve(_without_zeros(factor), away[..., None])[..., 0]

@@ -21,7 +21,7 @@ from posecal.data.remarks import Count, Remark
 from posecal.data.root import AnyRoot, resting_joints, root_joints, root_name
 from posecal.data.stored_poses import Rows, StoredPoses
 from posecal.data.units import PERIODS
-from posecal.errors import PosecalError, attempt, checked_integer, option
+from posecal.errors import PosecalError, attempt, checked_integer, option, raise_all
 
 STATED = ("mean", "covariance", "sigma", "mixture_weights")
 """Members of a file of distributions."""
@@ -172,7 +172,8 @@ def stated_log_density(
     density = partial(array.prediction.log_density, truth / factor, rows, columns, root, frames)
     log_prob = attempt(problems, density)
     if log_prob is None:
-        return None, 0, remarks
+        raise_all(problems)  # before anything is drawn
+    assert log_prob is not None
     number = number_of_coordinates(len(columns), truth.shape[2], root)
     lacking = np.zeros(len(rows), dtype=bool) if known is None else ~known.all(axis=1)
     log_prob = np.where(lacking, np.nan, log_prob - number * math.log(factor))

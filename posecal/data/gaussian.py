@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +29,8 @@ from posecal.data.layout import LazyArray, MemoryArray
 from posecal.data.root import AnyRoot, origin, resting_joints, root_joints
 from posecal.data.stored_poses import Rows
 from posecal.errors import PoseDataError, checked_integer, first_few
+
+T = TypeVar("T")
 
 _BLOCK = 1 << 22
 """Numbers of covariances that are read together."""
@@ -146,12 +148,6 @@ class GaussianPrediction:
     def dtype(self) -> np.dtype[np.floating]:
         """The type of draws: single precision where the means have it."""
         return working_dtype(self.mean.dtype)
-
-    def starting_at(self, frame: int) -> GaussianPrediction:
-        """Give the same with its first frame at another number, by which its draws are seeded."""
-        other = object.__new__(GaussianPrediction)
-        other._set(**{**vars(self), "first": frame})
-        return other
 
     # --- draws
 
@@ -305,6 +301,15 @@ class GaussianPrediction:
             some = np.concatenate([array.part(where) for where in wheres], axis=axis).astype(np.float64)
             read.append(some if axis else some[None])
         return read[0], read[1]
+
+
+def starting_at(hypotheses: T, frame: int) -> T:
+    """Give a prediction with its first frame at another number, by which its draws are seeded; all else as it is."""
+    if not isinstance(hypotheses, GaussianPrediction):
+        return hypotheses
+    other = object.__new__(type(hypotheses))
+    vars(other).update({**vars(hypotheses), "first": frame})
+    return other
 
 
 def _generator(seed: int, frame: int, stream: int) -> np.random.Generator:

@@ -110,7 +110,9 @@ def _read_archive(file: FileIO, path: Path, role: Role) -> StoredPoses:
         raise PoseFileError(_foreign(path, "is a file of PyTorch"))
     headers = {key: member.header for key, member in stored.items()}
     if role == "hypotheses" and is_stated(headers):
-        return _read_distributions(path, headers, stored)
+        poses = _read_distributions(path, headers, stored)
+        file.close()
+        return poses
     chosen = _choose(headers, name, role)
     members = _declared(headers, chosen, headers[chosen][0], name, lambda key: stored[key].read())
     array = open_member(stored[chosen], file, path)

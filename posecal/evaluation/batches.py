@@ -17,7 +17,7 @@ from posecal.data.arrays import as_labels
 from posecal.data.declarations import Declarations
 from posecal.data.frame_numbers import Place, continued
 from posecal.data.frames import FrameCheck
-from posecal.data.gaussian import GaussianPrediction
+from posecal.data.gaussian import starting_at
 from posecal.data.layout import HYPOTHESES
 from posecal.data.pose_data import PoseData
 from posecal.data.remarks import join_remarks
@@ -169,12 +169,10 @@ class Evaluation:
             self._label_names = self._label_names | labels.keys()
         given: dict[str, Any] = {"where": where, "occluded": occluded, "scores": scores, "log_prob": log_prob}
         is_stored = isinstance(hypotheses, str | os.PathLike)  # a file may declare its own layout
+        given |= {**self._options, "labels": labels or None}
         if self._axes is not None and not is_stored:
             given["axes"] = self._axes
-        hypotheses = (
-            hypotheses.starting_at(self._n_frames) if isinstance(hypotheses, GaussianPrediction) else hypotheses
-        )
-        data = as_pose_data(hypotheses, truth, {**self._options, **given, "labels": labels or None})
+        data = as_pose_data(starting_at(hypotheses, self._n_frames), truth, given)
         n_given = len(data.truth)
         if frame_id is not None:
             data = self._new_frames(data, frame_id)
