@@ -44,19 +44,17 @@ def moments(x: FloatArray) -> FloatArray:
     return np.concatenate([x, x[:, first] * x[:, second]], axis=1)
 
 
-def gaussian_log_density(
-    sums: FloatArray, counts: Counts, sequence: Indices, d: int, deviation: float = 0.0
-) -> FloatArray:
-    """Sum over the poses of each cell the log density under the Gaussian of all other sequences.
+def gaussians_of_others(
+    sums: FloatArray, counts: Counts, d: int, deviation: float = 0.0
+) -> list[tuple[FloatArray, FloatArray]] | None:
+    """Mean and covariance of the poses of all sequences but one, for each.
 
     Parameters
     ----------
-    sums : array (C, d + d (d + 1) / 2)
+    sums : array (S, d + d (d + 1) / 2)
         Of :func:`moments`.
-    counts : array (C,)
+    counts : array (S,)
         Poses.
-    sequence : array of int (C,)
-        The sequence of each cell, 0 … S - 1.
     d : int
         Coordinates.
     deviation : float
@@ -64,23 +62,57 @@ def gaussian_log_density(
 
     Returns
     -------
-    array (C,)
-        Nats; NaN where the poses without a sequence are not more than d, or don't vary in some direction.
+    list of S pairs of arrays (d,) and (d, d), or None
+        None where the poses without some sequence are not more than d, or don't vary in some direction.
     """
-    nothing, found = np.full(len(sums), np.nan), np.zeros(len(sums))
-    x, xx = _centred(sums, counts, d)
-    for cells in split_by(sequence, int(sequence.max(initial=-1)) + 1):
-        n = counts.sum() - counts[cells].sum()
+    total, found = sums.sum(axis=0), []
+    for own, number in zip(sums, counts, strict=True):
+        n = int(counts.sum() - number)
         if n <= d:
-            return nothing
-        mean = (x.sum(axis=0) - x[cells].sum(axis=0)) / n
-        covariance = (xx.sum(axis=0) - xx[cells].sum(axis=0) - n * np.outer(mean, mean)) / (n - 1)
+            return None
+        mean, covariance = _gaussian(total - own, n, d)
         if _is_degenerate(np.linalg.eigvalsh(covariance), deviation).any():
-            return nothing
-        own = _about(mean, x[cells], xx[cells], counts[cells])[1]
-        constant = d * math.log(2 * math.pi) + np.linalg.slogdet(covariance)[1]
-        found[cells] = -(counts[cells] * constant + np.einsum("cij,ji->c", own, np.linalg.inv(covariance))) / 2
+            return None
+        found.append((mean, covariance))
     return found
+
+
+def gaussian_log_density(
+    sums: FloatArray, counts: Counts, sequence: Indices, d: int, deviation: float = 0.0
+) -> FloatArray:
+    """Sum over the poses of each cell the log density under the Gaussian of all other sequences.
+
+    Parameters
+    ----------
+    sums, counts, d, deviation
+        As for :func:`gaussians_of_others`, of C cells.
+    sequence : array of int (C,)
+        The sequence of each cell, 0 … S - 1.
+
+    Returns
+    -------
+    array (C,)
+        Nats; NaN where there are no such Gaussians.
+    """
+    number = int(sequence.max(initial=-1)) + 1
+    of_sequence, poses = sum_by(sequence, number, sums), sum_by(sequence, number, counts)
+    gaussians = gaussians_of_others(of_sequence, poses, d, deviation)
+    if gaussians is None:
+        return np.full(len(sums), np.nan)
+    found, (first, second) = np.zeros(len(sums)), np.triu_indices(d)
+    for cells, (mean, covariance) in zip(split_by(sequence, number), gaussians, strict=True):
+        precision = np.linalg.inv(covariance)
+        of_products = precision[first, second] * np.where(first == second, 1, 2)
+        constant = d * math.log(2 * math.pi) + np.linalg.slogdet(covariance)[1] + mean @ precision @ mean
+        squares = sums[cells] @ np.concatenate([-2 * precision @ mean, of_products])
+        found[cells] = -(counts[cells] * constant + squares) / 2
+    return found
+
+
+def own_log_density(sums: FloatArray, n: int, d: int) -> float:
+    """Mean log density of n poses under the Gaussian of themselves, from the sums of their moments, in nats."""
+    covariance = _gaussian(sums, n, d)[1] * (n - 1) / n
+    return float(-(d * math.log(2 * math.pi * math.e) + np.linalg.slogdet(covariance)[1]) / 2)
 
 
 def constraints(
@@ -103,7 +135,7 @@ def constraints(
     number = int(counts.sum())
     if number <= d:
         return None
-    variances = np.linalg.eigvalsh(_centred(sums, counts, d)[1].sum(axis=0) / (number - 1))
+    variances = np.linalg.eigvalsh(_gaussian(sums.sum(axis=0), number, d)[1])
     of_sequence, poses = (sum_by(sequence, int(sequence.max()) + 1, values) for values in (lengths, counts))
     within = (of_sequence[:, 1] - of_sequence[:, 0] ** 2 / np.maximum(poses, 1)[:, None]).sum(axis=0) / number
     is_rigid = within < max(deviation**2, SMALLEST_SHARE * variances[-1])
@@ -115,17 +147,10 @@ def _is_degenerate(variances: FloatArray, deviation: float) -> npt.NDArray[np.bo
     return np.asarray(variances < max(deviation**2, SMALLEST_SHARE * variances[-1]))
 
 
-def _centred(sums: FloatArray, counts: Counts, d: int) -> tuple[FloatArray, FloatArray]:
-    """Sums of deviations from the mean of all, (C, d), and of their products, (C, d, d)."""
-    products = np.empty((len(sums), d, d))
+def _gaussian(sums: FloatArray, n: int, d: int) -> tuple[FloatArray, FloatArray]:
+    """Mean (d,) and covariance (d, d), with n - 1, of n poses from the sums of their moments."""
+    products = np.empty((d, d))
     first, second = np.triu_indices(d)
-    products[:, first, second] = products[:, second, first] = sums[:, d:]
-    x = sums[:, :d]
-    return _about(x.sum(axis=0) / max(int(counts.sum()), 1), x, products, counts)
-
-
-def _about(point: FloatArray, x: FloatArray, xx: FloatArray, counts: Counts) -> tuple[FloatArray, FloatArray]:
-    """Move sums of coordinates and of their products to deviations from a point."""
-    number, cross = np.asarray(counts, dtype=np.float64)[:, None], x[:, :, None] * point
-    products = xx - cross - cross.swapaxes(1, 2) + number[:, None] * np.outer(point, point)
-    return np.asarray(x - number * point), np.asarray(products)
+    products[first, second] = products[second, first] = sums[d:]
+    mean = sums[:d] / n
+    return mean, (products - n * np.outer(mean, mean)) / (n - 1)

@@ -25,8 +25,14 @@ from posecal.data.units import quantity
 from posecal.engine.block import Block
 from posecal.engine.metric import MEAN, Metric, Statistic
 from posecal.engine.scope import DataSpec, Scope
-from posecal.engine.sums import Counts, Indices
-from posecal.engine.truth_moments import constraints, gaussian_log_density, moments
+from posecal.engine.sums import Counts, Indices, split_by
+from posecal.engine.truth_moments import (
+    constraints,
+    gaussian_log_density,
+    gaussians_of_others,
+    moments,
+    own_log_density,
+)
 from posecal.errors import PoseDataError
 
 LIKELIHOODS = ("nll", "nll_per_dimension", "log_likelihood_skill")
@@ -34,6 +40,9 @@ LIKELIHOODS = ("nll", "nll_per_dimension", "log_likelihood_skill")
 
 MOST_DIMENSIONS = 96
 """Poses of more coordinates have no climatology's Gaussian: the products of all pairs would take too much memory."""
+
+SMALLEST_GAIN = 1.0
+"""A skill that gains this by the errors of climatology's estimate, nats, has a remark."""
 
 SMALLEST_DEVIATION = 0.1
 """Truths that vary less than this in some direction, mm, obey a constraint: no motion capture resolves it."""
@@ -125,8 +134,14 @@ def climatology_log_prob(truth: npt.ArrayLike, sequence: npt.ArrayLike | None = 
     names = np.arange(len(poses)) if sequence is None else as_array(sequence, "sequence")
     if names.shape != (len(poses),):
         raise PoseDataError(f"sequence: {names.shape}; expected one per pose, ({len(poses)},).")
-    own = np.unique(names, return_inverse=True)[1]
-    return gaussian_log_density(moments(poses), np.ones(len(poses)), own, poses.shape[1])
+    own, number = np.unique(names, return_inverse=True)[1], np.unique(names, return_counts=True)[1]
+    rows, found = split_by(own, len(number)), np.full(len(poses), np.nan)
+    sums = np.stack([moments(poses[some]).sum(axis=0) for some in rows])
+    for some, (mean, covariance) in zip(rows, gaussians_of_others(sums, number, poses.shape[1]) or [], strict=False):
+        away = poses[some] - mean
+        distances = (away * np.linalg.solve(covariance, away.T).T).sum(axis=1)
+        found[some] = -(distances + np.linalg.slogdet(2 * math.pi * covariance)[1]) / 2
+    return found
 
 
 # --- metrics ------------------------------------------------------------------------------------------------------
@@ -259,7 +274,9 @@ def likelihood_metrics(scope: Scope) -> Iterator[Metric]:
         )
 
 
-def likelihood_remarks(scope: Scope, sums: FloatArray | None, counts: Counts, sequence: Indices) -> Iterator[str]:
+def likelihood_remarks(
+    scope: Scope, sums: FloatArray | None, counts: Counts, sequence: Indices, of_others: float = math.nan
+) -> Iterator[str]:
     """Say which constraints of the true poses make a likelihood meaningless, and why climatology's is missing.
 
     Parameters
@@ -270,6 +287,8 @@ def likelihood_remarks(scope: Scope, sums: FloatArray | None, counts: Counts, se
         Of the statistic of :func:`moments_statistic`, where there is one.
     counts, sequence : arrays (C,)
         Poses, and the sequence of each cell.
+    of_others : float
+        The mean log density under climatology's Gaussian.
     """
     spec, d = scope.spec, _coordinates(scope.spec)
     if d > MOST_DIMENSIONS:
@@ -303,3 +322,13 @@ def likelihood_remarks(scope: Scope, sums: FloatArray | None, counts: Counts, se
         yield f"{lacks} the density is over {spec.dimensions} coordinates and the poses have {d}."
     elif found.directions:
         yield f"{lacks} climatology's Gaussian is singular."
+    elif math.isnan(of_others):
+        yield f"{lacks} the poses of some sequence can't be judged by those of the others, which are too few."
+    else:  # own poses are given about as much too high a density as others' are given too low a one
+        n = int(counts.sum())
+        gain = (own_log_density(of_poses.sum(axis=0), n, d) - of_others) / 2
+        if gain >= SMALLEST_GAIN:
+            yield (
+                f"log_likelihood_skill: about {gain:.1f} nats of it are because the {d} coordinates of climatology's "
+                f"Gaussian are estimated from too few independent poses."
+            )

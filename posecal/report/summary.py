@@ -81,7 +81,8 @@ def _of_likelihood(totals: Totals) -> Iterator[str]:
     moments = moments_statistic(scope)
     name = "" if moments is None else moments.name
     sums, counts = totals.sums.get(name), totals.counts.get(name, totals.poses)
-    yield from likelihood_remarks(scope, sums, counts, totals.sequence_of)
+    of_others = math.nan if sums is None or moments is None else float(totals.mean(moments)[1])
+    yield from likelihood_remarks(scope, sums, counts, totals.sequence_of, of_others)
 
 
 def summarize(report: Report) -> list[str]:

@@ -5,7 +5,7 @@ import numpy.typing as npt
 import pytest
 from scipy.stats import multivariate_normal
 
-from posecal.engine.truth_moments import Constraints, constraints, gaussian_log_density, moments
+from posecal.engine.truth_moments import Constraints, constraints, gaussian_log_density, moments, own_log_density
 
 Array = npt.NDArray[np.float64]
 D = 4
@@ -104,3 +104,9 @@ def test_of_too_few_poses_nothing_is_known() -> None:
     x, sequence = poses(7)
     assert found_in(x[:D], sequence[:D]) is None
     assert found_in(x[: D + 1], sequence[: D + 1]) is not None
+
+
+def test_under_their_own_gaussian_poses_have_its_negative_entropy() -> None:
+    x, _ = poses(8)
+    expected = multivariate_normal(x.mean(axis=0), np.cov(x.T, bias=True)).logpdf(x).mean()
+    assert own_log_density(moments(x).sum(axis=0), len(x), D) == pytest.approx(expected)

@@ -15,8 +15,11 @@ from tests.evidence import Table
 Array = npt.NDArray[np.float64]
 
 UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
-DESIGNS = ((100, 100, 0.0), (20, 100, 0.0), (100, 100, 0.95), (20, 100, 0.95), (8, 100, 0.95))
-"""Sequences, frames of each, and the correlation of a frame with the next."""
+DESIGNS = (
+    *((20, 100, 0.0, 12), (100, 100, 0.95, 12), (20, 100, 0.95, 12), (8, 100, 0.95, 12)),
+    *((236, 100, 0.95, 48), (60, 100, 0.95, 48), (20, 100, 0.95, 48)),
+)
+"""Sequences, frames of each, the correlation of a frame with the next, and coordinates."""
 
 WIDTHS = (10.0, 1.0, 0.1, 0.01)
 
@@ -59,29 +62,29 @@ def nll_by_unit(replicates: int) -> list[tuple[str, ...]]:
 # --- climatology
 
 
-def chains(random: np.random.Generator, sequences: int, frames: int, correlation: float) -> Array:
-    """Stationary first-order chains of 12 coordinates of standard deviation 1, (S, n, 12)."""
-    x = np.empty((sequences, frames, 12))
-    x[:, 0] = random.normal(size=(sequences, 12))
+def chains(random: np.random.Generator, sequences: int, frames: int, correlation: float, d: int) -> Array:
+    """Stationary first-order chains of coordinates of standard deviation 1, (S, n, d)."""
+    x = np.empty((sequences, frames, d))
+    x[:, 0] = random.normal(size=(sequences, d))
     for frame in range(1, frames):
         x[:, frame] = correlation * x[:, frame - 1]
-        x[:, frame] += math.sqrt(1 - correlation**2) * random.normal(size=(sequences, 12))
+        x[:, frame] += math.sqrt(1 - correlation**2) * random.normal(size=(sequences, d))
     return x
 
 
-def skill_of_the_population(replicates: int, designs: tuple[tuple[int, int, float], ...] = DESIGNS) -> list[Array]:
+def skill_of_the_population(replicates: int, designs: tuple[tuple[int, int, float, int], ...] = DESIGNS) -> list[Array]:
     """The log-likelihood skill of the Gaussian that the truths are drawn from, by baseline, (replicates, 2).
 
     The first is relative to the Gaussian of the poses themselves, the second to that of the other sequences.
     """
     found = []
-    for sequences, frames, correlation in designs:
+    for sequences, frames, correlation, d in designs:
         skills = []
         for replicate in range(replicates):
-            x = chains(np.random.default_rng([replicate, 2]), sequences, frames, correlation).reshape(-1, 12)
-            population = -(x**2).sum(axis=1) / 2 - 6 * math.log(2 * math.pi)
+            x = chains(np.random.default_rng([replicate, 2]), sequences, frames, correlation, d).reshape(-1, d)
+            population = -(x**2).sum(axis=1) / 2 - d * math.log(2 * math.pi) / 2
             covariance = np.cov(x.T, bias=True)
-            own = -6 * math.log(2 * math.pi * math.e) - np.linalg.slogdet(covariance)[1] / 2
+            own = -d * half_log_2_pi_e() - np.linalg.slogdet(covariance)[1] / 2
             others = climatology_log_prob(x, np.repeat(np.arange(sequences), frames))
             skills.append((population.mean() - own, (population - others).mean()))
         found.append(np.array(skills))
@@ -93,10 +96,13 @@ def skill_rows(replicates: int) -> list[tuple[str, ...]]:
     return [
         (
             f"{sequences} × {frames}, " + (f"correlation {correlation}" if correlation else "independent"),
+            str(d),
             *(mean_and_error(skills[:, column].tolist()) for column in (0, 1)),
             "0",
         )
-        for (sequences, frames, correlation), skills in zip(DESIGNS, skill_of_the_population(replicates), strict=True)
+        for (sequences, frames, correlation, d), skills in zip(
+            DESIGNS, skill_of_the_population(replicates), strict=True
+        )
     ]
 
 
@@ -186,7 +192,13 @@ TABLES = [
     ),
     Table(
         "likelihood-climatology",
-        ("sequences × frames", "against the Gaussian of the same poses", "against that of other sequences", "right"),
+        (
+            "sequences × frames",
+            "coordinates",
+            "against the Gaussian of the same poses",
+            "against that of other sequences",
+            "right",
+        ),
         skill_rows,
         40,
     ),

@@ -236,6 +236,24 @@ def test_too_few_poses_have_no_climatology() -> None:
     assert line.startswith("NLL: 11 complete poses are too few to estimate climatology's Gaussian of 12 coordinates")
 
 
+def test_a_skill_that_gains_by_errors_of_the_estimate_has_a_remark() -> None:
+    assert remarks() == []  # 120 independent poses of 12 coordinates
+    few = np.isin(SEQUENCE, ["clip 0", "clip 1", "clip 2"])
+    of_few = {"x": WORLD["x"][:, few], "y": WORLD["y"][few], "log_prob": WORLD["log_prob"][few]}
+    truth = WORLD["y"][few][:, 1:].reshape(few.sum(), -1)
+    own = multivariate_normal(truth.mean(axis=0), np.cov(truth.T, bias=True)).logpdf(truth).mean()
+    gain = (own - climatology(truth, SEQUENCE[few]).mean()) / 2
+    assert remarks(**of_few, labels={"sequence": SEQUENCE[few]}) == [
+        f"log_likelihood_skill: about {gain:.1f} nats of it are because the 12 coordinates of climatology's Gaussian "
+        "are estimated from too few independent poses."
+    ]
+
+
+def test_a_sequence_that_holds_nearly_all_poses_has_no_others() -> None:
+    (line,) = remarks(labels={"sequence": np.where(np.arange(M) < 110, "a", "b")})
+    assert line.startswith("log_likelihood_skill: no value, because the poses of some sequence can't be judged")
+
+
 def test_meshes_are_not_searched() -> None:
     random = np.random.default_rng(5)
     truth = random.normal(0, 300, (6, 40, 3))
