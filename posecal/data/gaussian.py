@@ -6,9 +6,9 @@ many frames are read at a time, and the first draws of many are those of few.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
@@ -39,7 +39,6 @@ _SUM = 2.5e-3
 """How far from 1 the sum of the weights of a mixture may be, as of numbers of bfloat16."""
 
 
-@dataclass(frozen=True, init=False, repr=False)
 class GaussianPrediction:
     r"""Gaussian, or mixture of C Gaussians, that a model states for each of M poses.
 
@@ -56,6 +55,8 @@ class GaussianPrediction:
         Standard deviations, of independent coordinates, instead.
     mixture_weights : array (C, M), optional
         Weights of the components, of sum 1 for each pose.
+    name : str
+        What messages call it; nothing by default.
 
     Raises
     ------
@@ -75,13 +76,6 @@ class GaussianPrediction:
     (np.float64(-2.7568), (10, 5, 1, 3))
     """
 
-    mean: LazyArray
-    spread: LazyArray
-    kind: Kind
-    weights: FloatArray
-    name: str
-    first: int
-
     def __init__(
         self,
         mean: npt.ArrayLike | LazyArray,
@@ -91,12 +85,12 @@ class GaussianPrediction:
         mixture_weights: npt.ArrayLike | None = None,
         name: str = "",
     ) -> None:
-        self._set(name=f"{name}: " if name else "", first=0)
+        self.name, self.first = f"{name}: " if name else "", 0
         if (covariance is None) == (sigma is None):
             which = "neither" if sigma is None else "both"
             raise PoseDataError(f"{self.name}covariance and sigma: {which} given; expected one of them.")
         given, word = (covariance, "covariance") if sigma is None else (sigma, "sigma")
-        self._set(mean=self._lazy(mean, "mean"), spread=self._lazy(given, word))
+        self.mean, self.spread = self._lazy(mean, "mean"), self._lazy(given, word)
         shape = self.mean.shape
         if len(shape) != (3 if mixture_weights is None else 4):
             what = "(M, K, D)" if mixture_weights is None else "(C, M, K, D) with mixture_weights"
@@ -108,10 +102,7 @@ class GaussianPrediction:
         if self.spread.shape not in known:
             expected = " or ".join(map(str, known))
             raise PoseDataError(f"{self.name}{word} {self.spread.shape}; expected {expected} beside a mean {shape}.")
-        self._set(kind=known[self.spread.shape], weights=self._checked_weights(mixture_weights))
-
-    def _set(self, **attributes: object) -> None:
-        vars(self).update(attributes)
+        self.kind, self.weights = known[self.spread.shape], self._checked_weights(mixture_weights)
 
     def _lazy(self, values: Any, name: str) -> LazyArray:
         lazy: LazyArray = values
@@ -307,8 +298,8 @@ def starting_at(hypotheses: T, frame: int) -> T:
     """Give a prediction with its first frame at another number, by which its draws are seeded; all else as it is."""
     if not isinstance(hypotheses, GaussianPrediction):
         return hypotheses
-    other = object.__new__(type(hypotheses))
-    vars(other).update({**vars(hypotheses), "first": frame})
+    other = copy.copy(hypotheses)
+    other.first = frame
     return other
 
 

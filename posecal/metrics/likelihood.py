@@ -274,6 +274,13 @@ def likelihood_metrics(scope: Scope) -> Iterator[Metric]:
         )
 
 
+def lack_of_likelihood(spec: DataSpec) -> str:
+    """Say what the data lack that a metric of this module needs, where they can't have it."""
+    if not spec.dimensions:
+        return "needs the model's log densities. Store log_prob beside the hypotheses."
+    return f"needs poses of at most {MOST_DIMENSIONS} coordinates, no angles, and where = all."
+
+
 def likelihood_remarks(
     scope: Scope, sums: FloatArray | None, counts: Counts, sequence: Indices, of_others: float = math.nan
 ) -> Iterator[str]:

@@ -10,7 +10,7 @@ from posecal.data.frames import DIFFERENT_FRAMES
 from posecal.engine.scope import Scope
 from posecal.engine.totals import Totals
 from posecal.errors import first_few, for_python
-from posecal.metrics.likelihood import likelihood_remarks, moments_statistic
+from posecal.metrics.likelihood import LIKELIHOODS, likelihood_remarks, moments_statistic
 from posecal.metrics.occlusion import occlusion_words
 from posecal.registry import left_out
 from posecal.report.format import counted, p_value
@@ -67,7 +67,7 @@ def _of_statistics(report: Report) -> Iterator[str]:
         yield line
     if "occlusion" in report.by:
         yield occlusion_words(totals.protocol, totals.spec)
-    if "nll" in report.metrics:
+    if {*LIKELIHOODS} & report.metrics.keys():
         yield from _of_likelihood(totals)
     n = totals.spec.n_hypotheses
     if n < 2:

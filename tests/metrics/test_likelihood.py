@@ -204,6 +204,14 @@ def test_a_hip_that_follows_from_the_other_is_found() -> None:
     assert math.isnan(report(y=truth).interval("log_likelihood_skill")[0])
 
 
+def test_constraints_are_searched_for_whichever_likelihood_is_asked_for() -> None:
+    truth = WORLD["y"].copy()
+    truth[:, 3] = -truth[:, 1]
+    for name in ("nll", "nll_per_dimension", "log_likelihood_skill"):
+        assert "don't vary in 3 of 12 directions" in remarks(y=truth, metrics=name)[0]
+    assert remarks(y=truth, metrics="ece") == []
+
+
 def test_planar_poses_are_found() -> None:
     truth = WORLD["y"].copy()
     truth[..., 2] = 0
@@ -260,6 +268,8 @@ def test_meshes_are_not_searched() -> None:
     found = posecal.evaluate(truth + random.normal(0, 9, (3, *truth.shape)), truth, unit="mm", log_prob=np.zeros(6))
     assert found["nll"] == 0
     assert "log_likelihood_skill" not in found.metrics
+    with pytest.raises(PoseDataError, match=r"log_likelihood_skill needs poses of at most 96 coordinates"):
+        posecal.evaluate(truth[None], truth, unit="mm", log_prob=np.zeros(6), metrics="log_likelihood_skill")
     assert [r for r in found.remarks if r.startswith("NLL: poses of 120 coordinates are not searched for constraints")]
 
 
