@@ -171,7 +171,7 @@ def test_components_are_drawn_by_their_weights() -> None:
         assert (np.abs(share - expected) < 4.5 * np.sqrt(expected * (1 - expected) / 5000)).all()
 
 
-def test_draws_depend_on_the_seed_and_the_frame_alone() -> None:
+def test_draws_depend_on_the_seed_and_the_frame_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     _, mean = world(c=2)
     weights = np.full((2, M), 0.5)
     prediction = GaussianPrediction(mean, sigma=np.full((2, M, K), 9.0), mixture_weights=weights)
@@ -180,6 +180,8 @@ def test_draws_depend_on_the_seed_and_the_frame_alone() -> None:
     np.testing.assert_array_equal(prediction.sample(3, seed=4), drawn[:3])  # the first of many
     np.testing.assert_array_equal(prediction.sample_frames(2, 5, 7, 4), drawn[:, 2:5])
     assert (prediction.sample(7, seed=5) != drawn).all()
+    monkeypatch.setattr("posecal.data.gaussian._DRAWN", 2 * 7 * K * D)  # two frames at a time
+    np.testing.assert_array_equal(prediction.sample(7, seed=4), drawn)
     later = GaussianPrediction(mean[:, 2:], sigma=np.full((2, M - 2, K), 9.0), mixture_weights=weights[:, 2:])
     np.testing.assert_array_equal(starting_at(later, 2).sample(7, seed=4), drawn[:, 2:])
     same = GaussianPrediction(np.zeros((M, K, D)), sigma=np.ones((M, K))).sample(7)
