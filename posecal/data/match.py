@@ -161,10 +161,12 @@ class Matcher:
                 y = y - origin(y, of_all)
             remark = f"{hypotheses.name} lacks the root {lost}; its positions are taken as relative to it."
         self.remarks += [remark] if remark else []
-        matched, frames = np.ascontiguousarray(y[true_rows][:, true_columns]), self._frame_names(true_rows)
+        is_drawn = isinstance(hypotheses.array, DrawnHypotheses)
+        frames = self._frame_names(true_rows) if is_drawn or hypotheses.log_prob is not None else []
+        matched = np.ascontiguousarray(y[true_rows][:, true_columns])
         names = tuple(true_names[k] for k in true_columns)
         counts_at = both(known, others.where)
-        if isinstance(hypotheses.array, DrawnHypotheses):
+        if is_drawn:
             place = rows, columns, frames, names, root, unit, factor, problems
             log_prob, dimensions, remarks = stated_log_density(hypotheses, matched, counts_at, *place)
             self.remarks += remarks
