@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from posecal import calibration, metrics, plot, recalibration
     from posecal.calibration import CalibrationCurve, calibration_curve, ece, perfect_sampler
     from posecal.conversion import convert
+    from posecal.data.gaussian import GaussianPrediction
     from posecal.data.pose_data import PoseData
     from posecal.data.skeleton import JOINT_SETS, Skeleton
     from posecal.engine.merge import merge_totals
@@ -44,6 +45,7 @@ __version__ = "0.1.0"
 _MODULES = {
     "posecal.calibration": ("CalibrationCurve", "calibration_curve", "ece", "perfect_sampler"),
     "posecal.conversion": ("convert",),
+    "posecal.data.gaussian": ("GaussianPrediction",),
     "posecal.data.pose_data": ("PoseData",),
     "posecal.data.skeleton": ("JOINT_SETS", "Skeleton"),
     "posecal.engine.merge": ("merge_totals",),
@@ -71,6 +73,7 @@ __all__ = [
     "CalibrationCurve",
     "Comparison",
     "Evaluation",
+    "GaussianPrediction",
     "Metric",
     "PoseData",
     "PoseDataError",

@@ -19,6 +19,7 @@ from posecal.errors import PoseDataError, did_you_mean, option, raise_all
 from posecal.metrics.best_of import ROUND_SIZES, subset_curve, subset_metrics
 from posecal.metrics.brier import brier_metrics
 from posecal.metrics.cps import cps_curve, cps_metrics
+from posecal.metrics.likelihood import LIKELIHOODS, lack_of_likelihood, likelihood_metrics, moments_statistic
 from posecal.metrics.limbs import limb_metrics
 from posecal.metrics.mpjpe import mpjpe_metrics
 from posecal.metrics.occlusion import occlusion_metrics_of
@@ -159,6 +160,7 @@ def _all_metrics(
         found += [*calibration_metrics(scope), *interval_metrics(scope), *rank_test_metrics(scope, preranks)]
         found += [*score_metrics(scope), *brier_metrics(scope), *skill_metrics(scope)]
         found += [*sharpness_metrics(scope), *uncertainty_metrics(scope)]
+    found += likelihood_metrics(scope)
     found += [_with_functions(metric) for metric in own]
     if protocol.average != "poses":
         found = [changed(metric, definition=f"{metric.definition}; {_averaged(metric, protocol)}") for metric in found]
@@ -278,14 +280,8 @@ def reserved_names() -> frozenset[str]:
 @cache
 def _known_anywhere() -> frozenset[str]:
     """Names of the metrics of data that have everything."""
-    spec = DataSpec(
-        n_hypotheses=ROUND_SIZES[-1],
-        joints=JOINT_SETS["h36m-17"],
-        root=0,
-        labels=("sequence",),
-        has_scores=True,
-        reference="another",
-    )
+    person = ROUND_SIZES[-1], JOINT_SETS["h36m-17"], 0, ("sequence",)
+    spec = DataSpec(*person, has_scores=True, dimensions=48, reference="another")
     return frozenset(any_metrics(Protocol(), spec))
 
 
@@ -325,6 +321,8 @@ def _lacks(name: str, protocol: Protocol, spec: DataSpec, known: dict[str, Metri
     if not spec.has_scores and ("weighted_pose" in name or "mode_mpjpe" in name):
         mode = ", or set mode to an index" * ("mode_mpjpe" in name)
         return f"needs the model's scores. Store scores beside the hypotheses{mode}."
+    if name in LIKELIHOODS:
+        return lack_of_likelihood(spec)
     if spec.n_hypotheses < 2 and name in {*GROUPS, *known_metrics(Protocol(), changed(spec, n_hypotheses=2))}:
         return "needs at least 2 hypotheses; there is 1."
     return f"is not known. {did_you_mean(name, known)}"
@@ -370,6 +368,8 @@ def statistics_of(
     if "occlusion" in by:
         metrics += [m for kind in occlusion_metrics_of(protocol, spec).values() for m in kind.values()]
     statistics = [SUM_OF_TRUE_POSES, *(statistic for metric in metrics for statistic in metric.statistics)]
+    if any(metric.name in LIKELIHOODS for metric in metrics):
+        statistics += filter(None, [moments_statistic(Scope(protocol, spec))])
     if {"default", "all"}.intersection(protocol.wanted):
         statistics += [curve.statistic for curve in curves_of(protocol, spec).values()]
     return tuple({statistic.name: statistic for statistic in statistics}.values())

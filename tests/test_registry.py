@@ -270,7 +270,7 @@ def test_statistics_are_those_of_the_metrics_and_of_the_curves_of_a_whole_report
 
 
 def test_every_number_of_a_report_of_everything_has_a_reserved_name() -> None:
-    spec = replace(PERSON, has_occlusion=True, reference="climatology", n_reference=6)
+    spec = replace(PERSON, has_occlusion=True, reference="climatology", n_reference=6, dimensions=48)
     known = known_metrics(Protocol(), spec)
     assert {*known, *auxiliary_rows(known), *GROUPS} <= reserved_names()
 
@@ -278,6 +278,7 @@ def test_every_number_of_a_report_of_everything_has_a_reserved_name() -> None:
 # --- many means at once ----------------------------------------------------------------------------------------------
 
 EVERYTHING = replace(PERSON, has_occlusion=True, preranks=("height",), reference="climatology", n_reference=6)
+EVERYTHING = replace(EVERYTHING, dimensions=48)
 PROTOCOLS = {
     "default": Protocol(),
     "occluded": Protocol(where="occluded", root="drop", cps_unit="share", velocity="second"),
@@ -295,7 +296,10 @@ def metrics_and_means(protocol: str) -> list[tuple[Metric, dict[str, Array]]]:
     x, reference = y + random.normal(0, 60, (7, 4, 17, 3)), y + random.normal(0, 90, (6, 4, 17, 3))
     occluded, scores = random.random((4, 17)) < 0.4, random.random((7, 4))
     follows = np.array([False, True, True, True])
-    block = Block(x, y, root=0, scores=scores, occluded=occluded, reference=reference, follows=follows)
+    log_prob = random.normal(-200, 9, 4)
+    block = Block(
+        x, y, root=0, scores=scores, log_prob=log_prob, occluded=occluded, reference=reference, follows=follows
+    )
     preranks = {"height": lambda pool: pool[..., 2].max(axis=1)}
     own = Metric.from_function(lambda x, y: np.abs(x - y).mean(axis=(0, 3)), name="own", by_joint=True)
     metrics = [*known_metrics(PROTOCOLS[protocol], EVERYTHING, preranks, own=[own]).values()]
@@ -386,8 +390,19 @@ def test_metrics_say_which_tables_show_them() -> None:
         *("min_mpjpe", "mpjpe", "mean_pose_mpjpe", "pa_min_mpjpe", "pck", "auc", "cps", "ece", "ece_paper"),
         *("signed_area", "coverage_50", "coverage_80", "coverage_90", "coverage_95"),
         *("radius_50", "radius_90", "diversity", "spread_error_correlation"),
+        *("nll", "nll_per_dimension", "log_likelihood_skill"),
     ]
-    assert by_group == ["min_mpjpe", "mpjpe", "pa_min_mpjpe", "pck", "ece", "signed_area", "coverage_90", "radius_50"]
+    assert by_group == [
+        "min_mpjpe",
+        "mpjpe",
+        "pa_min_mpjpe",
+        "pck",
+        "ece",
+        "signed_area",
+        "coverage_90",
+        "radius_50",
+        "nll",
+    ]
     assert by_joint == [
         *("min_mpjpe", "mpjpe", "ece", "signed_area", "coverage_50", "coverage_90", "radius_50", "radius_90"),
     ]

@@ -57,7 +57,8 @@ class HypothesesOptions:
 
         given = {name: value for name, value in vars(self).items() if value is not None}
         with running.wrong_call():
-            Declarations(**{name: value for name, value in given.items() if name != "skeleton"})  # a file, read later
+            later = {"skeleton", "draws", "seed"}  # of which the first is a file
+            Declarations(**{name: value for name, value in given.items() if name not in later})
         return given
 
 
@@ -72,6 +73,10 @@ class DataOptions(HypothesesOptions):
     n_hypotheses: Annotated[int | None, reading("Take only the first so many hypotheses.", "--hypotheses", min=1)] = (
         None
     )
+    draws: Annotated[
+        int | None, reading("Hypotheses to draw from distributions.", min=1, show_default="200 of each pose")
+    ] = None
+    seed: Annotated[int | None, reading("The seed of these draws.", min=0, show_default="0")] = None
 
     def read(self, hypotheses: Path, truth: Path, **more: Any) -> PoseData:
         """Open two files and match them."""

@@ -16,9 +16,11 @@ import numpy.typing as npt
 from posecal.data.arrays import BoolArray, checked_number
 from posecal.data.declarations import Declarations, choose_layouts, joint_names, quantity_of, refuse_other_names
 from posecal.data.degenerate import column_problem
+from posecal.data.draws import DrawnHypotheses, stated_log_density
 from posecal.data.frame_numbers import order_by_number
 from posecal.data.joint_names import match_joints, remarks_on_matched, remarks_on_names
 from posecal.data.layout import TRUTH, Layout, plausible_layouts
+from posecal.data.log_density import log_density
 from posecal.data.members import both, frame_id_remarks, read_members, unread_remarks
 from posecal.data.own_skeleton import parents_among
 from posecal.data.remarks import Count, Example, Remark
@@ -159,11 +161,22 @@ class Matcher:
                 y = y - origin(y, of_all)
             remark = f"{hypotheses.name} lacks the root {lost}; its positions are taken as relative to it."
         self.remarks += [remark] if remark else []
+        is_drawn = isinstance(hypotheses.array, DrawnHypotheses)
+        frames = self._frame_names(true_rows) if is_drawn or hypotheses.log_prob is not None else []
+        matched = np.ascontiguousarray(y[true_rows][:, true_columns])
+        names = tuple(true_names[k] for k in true_columns)
+        counts_at = both(known, others.where)
+        if is_drawn:
+            place = rows, columns, frames, names, root, unit, factor, problems
+            log_prob, dimensions, remarks = stated_log_density(hypotheses, matched, counts_at, *place)
+            self.remarks += remarks
+        else:
+            log_prob, dimensions = log_density(hypotheses, self.shape, rows, frames, root, factor, problems)
         return {
             "hypotheses": predicted,
-            "truth": np.ascontiguousarray(y[true_rows][:, true_columns]),
+            "truth": matched,
             "unit": unit,
-            "joints": tuple(true_names[k] for k in true_columns),
+            "joints": names,
             "parents": parents_among(parents, true_columns.tolist()) if parents else (),
             "root": root,
             "frame_id": true_rows.astype(str) if truth.frame_id is None else truth.frame_id[true_rows],
@@ -172,9 +185,11 @@ class Matcher:
             "labels": labels,
             "occluded": members.occluded if others.occluded is None else others.occluded,
             "scores": None if scores is None else scores[:n, rows],
+            "log_prob": log_prob,
+            "dimensions": dimensions,
             "fps": fps,
             "names": (hypotheses.name, truth.name),
-            "where": both(known, others.where),
+            "where": counts_at,
             "usable": None,
             "remarks": tuple(self.remarks),
             "reference": None,

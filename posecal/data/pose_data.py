@@ -14,7 +14,10 @@ import numpy.typing as npt
 from posecal.data.arrays import BoolArray, FloatArray, as_array, as_label_arrays, as_labels, as_marks, as_scores
 from posecal.data.checks import check_units
 from posecal.data.declarations import Declarations
+from posecal.data.draws import DrawnHypotheses, with_draws
+from posecal.data.gaussian import GaussianPrediction
 from posecal.data.layout import HYPOTHESES
+from posecal.data.log_density import as_dimensions, as_log_prob
 from posecal.data.match import Matcher
 from posecal.data.read import read_poses
 from posecal.data.root import AnyRoot
@@ -22,7 +25,7 @@ from posecal.data.stored_poses import Hypotheses, Labels, Rows, StoredPoses, sam
 from posecal.errors import PosecalError, PoseDataError, attempt, raise_all
 
 T = TypeVar("T")
-Source = npt.ArrayLike | str | os.PathLike[str]
+Source = npt.ArrayLike | str | os.PathLike[str] | GaussianPrediction
 
 _FRAMES = 16
 """Of how many frames the units of hypotheses are judged."""
@@ -34,9 +37,9 @@ class PoseData:
 
     Parameters
     ----------
-    hypotheses : array_like (N, M, K, D) or path
+    hypotheses : array_like (N, M, K, D), path or GaussianPrediction
         Hypotheses, in another layout if ``axes`` says so: NumPy, PyTorch or JAX arrays, or lists; or an ``.npz`` or
-        ``.npy`` file, which is read some poses at a time.
+        ``.npy`` file, which is read some poses at a time. Of distributions they are drawn, as they are read.
     truth : array_like (M, K, D) or path
         True poses, likewise.
     where : bool array (M, K) or (M,), optional
@@ -54,6 +57,10 @@ class PoseData:
         The joints whose keypoints were not visible, of the truth; instead of a file's.
     scores : array (N, M), optional
         The model's score of each hypothesis, (M, N) where ``axes`` has M first; instead of a file's.
+    log_prob : array (M,), optional
+        The model's log density at the true pose, nats, of coordinates in ``unit``; instead of a file's.
+    dimensions : int, optional
+        The number of coordinates that this density is over; those of the joints that are not the root by default.
     fps : float, optional
         Frames per second; instead of a file's.
     frame_id : array (M,), optional
@@ -71,6 +78,8 @@ class PoseData:
         ``same``, or ``common`` to keep the joints that both have.
     n_hypotheses : int, optional
         How many hypotheses are read, the first ones; all by default.
+    draws, seed : int, optional
+        How many hypotheses are drawn from distributions, 200 by default, and the seed, 0 by default.
     skeleton : path, mapping or str, optional
         Names, parents and root of the joints: a ``.json`` or ``.toml`` file, or a mapping with ``names``, ``parents``
         and perhaps ``root``; or a joint set. By default they follow from the names, or from a member ``parents``.
@@ -102,6 +111,10 @@ class PoseData:
         The joints whose keypoints were not visible.
     scores : array (N, M) or None
         The model's score of each hypothesis.
+    log_prob : array (M,) or None
+        The model's log density at the true pose, nats, of coordinates in ``unit``.
+    dimensions : int
+        The number of coordinates that it is over; 0 without it.
     fps : float or None
         Frames per second.
     names : tuple of two str
@@ -148,6 +161,8 @@ class PoseData:
     labels: Labels
     occluded: BoolArray | None
     scores: FloatArray | None
+    log_prob: FloatArray | None
+    dimensions: int
     fps: float | None
     names: tuple[str, str]
     where: BoolArray | None
@@ -167,6 +182,8 @@ class PoseData:
         labels: Mapping[str, npt.ArrayLike] | None = None,
         occluded: npt.ArrayLike | None = None,
         scores: npt.ArrayLike | None = None,
+        log_prob: npt.ArrayLike | None = None,
+        dimensions: int | None = None,
         fps: float | None = None,
         frame_id: npt.ArrayLike | None = None,
         truth_frame_id: npt.ArrayLike | None = None,
@@ -178,6 +195,8 @@ class PoseData:
         shared_joints: Literal["same", "common"] = "same",
         n_hypotheses: int | None = None,
         skeleton: object = None,
+        draws: int | None = None,
+        seed: int | None = None,
     ) -> None:
         problems: list[str | PosecalError] = []
         declared: dict[str, Any] = {"axes": axes, "truth_axes": truth_axes, "unit": unit, "truth_unit": truth_unit}
@@ -192,6 +211,8 @@ class PoseData:
             "labels": (as_label_arrays, labels),
             "occluded": (as_marks, occluded),
             "scores": (as_scores, scores),
+            "log_prob": (as_log_prob, log_prob),
+            "dimensions": (as_dimensions, dimensions),
             "where": (as_array, where),
             "frame_id": (as_labels, frame_id),
             "truth_frame_id": (as_labels, truth_frame_id),
@@ -205,11 +226,12 @@ class PoseData:
         possible |= dict.fromkeys(wrong & {"unit", "truth_unit"}, "mm")
         assert predicted is not None
         assert true is not None
+        predicted = attempt(problems, with_draws, predicted, draws, seed) or predicted
         ids, own_labels = arrays.get("frame_id"), arrays.get("labels") or {}
         predicted = replace(
             predicted,
             frame_id=predicted.frame_id if ids is None else ids,
-            scores=arrays.get("scores", predicted.scores),
+            **{name: arrays[name] for name in ("scores", "log_prob", "dimensions") if name in arrays},
         )
         true = replace(
             true,
@@ -220,7 +242,11 @@ class PoseData:
             where=arrays.get("where"),
             fps=true.fps if fps is None else fps,
         )
-        vars(self).update(vars(match_poses(predicted, true, Declarations(**possible), problems)))
+        matched = match_poses(predicted, true, Declarations(**possible), problems)
+        if not isinstance(predicted.array, DrawnHypotheses) and (draws, seed) != (None, None):
+            remark = f"{predicted.name} holds hypotheses: none are drawn, whatever draws and seed are."
+            matched = matched.replace(remarks=(*matched.remarks, remark))
+        vars(self).update(vars(matched))
 
     def __repr__(self) -> str:
         sizes = ", ".join(f"{letter}={size}" for letter, size in zip(HYPOTHESES, self.shape, strict=True))
@@ -250,7 +276,7 @@ class PoseData:
         part = {
             name: None if values is None else values[..., rows] if name == "scores" else values[rows]
             for name, values in vars(self).items()
-            if name in ("truth", "frame_id", "order", "occluded", "scores", "where", "usable")
+            if name in ("truth", "frame_id", "order", "occluded", "scores", "log_prob", "where", "usable")
         }
         return self.replace(
             **part,

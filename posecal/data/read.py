@@ -13,10 +13,13 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.archive import Header, open_archive
+from posecal.data import log_density as density
+from posecal.data.archive import Header, Member, open_archive
 from posecal.data.arrays import LABEL_KINDS, as_labels, as_marks, as_scores, as_text, checked_choice, real_array
+from posecal.data.draws import STATED, DrawnHypotheses, is_stated, open_distributions
 from posecal.data.file_array import Source, open_array, open_member, opened
-from posecal.data.layout import MemoryArray
+from posecal.data.gaussian import GaussianPrediction
+from posecal.data.layout import HYPOTHESES, MemoryArray
 from posecal.data.lazy import LIBRARIES, DatasetArray, is_dataset, open_datasets, split_address
 from posecal.data.stored_poses import COMMON_LABELS, StoredPoses
 from posecal.errors import PosecalError, PoseDataError, PoseFileError, attempt, raise_all, refuse_unreadable
@@ -29,18 +32,18 @@ _ALWAYS_READ = 1000
 """Values of a member that are read whatever there are of coordinates, so that messages can say what they are."""
 
 _MARKS = ("occluded", "visible")
-_RESERVED = (*_MARKS, "axes", "unit", "joints", "frame_id", "scores", "fps", "valid", "parents")
+_RESERVED = (*_MARKS, "axes", "unit", "joints", "frame_id", "scores", "fps", "valid", "parents", *density.MEMBERS)
 DECLARED = frozenset((*_RESERVED, *COMMON_LABELS))
 """Names under which something beside the coordinates is read, whatever its kind."""
 
 
-def read_poses(source: npt.ArrayLike | str | os.PathLike[str], role: Role) -> StoredPoses:
+def read_poses(source: npt.ArrayLike | str | os.PathLike[str] | GaussianPrediction, role: Role) -> StoredPoses:
     """Open a file of hypotheses or of true poses; arrays are taken as they are.
 
     Parameters
     ----------
-    source : path or array_like
-        An ``.npz`` or ``.npy`` file, or the coordinates.
+    source : path, array_like or GaussianPrediction
+        An ``.npz`` or ``.npy`` file, the coordinates, or what hypotheses are drawn from.
     role : str
         ``hypotheses`` or ``truth``: which array is looked for, and what messages call one that was passed.
 
@@ -63,6 +66,8 @@ def read_poses(source: npt.ArrayLike | str | os.PathLike[str], role: Role) -> St
     checked_choice(role, "role", _NAMES)
     if is_dataset(source):
         return StoredPoses(role, DatasetArray(source))
+    if isinstance(source, GaussianPrediction):
+        return StoredPoses(role, DrawnHypotheses(source), HYPOTHESES)
     if not isinstance(source, (str, os.PathLike)):
         return StoredPoses(role, MemoryArray(real_array(source, role)))
     path, dataset = split_address(os.fspath(source))
@@ -104,12 +109,24 @@ def _read_archive(file: FileIO, path: Path, role: Role) -> StoredPoses:
     if not stored and any(member.endswith("data.pkl") for member in zipfile.ZipFile(file).namelist()):
         raise PoseFileError(_foreign(path, "is a file of PyTorch"))
     headers = {key: member.header for key, member in stored.items()}
+    if role == "hypotheses" and is_stated(headers):
+        poses = _read_distributions(path, headers, stored)
+        file.close()
+        return poses
     chosen = _choose(headers, name, role)
     members = _declared(headers, chosen, headers[chosen][0], name, lambda key: stored[key].read())
     array = open_member(stored[chosen], file, path)
     if array.file is not file:
         file.close()
     return StoredPoses(name, array, **members, unread=_unread(headers, chosen))
+
+
+def _read_distributions(path: Path, headers: Mapping[str, Header], stored: Mapping[str, Member]) -> StoredPoses:
+    """Read what stands beside distributions, of which hypotheses will be drawn."""
+    drawn = open_distributions(path, stored)
+    others = {key: header for key, header in headers.items() if key not in STATED}
+    members = _declared(others, "", drawn.shape, path.name, lambda key: stored[key].read())
+    return StoredPoses(path.name, drawn, **{**members, "axes": HYPOTHESES}, unread=_unread(others, ""))
 
 
 def _read_datasets(path: Path, dataset: str, role: Role) -> StoredPoses:
@@ -198,6 +215,8 @@ def _declared(
         "labels": {key: values for key, values in labels.items() if values is not None},
         "marks": {key: mask for key, mask in marks.items() if mask is not None},
         "scores": read(as_scores, "scores"),
+        "log_prob": read(density.as_log_prob, "log_prob"),
+        "dimensions": read(density.as_dimensions, "dimensions"),
         "valid": read(as_marks, "valid"),
         "fps": read(_number, "fps"),
     }

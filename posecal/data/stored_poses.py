@@ -52,6 +52,10 @@ class StoredPoses:
         The joints, or the poses, that are known; the others may hold anything.
     scores : array (N, M) or None
         The model's score of each hypothesis.
+    log_prob : array (M,) or None
+        The model's log density at the true pose, nats, of coordinates in the unit.
+    dimensions : int or None
+        The number of coordinates that the density is over.
     fps : float or None
         Frames per second.
     unread : mapping of tuples of int
@@ -71,6 +75,8 @@ class StoredPoses:
     where: BoolArray | None = None
     valid: BoolArray | None = None
     scores: FloatArray | None = None
+    log_prob: FloatArray | None = None
+    dimensions: int | None = None
     fps: float | None = None
     unread: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
 

@@ -55,6 +55,8 @@ class Block:
         Whether each pose comes right after the one before it in its sequence.
     scores : array (N, B), optional
         The model's own score of each hypothesis; higher is better.
+    log_prob : array (B,), optional
+        The model's log density at the true pose, nats; NaN where it has none.
     occluded : bool array (B, K), optional
         The joints whose keypoints were not seen; none by default.
     usable : bool array (B, K), optional
@@ -82,6 +84,8 @@ class Block:
         What came, and what is subtracted from it.
     period : float or None
         After how much coordinates repeat.
+    log_prob : array (B,) or None
+        The model's log density at the true pose.
     """
 
     def __init__(
@@ -94,6 +98,7 @@ class Block:
         previous: Callable[[], Block] | None = None,
         follows: BoolArray | None = None,
         scores: FloatArray | None = None,
+        log_prob: FloatArray | None = None,
         occluded: BoolArray | None = None,
         usable: BoolArray | None = None,
         reference: FloatArray | None = None,
@@ -114,7 +119,7 @@ class Block:
             self.truth = np.where(self.where[..., None], self.truth, 0)
         self.stored, self.root = (hypotheses, truth), root
         self.follows = np.ones(len(truth), dtype=bool) if follows is None else follows
-        self._previous, self._scores = previous, scores
+        self._previous, self._scores, self.log_prob = previous, scores, log_prob
         self._limits, self._sequence = limits, sequence
         self._shared: dict[Hashable, Any] = {}
         self._make_fit_block: Callable[[], Block] | None = None

@@ -40,6 +40,7 @@ class Chunk:
     usable: BoolArray | None
     occluded: BoolArray | None
     scores: FloatArray | None
+    log_prob: FloatArray | None
     reference: FloatArray | None
 
     def __len__(self) -> int:
@@ -77,6 +78,7 @@ class Chunk:
             previous=None if before is None else before.block(0, len(before), root, period=period),
             follows=part.follows,
             scores=part.scores,
+            log_prob=part.log_prob,
             occluded=part.occluded,
             usable=part.usable,
             reference=part.reference,
@@ -112,6 +114,7 @@ def read_chunks(data: PoseData, multiple: int = 1) -> Iterator[Chunk]:
     follows = np.concatenate([[False], (sequence[1:] == sequence[:-1]) & (np.diff(data.order) == 1)])
     nothing, no_hashes = np.zeros(m, dtype=np.intp), np.zeros((m, 2), dtype=np.uint64)
     others = {"truth": data.truth, "where": data.where, "usable": data.usable, "occluded": data.occluded}
+    others["log_prob"] = data.log_prob
     # laid out alike, whoever made them, because rounding depends on it
     rows = {name: values if values is None else np.ascontiguousarray(values) for name, values in others.items()}
     for start in range(0, m, window):

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from posecal.data.arrays import FloatArray
 from posecal.engine.block import Block
+from posecal.engine.sums import Counts, Indices
 from posecal.engine.user_code import values_of_arrays
 from posecal.errors import PoseDataError
 
@@ -49,6 +50,9 @@ class Statistic:
         How many poses before each pose it needs, for differences over time.
     by_segment : bool
         Whether its blocks are segments of a sequence, as the option ``segment`` has them.
+    derive : callable or None
+        What depends on other sequences: from the sums (C, …) and counts (C,) of all cells, and the sequence of each
+        (C,), to the sums (C, …) whose means are finished.
     """
 
     name: str
@@ -57,6 +61,7 @@ class Statistic:
     per_pose: bool = False
     earlier: int = 0
     by_segment: bool = False
+    derive: Callable[[FloatArray, Counts, Indices], FloatArray] | None = None
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,10 @@ def _is_of_any_number(metric: Metric | Curve) -> bool:
     names_one = any(word in metric.name for word in ("min_mpjpe_at_", "mode_"))
     follows_one = metric.statistic.earlier or metric.statistic.by_segment or metric.sequences_per_batch
     is_alone = metric.family in {"accuracy", "sharpness"} and not names_one and not follows_one
-    return is_alone or metric.name in {"energy_score", "joint_energy_score", "crps", "variogram_score"}
+    return is_alone or metric.name in {
+        *("energy_score", "joint_energy_score", "crps", "variogram_score"),
+        *("nll", "nll_per_dimension", "log_likelihood_skill"),
+    }
 
 
 def in_unit(metric: Metric, spec: DataSpec) -> Metric:

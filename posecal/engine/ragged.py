@@ -156,6 +156,7 @@ def lay_out_ragged(chunk: Chunk, spec: DataSpec) -> RaggedBlock:
             some.where,
             root=spec.root,
             scores=None if some.scores is None else some.scores[kept, poses],
+            log_prob=some.log_prob,
             occluded=some.occluded,
             usable=some.usable,
             period=spec.period,

@@ -42,6 +42,8 @@ class DataSpec:
         Frames per second.
     has_scores : bool
         Whether the model gives a score for each hypothesis.
+    dimensions : int
+        The number of coordinates that the model's log densities are over; 0 where it gives none.
     has_occlusion : bool
         Whether occluded joints are marked.
     has_mask : bool
@@ -75,6 +77,7 @@ class DataSpec:
     n_coordinates: int = 3
     is_ragged: bool = False
     parents: tuple[int, ...] = ()
+    dimensions: int = 0
 
     def __post_init__(self) -> None:
         root: object = self.root
@@ -96,6 +99,7 @@ class DataSpec:
             labels=tuple(data.labels),
             fps=data.fps,
             has_scores=data.scores is not None,
+            dimensions=data.dimensions,
             has_occlusion=data.occluded is not None,
             has_mask=has_mask,
             preranks=preranks,

@@ -85,8 +85,6 @@ class Totals:
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_shared": {}}  # what was computed is neither pickled nor copied
 
-    # --- adding -----------------------------------------------------------------------------------------------
-
     def add(self, name: str, cells: Indices, sums: FloatArray, counts: npt.NDArray[np.int64]) -> None:
         """Add the sums of some poses of a statistic to their cells.
 
@@ -164,8 +162,6 @@ class Totals:
                 numbers[group] = number
         return numbers
 
-    # --- means ------------------------------------------------------------------------------------------------
-
     def mean(self, statistic: Statistic, cells: Cells = None) -> FloatArray:
         """Mean of a statistic over the poses of some cells; NaN where none counts."""
         sums, counts = self.of_cells(statistic, cells)
@@ -191,6 +187,11 @@ class Totals:
         if statistic.name not in self.sums:
             raise PoseDataError(f"result: holds no sums of {statistic.name}. Evaluate again, with its metric.")
         sums, counts = self.sums[statistic.name], self.counts[statistic.name]
+        if statistic.derive is not None:
+            key = "derived", statistic.name
+            if key not in self._shared:
+                self._shared[key] = None, statistic.derive(sums, counts, self.sequence_of)
+            sums = self._shared[key][1]
         return (sums, counts) if cells is None else (sums[cells], counts[cells])
 
     def _weighted(self, statistic: Statistic, cells: Cells) -> tuple[FloatArray, Counts]:
@@ -224,8 +225,6 @@ class Totals:
             return len(self.known_poses(statistic, cells))
         counts = self.of_cells(statistic, cells)[1].sum(axis=0)
         return int(np.max(counts, initial=0) if row is None else counts[row])
-
-    # --- values -----------------------------------------------------------------------------------------------
 
     def value(self, metric: Metric, cells: Cells = None) -> float:
         """Give a metric over the poses of some cells.

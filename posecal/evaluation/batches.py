@@ -17,6 +17,7 @@ from posecal.data.arrays import as_labels
 from posecal.data.declarations import Declarations
 from posecal.data.frame_numbers import Place, continued
 from posecal.data.frames import FrameCheck
+from posecal.data.gaussian import starting_at
 from posecal.data.layout import HYPOTHESES
 from posecal.data.pose_data import PoseData
 from posecal.data.remarks import join_remarks
@@ -37,7 +38,7 @@ from posecal.engine.scope import DataSpec
 from posecal.engine.totals import Totals
 from posecal.errors import PoseDataError, checked_type, first_few
 from posecal.evaluation.options import check_callable, check_callables, check_label_names, label_entries
-from posecal.evaluation.sources import Progress, as_pose_data
+from posecal.evaluation.sources import Progress, Source, as_pose_data
 from posecal.evaluation.start import continue_accumulator, start_accumulator
 from posecal.metrics.sharpness import predicted_spread
 from posecal.registry import check_names, statistics_of, wants_reference
@@ -48,14 +49,13 @@ class Evaluation:
     """Evaluation in batches: the sums of all that came so far, never the hypotheses.
 
     The numbers are those of one call of :func:`evaluate` over all batches together. Memory does not grow with the
-    number of batches, but for two numbers a pose (predicted spread and error, whose order over poses some metrics
-    need), the frame ids, where they are given, and at most 1 MB of hashes of poses.
+    number of batches, but for two numbers a pose, the frame ids, where they are given, and at most 1 MB of hashes.
 
     Parameters
     ----------
-    joints, root_joint, unit, truth_unit, axes, truth_axes, fps, shared_joints, n_hypotheses, skeleton
+    joints, root_joint, unit, truth_unit, axes, truth_axes, fps, shared_joints, n_hypotheses, skeleton, dimensions
         Of all batches; as for :func:`evaluate`.
-    by, metrics, preranks, protocol, threads
+    by, metrics, preranks, protocol, threads, draws, seed
         As for :func:`evaluate`.
     prepared : Prepared, optional
         What depends on the whole set, where a metric needs it (``tarp_box``): :func:`posecal.prepare` of pose data with
@@ -73,8 +73,7 @@ class Evaluation:
     >>> evaluation = Evaluation(axes="MNKD", unit="mm")
     >>> for clip in ("walk 1", "walk 2"):
     ...     truth = random.normal(0, 300, (64, 5, 3))
-    ...     hypotheses = truth[:, None] + random.normal(0, 50, (64, 20, 5, 3))
-    ...     evaluation.update(hypotheses, truth, sequence=clip)
+    ...     evaluation.update(truth[:, None] + random.normal(0, 50, (64, 20, 5, 3)), truth, sequence=clip)
     >>> evaluation.compute().totals.poses.sum()
     np.int64(128)
     """
@@ -92,6 +91,9 @@ class Evaluation:
         shared_joints: Literal["same", "common"] = "same",
         n_hypotheses: int | None = None,
         skeleton: object = None,
+        dimensions: int | None = None,
+        draws: int | None = None,
+        seed: int | None = None,
         by: Sequence[str] | str = (),
         metrics: str | Sequence[str] | None = None,
         preranks: Mapping[str, PreRank] | None = None,
@@ -103,8 +105,8 @@ class Evaluation:
         self._options |= {"axes": axes, "truth_axes": truth_axes, "fps": fps, "shared_joints": shared_joints}
         self._options |= {"truth_unit": truth_unit, "n_hypotheses": n_hypotheses, "skeleton": skeleton}
         Declarations(**{k: v for k, v in self._options.items() if k != "fps"})  # refuses values that no data could have
-        preranks = {} if preranks is None else preranks
-        check_callables("preranks", preranks)
+        self._options |= {"dimensions": dimensions, "draws": draws, "seed": seed}
+        check_callables("preranks", preranks := {} if preranks is None else preranks)
         if not isinstance(prepared, Prepared | None):
             raise PoseDataError(f"prepared: {type(prepared).__name__}; expected what posecal.prepare gives.")
         self.protocol = as_protocol(protocol, metrics)
@@ -120,23 +122,22 @@ class Evaluation:
         self._axes: str | None = None  # of the first batch, where none is declared
         self._has_frames: bool | None = None  # None before the first batch
         self._lack: str | None = None  # why no pose or joint counts so far, "" where some do
-        self._frames: dict[str, None] = {}  # of the own poses that count, in their order
-        self._held: list[str] = []  # those of them that are pending
-        self._frames_of_others: set[str] = set()
-        self._others: list[Totals] = []
+        self._frames, self._held = dict[str, None](), list[str]()  # of own poses that count; those that are pending
+        self._frames_of_others, self._others = set[str](), list[Totals]()
         self._remarks, self._frame_check = join_remarks([]), FrameCheck()
         self._place: Place = 0, [], ""  # of the last pose
         self._batches = self._n_frames = 0
 
     def update(
         self,
-        hypotheses: npt.ArrayLike,
-        truth: npt.ArrayLike,
+        hypotheses: Source,
+        truth: Source,
         /,
         *,
         where: npt.ArrayLike | None = None,
         occluded: npt.ArrayLike | None = None,
         scores: npt.ArrayLike | None = None,
+        log_prob: npt.ArrayLike | None = None,
         frame_id: npt.ArrayLike | None = None,
         **labels: npt.ArrayLike,
     ) -> None:
@@ -146,7 +147,7 @@ class Evaluation:
         ----------
         hypotheses, truth : arrays
             In the layout and unit that were declared once; tensors of any device.
-        where, occluded, scores
+        where, occluded, scores, log_prob
             Of the batch, as for :func:`evaluate`.
         frame_id : array (M,), optional
             Names of the frames. A frame that came before is counted once: samplers for several processes repeat some.
@@ -161,17 +162,17 @@ class Evaluation:
 
         Notes
         -----
-        Where a metric of one's own fails, or the user interrupts, some poses of the batch may be counted already. Then
-        all later calls are refused until :meth:`reset`.
+        Where a metric of one's own fails, or the user interrupts, all later calls are refused until :meth:`reset`.
         """
         if not labels.keys() <= self._label_names:
             check_label_names(labels, inspect.signature(self.update), inspect.signature(Evaluation))
             self._label_names = self._label_names | labels.keys()
-        given: dict[str, Any] = {"where": where, "occluded": occluded, "scores": scores, "labels": labels or None}
+        given: dict[str, Any] = {"where": where, "occluded": occluded, "scores": scores, "log_prob": log_prob}
         is_stored = isinstance(hypotheses, str | os.PathLike)  # a file may declare its own layout
+        given |= {**self._options, "labels": labels or None}
         if self._axes is not None and not is_stored:
             given["axes"] = self._axes
-        data = as_pose_data(hypotheses, truth, {**self._options, **given})
+        data = as_pose_data(starting_at(hypotheses, self._n_frames), truth, given)
         n_given = len(data.truth)
         if frame_id is not None:
             data = self._new_frames(data, frame_id)

@@ -29,6 +29,8 @@ def evaluate(
     labels: Mapping[str, npt.ArrayLike] | None = None,
     occluded: npt.ArrayLike | None = None,
     scores: npt.ArrayLike | None = None,
+    log_prob: npt.ArrayLike | None = None,
+    dimensions: int | None = None,
     fps: float | None = None,
     frame_id: npt.ArrayLike | None = None,
     truth_frame_id: npt.ArrayLike | None = None,
@@ -40,6 +42,8 @@ def evaluate(
     shared_joints: Literal["same", "common"] = "same",
     n_hypotheses: int | None = None,
     skeleton: object = None,
+    draws: int | None = None,
+    seed: int | None = None,
     by: Sequence[str] | str = (),
     metrics: str | Sequence[str] | None = None,
     reference: Literal["climatology"] | Source | PoseData | None = None,
@@ -52,9 +56,9 @@ def evaluate(
 
     Parameters
     ----------
-    hypotheses : array (N, M, K, D), path or PoseData
-        Hypotheses, in ``unit`` and in the layout ``axes``; or a file that declares them itself; or pose data, then
-        without ``truth`` and without the options that describe data.
+    hypotheses : array (N, M, K, D), path, GaussianPrediction or PoseData
+        Hypotheses, in ``unit`` and in the layout ``axes``; or a file that declares them itself; or what they are drawn
+        from; or pose data, then without ``truth`` and without the options that describe data.
     truth : array (M, K, D) or path
         True poses, likewise.
     where : bool array (M, K) or (M,), optional
@@ -71,6 +75,10 @@ def evaluate(
         The joints whose keypoints were not seen; instead of a file's.
     scores : array (N, M), optional
         The model's score of each hypothesis, (M, N) where ``axes`` has M first; instead of a file's.
+    log_prob : array (M,), optional
+        The model's log density at the true pose, nats, of coordinates in ``unit``; instead of a file's.
+    dimensions : int, optional
+        The number of coordinates that this density is over; those of the joints that are not the root by default.
     fps : float, optional
         Frames per second; instead of a file's.
     frame_id, truth_frame_id : arrays (M,), optional
@@ -89,6 +97,8 @@ def evaluate(
         Take only the first so many hypotheses.
     skeleton : path, mapping or str, optional
         Names, parents and root of the joints; see :class:`posecal.PoseData`.
+    draws, seed : int, optional
+        How many hypotheses are drawn from distributions, 200 by default, and the seed, 0 by default.
     by : sequence of str
         Labels to group by; one alone may be given as it is. ``occlusion`` separates occluded from visible joints,
         ``predicted_spread`` cuts terciles of the predicted spread.
@@ -139,6 +149,8 @@ def evaluate(
         "labels": labels,
         "occluded": occluded,
         "scores": scores,
+        "log_prob": log_prob,
+        "dimensions": dimensions,
         "fps": fps,
         "frame_id": frame_id,
         "truth_frame_id": truth_frame_id,
@@ -150,6 +162,8 @@ def evaluate(
         "shared_joints": shared_joints,
         "n_hypotheses": n_hypotheses,
         "skeleton": skeleton,
+        "draws": draws,
+        "seed": seed,
     }
     problems: list[str | PosecalError] = []
     options: dict[str, Any] = {"by": by, "metrics": metrics, "preranks": preranks, "protocol": protocol}
@@ -174,4 +188,4 @@ def _reference(
         return climatology(data)
     if truth is None:
         raise PoseDataError('reference: expected "climatology" or PoseData where the data are PoseData.')
-    return as_pose_data(reference, truth, {**options, "scores": None})
+    return as_pose_data(reference, truth, {**options, "scores": None, "log_prob": None, "dimensions": None})

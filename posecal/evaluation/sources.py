@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy.typing as npt
 
+from posecal.data.gaussian import GaussianPrediction
 from posecal.data.pose_data import PoseData
 from posecal.errors import PoseDataError, did_you_mean
 
-Source = npt.ArrayLike | str | os.PathLike[str]
-"""An array, or the path of a file."""
+Source = npt.ArrayLike | str | os.PathLike[str] | GaussianPrediction
+"""An array, the path of a file, or what hypotheses are drawn from."""
 
 Progress = Callable[[int], object]
 

@@ -4,12 +4,13 @@ Every function takes ``hypotheses`` (N, M, K, D) and ``truth`` (M, K, D) as they
 pose; average them as you like. ``mpjpe``: the MPJPE family; ``best_of``: minMPJPE against the number of hypotheses;
 ``velocity``: MPJVE, acceleration error, jitter; ``world``: WA- and W-MPJPE; ``pck``: PCK and AUC; ``cps``: CPS;
 ``proper``: fair proper scores; ``brier``: the Brier score; ``sharpness``: diversity and radii; ``uncertainty``: whether
-a wide spread means error.
+a wide spread means error. ``likelihood`` is of log densities: the NLL, and climatology's.
 """
 
 from posecal.metrics.best_of import min_mpjpe_curve
 from posecal.metrics.brier import brier_score
 from posecal.metrics.cps import cps
+from posecal.metrics.likelihood import climatology_log_prob, nll
 from posecal.metrics.mpjpe import min_mpjpe, mpjpe
 from posecal.metrics.pck import auc, pck
 from posecal.metrics.proper import crps, energy_score, variogram_score
@@ -22,6 +23,7 @@ __all__ = [
     "acceleration_error",
     "auc",
     "brier_score",
+    "climatology_log_prob",
     "cps",
     "crps",
     "diversity",
@@ -31,6 +33,7 @@ __all__ = [
     "min_mpjpe_curve",
     "mpjpe",
     "mpjve",
+    "nll",
     "pck",
     "radius",
     "rank_correlation",

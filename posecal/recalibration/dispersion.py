@@ -115,7 +115,8 @@ class SpreadMap:
         parts.refuse_another_unit(data.names[0], data.unit, self.data_unit)
         factors = parts.values_for_joints(self.joints, self.factors, data.joints, data.names[0])
         period = PERIODS.get(data.unit)
-        return data.replace(hypotheses=RescaledHypotheses(data.hypotheses, factors, data.root, period))
+        rescaled_hypotheses = RescaledHypotheses(data.hypotheses, factors, data.root, period)
+        return data.replace(hypotheses=rescaled_hypotheses, log_prob=None, dimensions=0)  # of another distribution
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ EVERYTHING = DataSpec(
     labels=("sequence",),
     fps=50.0,
     has_scores=True,
+    dimensions=48,
     reference="climatology",
     n_reference=200,
 )

@@ -7,8 +7,10 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 from posecal.data.frames import DIFFERENT_FRAMES
+from posecal.engine.scope import Scope
 from posecal.engine.totals import Totals
 from posecal.errors import first_few, for_python
+from posecal.metrics.likelihood import LIKELIHOODS, likelihood_remarks, moments_statistic
 from posecal.metrics.occlusion import occlusion_words
 from posecal.registry import left_out
 from posecal.report.format import counted, p_value
@@ -65,11 +67,22 @@ def _of_statistics(report: Report) -> Iterator[str]:
         yield line
     if "occlusion" in report.by:
         yield occlusion_words(totals.protocol, totals.spec)
+    if {*LIKELIHOODS} & report.metrics.keys():
+        yield from _of_likelihood(totals)
     n = totals.spec.n_hypotheses
     if n < 2:
         yield "calibration and spread need at least 2 hypotheses; there is 1."
     elif n < FEW_HYPOTHESES and any(metric.family == "calibration" for metric in report.metrics.values()):
         yield f"N = {n} hypotheses are few: look at what a perfect sampler would show before reading an ECE (paper)."
+
+
+def _of_likelihood(totals: Totals) -> Iterator[str]:
+    scope = Scope(totals.protocol, totals.spec)
+    moments = moments_statistic(scope)
+    name = "" if moments is None else moments.name
+    sums, counts = totals.sums.get(name), totals.counts.get(name, totals.poses)
+    of_others = math.nan if sums is None or moments is None else float(totals.mean(moments)[1])
+    yield from likelihood_remarks(scope, sums, counts, totals.sequence_of, of_others)
 
 
 def summarize(report: Report) -> list[str]:

@@ -119,7 +119,8 @@ class Comparison:
     def metrics(self) -> dict[str, Metric]:
         """The metrics that all models report, by name."""
         known = [metrics_of(totals.protocol, totals.spec, own=totals.own_metrics) for totals in self.totals]
-        return {name: metric for name, metric in known[0].items() if all(name in other for other in known)}
+        names = [{name: metric.statistic.name for name, metric in some.items()} for some in known]  # of one density
+        return {n: m for n, m in known[0].items() if all(other.get(n) == m.statistic.name for other in names)}
 
     def value(self, metric: str, model: str) -> float:
         """Give a model's number."""

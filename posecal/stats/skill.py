@@ -7,6 +7,7 @@ Climatology is the reference that anyone has: hypotheses sampled from the true p
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -97,7 +98,8 @@ def climatology(pairs: PoseData, n_hypotheses: int | None = None, seed: int = 0)
     own_first, own_size = (np.cumsum(size) - size)[sequence][:, None], size[sequence][:, None]
     donors = order[np.where(draws >= own_first, draws + own_size, draws)]  # skip the poses of one's own sequence
     sample = ClimatologySample(pairs.truth, donors)
-    return pairs.replace(hypotheses=sample, scores=None, names=("climatology", pairs.names[1]), remarks=())
+    own: dict[str, Any] = {"scores": None, "log_prob": None, "dimensions": 0}  # of the model
+    return pairs.replace(hypotheses=sample, **own, names=("climatology", pairs.names[1]), remarks=())
 
 
 def with_reference(pairs: PoseData, reference: PoseData) -> PoseData:

@@ -25,6 +25,7 @@ SPEC = DataSpec(
     root=0,
     labels=("sequence",),
     has_scores=True,
+    dimensions=48,
     has_occlusion=True,
     preranks=("span",),
     reference="climatology",

@@ -159,6 +159,11 @@ def write_core(folder: Path) -> None:
         "valid": np.ones((M, K), bool),
     }
     np.savez(folder / "hyps.npz", **hyps)
+    sigma = np.full((2, M, K), 60.0)
+    sigma[:, :, 0] = 0
+    stated = {"mean": hypotheses()[:2], "sigma": sigma, "mixture_weights": np.full((2, M), 0.5)}
+    np.savez(folder / "stated.npz", **stated, **about)
+    np.savez(folder / "dense.npz", **hyps, log_prob=np.arange(M) - 60.0, dimensions=9)
     np.savez(folder / "gt.npz", **gt)
     np.savez_compressed(folder / "hypsc.npz", **hyps)
     np.savez_compressed(folder / "gtc.npz", **gt)
@@ -167,6 +172,8 @@ def write_core(folder: Path) -> None:
     for name, metrics in (("small", "mpjpe"), ("full", "all")):
         how: dict[str, Any] = {"by": ("action", "occlusion"), "threads": 1}
         posecal.evaluate(folder / "hyps.npz", folder / "gt.npz", metrics=metrics, **how).save(folder / f"{name}.npz")
+    dense = posecal.evaluate(folder / "dense.npz", folder / "gt.npz", metrics="nll, log_likelihood_skill", threads=1)
+    dense.save(folder / "dense-result.npz")
     for name, radius in (("spread", None), ("radius", 0.4)):
         fit = posecal.recalibration.fit_spread if radius is None else posecal.recalibration.fit_radius
         map_ = fit(
@@ -224,6 +231,8 @@ def _core() -> list[Case]:
         posecal_(f"evaluate hyps.npy gt.npy {few} --axes NMKD --unit mm --root-joint none", "hyps.npy", NPY),
         posecal_("evaluate hyps.npy gt.npy --metrics mpjpe --axes NMKD --unit mm --root-joint none", "gt.npy", NPY),
         posecal_("evaluate hyps.npz gt.npz --skill hypsc.npz --metrics crps --format csv", "hypsc.npz", NPZ, _raw),
+        posecal_("evaluate stated.npz gt.npz --draws 3 --metrics nll,mpjpe --format csv", "stated.npz", NPZ, _raw),
+        posecal_("evaluate dense.npz gt.npz --metrics nll,mpjpe --format csv", "dense.npz", NPZ, _raw),
         posecal_(f"evaluate hyps.npz gt.npz {few} --skeleton skeleton.json", "skeleton.json", JSON),
         posecal_(f"evaluate hyps.npz gt.npz {few} --skeleton skeleton.toml", "skeleton.toml", TOML),
         posecal_("report small.npz", "small.npz", RESULT, lambda change: change is not result_edited),
@@ -231,6 +240,7 @@ def _core() -> list[Case]:
             "report full.npz --by action --format json", "full.npz", RESULT, lambda change: change is not result_edited
         ),
         posecal_("report full.npz --by occlusion --html out.html", "full.npz", RESULT),
+        posecal_("report dense-result.npz", "dense-result.npz", RESULT),
         posecal_(
             "compare small.npz full.npz --format csv", "small.npz", RESULT, lambda change: change is not result_edited
         ),
