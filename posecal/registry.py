@@ -25,7 +25,7 @@ from posecal.metrics.occlusion import occlusion_metrics_of
 from posecal.metrics.pck import pck_curve, pck_metrics
 from posecal.metrics.proper import score_metrics
 from posecal.metrics.root_position import root_metrics
-from posecal.metrics.sharpness import sharpness_metrics
+from posecal.metrics.sharpness import number_metrics, sharpness_metrics
 from posecal.metrics.skill import skill_metrics
 from posecal.metrics.uncertainty import uncertainty_metrics
 from posecal.metrics.velocity import velocity_metrics
@@ -156,6 +156,7 @@ def _all_metrics(
     found += [*pck_metrics(scope), *cps_metrics(scope), *velocity_metrics(scope), *world_metrics(scope)]
     found += [*limb_metrics(scope), *root_metrics(scope)]
     if spec.n_hypotheses > 1:
+        found += [*number_metrics(scope)]
         found += [*calibration_metrics(scope), *interval_metrics(scope), *rank_test_metrics(scope, preranks)]
         found += [*score_metrics(scope), *brier_metrics(scope), *skill_metrics(scope)]
         found += [*sharpness_metrics(scope), *uncertainty_metrics(scope)]
@@ -290,9 +291,11 @@ def _known_anywhere() -> frozenset[str]:
 
 
 def any_metrics(protocol: Protocol, spec: DataSpec, own: Sequence[Metric] = ()) -> dict[str, Metric]:
-    """Every metric of such data, of positions in the world and of vertices as well."""
+    """Every metric of such data, of positions in the world, of vertices and of weighted hypotheses as well."""
     protocol = changed(protocol, metrics=f"{protocol.metrics}, pve, pa_pve")
-    return {**known_metrics(protocol, changed(spec, root=None), own=own), **known_metrics(protocol, spec, own=own)}
+    specs = changed(spec, root=None), spec, changed(spec, has_weights=True)
+    found = [known_metrics(protocol, some, own=own) for some in specs]
+    return {**found[0], **found[1], **{name: metric for name, metric in found[2].items() if name not in found[1]}}
 
 
 def unmeasured(name: str, protocol: Protocol, spec: DataSpec) -> str:

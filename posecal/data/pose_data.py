@@ -19,6 +19,7 @@ from posecal.data.match import Matcher
 from posecal.data.read import read_poses
 from posecal.data.root import AnyRoot
 from posecal.data.stored_poses import Hypotheses, Labels, Rows, StoredPoses, sample_rows
+from posecal.data.weights import as_weights
 from posecal.errors import PosecalError, PoseDataError, attempt, raise_all
 
 T = TypeVar("T")
@@ -54,6 +55,8 @@ class PoseData:
         The joints whose keypoints were not visible, of the truth; instead of a file's.
     scores : array (N, M), optional
         The model's score of each hypothesis, (M, N) where ``axes`` has M first; instead of a file's.
+    weights : array (N, M), optional
+        The weight of each hypothesis, of sum 1 for each pose, 0 for one that is absent; likewise.
     fps : float, optional
         Frames per second; instead of a file's.
     frame_id : array (M,), optional
@@ -102,6 +105,8 @@ class PoseData:
         The joints whose keypoints were not visible.
     scores : array (N, M) or None
         The model's score of each hypothesis.
+    weights : array (N, M) or None
+        The weight of each hypothesis, of sum 1 for each pose; None where all are equal.
     fps : float or None
         Frames per second.
     names : tuple of two str
@@ -148,6 +153,7 @@ class PoseData:
     labels: Labels
     occluded: BoolArray | None
     scores: FloatArray | None
+    weights: FloatArray | None
     fps: float | None
     names: tuple[str, str]
     where: BoolArray | None
@@ -167,6 +173,7 @@ class PoseData:
         labels: Mapping[str, npt.ArrayLike] | None = None,
         occluded: npt.ArrayLike | None = None,
         scores: npt.ArrayLike | None = None,
+        weights: npt.ArrayLike | None = None,
         fps: float | None = None,
         frame_id: npt.ArrayLike | None = None,
         truth_frame_id: npt.ArrayLike | None = None,
@@ -192,6 +199,7 @@ class PoseData:
             "labels": (as_label_arrays, labels),
             "occluded": (as_marks, occluded),
             "scores": (as_scores, scores),
+            "weights": (as_weights, weights),
             "where": (as_array, where),
             "frame_id": (as_labels, frame_id),
             "truth_frame_id": (as_labels, truth_frame_id),
@@ -210,6 +218,7 @@ class PoseData:
             predicted,
             frame_id=predicted.frame_id if ids is None else ids,
             scores=arrays.get("scores", predicted.scores),
+            weights=arrays.get("weights", predicted.weights),
         )
         true = replace(
             true,
@@ -248,9 +257,9 @@ class PoseData:
                 f"poses: {poses!r}; expected numbers below M = {len(self.truth):,}, or a mask (M,)."
             ) from None
         part = {
-            name: None if values is None else values[..., rows] if name == "scores" else values[rows]
+            name: None if values is None else values[..., rows] if name in ("scores", "weights") else values[rows]
             for name, values in vars(self).items()
-            if name in ("truth", "frame_id", "order", "occluded", "scores", "where", "usable")
+            if name in ("truth", "frame_id", "order", "occluded", "scores", "weights", "where", "usable")
         }
         return self.replace(
             **part,

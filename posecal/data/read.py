@@ -18,6 +18,7 @@ from posecal.data.arrays import LABEL_KINDS, as_labels, as_marks, as_scores, as_
 from posecal.data.file_array import Source, open_array, open_member, opened
 from posecal.data.layout import MemoryArray
 from posecal.data.lazy import LIBRARIES, DatasetArray, is_dataset, open_datasets, split_address
+from posecal.data.weights import as_weights
 from posecal.data.stored_poses import COMMON_LABELS, StoredPoses
 from posecal.errors import PosecalError, PoseDataError, PoseFileError, attempt, raise_all, refuse_unreadable
 
@@ -29,7 +30,7 @@ _ALWAYS_READ = 1000
 """Values of a member that are read whatever there are of coordinates, so that messages can say what they are."""
 
 _MARKS = ("occluded", "visible")
-_RESERVED = (*_MARKS, "axes", "unit", "joints", "frame_id", "scores", "fps", "valid", "parents")
+_RESERVED = (*_MARKS, "axes", "unit", "joints", "frame_id", "scores", "weights", "fps", "valid", "parents")
 DECLARED = frozenset((*_RESERVED, *COMMON_LABELS))
 """Names under which something beside the coordinates is read, whatever its kind."""
 
@@ -198,6 +199,7 @@ def _declared(
         "labels": {key: values for key, values in labels.items() if values is not None},
         "marks": {key: mask for key, mask in marks.items() if mask is not None},
         "scores": read(as_scores, "scores"),
+        "weights": read(as_weights, "weights"),
         "valid": read(as_marks, "valid"),
         "fps": read(_number, "fps"),
     }

@@ -21,7 +21,7 @@ from posecal.data.pose_data import PoseData
 from posecal.engine.block import block_length
 from posecal.engine.cells import CellIndex
 from posecal.engine.chunks import Chunk, Indices, join_chunks, read_chunks
-from posecal.engine.measure import Measured, measure_block, measure_segment
+from posecal.engine.measure import EFFECTIVE_NUMBER, Measured, measure_block, measure_segment
 from posecal.engine.metric import Metric, Statistic
 from posecal.engine.pose_hashes import PoseHashes, add_hashes, pose_hashes, repeated_remarks, smallest_hashes
 from posecal.engine.pose_remarks import PoseRemarks
@@ -195,14 +195,16 @@ class Accumulator:
             if not chosen[-1]:
                 self._last = None
 
-    def with_absent(self, statistics: Sequence[Statistic]) -> Accumulator:
-        """Copy the sums of some statistics, those of poses with absent hypotheses, so that such poses can be added."""
+    def with_weights(self, spec: DataSpec, statistics: Sequence[Statistic]) -> Accumulator:
+        """Copy the sums of some statistics, those of poses with absent or weighted hypotheses, so that such can come."""
         other, names = copy.deepcopy(self), {statistic.name for statistic in statistics}
-        other.spec, other.statistics = replace(self.spec, is_ragged=True), tuple(statistics)
+        other.spec, other.statistics = spec, tuple(statistics)
         other._sums = {name: sums for name, sums in other._sums.items() if name in names}
+        n = float(self.spec.n_hypotheses)  # of the poses so far
+        other._sums.setdefault(EFFECTIVE_NUMBER.name, (n * other._poses, other._poses.copy()))
         other._per_pose = {name: values for name, values in other._per_pose.items() if name in names}
         other._cell_of = other._cell_of if other._per_pose else []
-        other._earlier, other._segments = 0, Segments(0)  # no such metric is of poses with absent hypotheses
+        other._earlier, other._segments = 0, Segments(0)  # no such metric is of weighted hypotheses
         return other
 
     @property

@@ -29,6 +29,7 @@ def evaluate(
     labels: Mapping[str, npt.ArrayLike] | None = None,
     occluded: npt.ArrayLike | None = None,
     scores: npt.ArrayLike | None = None,
+    weights: npt.ArrayLike | None = None,
     fps: float | None = None,
     frame_id: npt.ArrayLike | None = None,
     truth_frame_id: npt.ArrayLike | None = None,
@@ -71,6 +72,9 @@ def evaluate(
         The joints whose keypoints were not seen; instead of a file's.
     scores : array (N, M), optional
         The model's score of each hypothesis, (M, N) where ``axes`` has M first; instead of a file's.
+    weights : array (N, M), optional
+        The weight of each hypothesis, of sum 1 for each pose, 0 for one that is absent; likewise. Every number counts
+        hypotheses by them.
     fps : float, optional
         Frames per second; instead of a file's.
     frame_id, truth_frame_id : arrays (M,), optional
@@ -139,6 +143,7 @@ def evaluate(
         "labels": labels,
         "occluded": occluded,
         "scores": scores,
+        "weights": weights,
         "fps": fps,
         "frame_id": frame_id,
         "truth_frame_id": truth_frame_id,
@@ -174,4 +179,4 @@ def _reference(
         return climatology(data)
     if truth is None:
         raise PoseDataError('reference: expected "climatology" or PoseData where the data are PoseData.')
-    return as_pose_data(reference, truth, {**options, "scores": None})
+    return as_pose_data(reference, truth, {**options, "scores": None, "weights": None})

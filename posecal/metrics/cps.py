@@ -55,7 +55,7 @@ def pose_score(
     array (B, ...)
         Scores; NaN for poses without a joint that counts.
     """
-    weights, fit = block.weights(joints), body if fit is None else fit
+    weights, fit = block.joint_weights(joints), body if fit is None else fit
 
     def largest() -> FloatArray:
         errors, counted = joint_errors(block, align, None, fit), weights > 0
@@ -70,7 +70,8 @@ def pose_score(
     elif select == "linked":
         scores = score(linked(block, worst, body))
     else:
-        scores = score(worst).mean(axis=1)
+        each = score(worst)
+        scores = each.mean(axis=1) if block.weights is None else np.einsum("bn,bn...->b...", block.weights, each)
     scores = np.asarray(scores, dtype=np.float64)
     scores[~weights.any(axis=1)] = np.nan
     return scores

@@ -49,7 +49,7 @@ def correct_joints(
     length: Callable[[Block], FloatArray] | None = None,
 ) -> FloatArray:
     """PCK of each pose at one threshold, (B,); as :func:`joint_score` of :func:`correct_share`, without its sort."""
-    weights = block.weights(joints)
+    weights = block.joint_weights(joints)
     if length is not None:
         weights = weights * np.isfinite(length(block))[:, None]
     limit = threshold if length is None else threshold * np.nan_to_num(length(block))[:, None, None]
@@ -58,7 +58,7 @@ def correct_joints(
     if select == "linked":
         share = linked(block, shares, body)
     else:
-        share = shares.max(axis=-1) if select == "own" else shares.mean(axis=-1)
+        share = shares.max(axis=-1) if select == "own" else block.mean_of_each(shares)
     return np.where(weights.any(axis=1), share, np.nan)
 
 

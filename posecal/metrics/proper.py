@@ -28,7 +28,7 @@ from posecal.engine.metric import Metric, Statistic, entry, mean_over_joints
 from posecal.engine.per_pose import per_pose
 from posecal.engine.scope import Scope
 from posecal.errors import PoseDataError
-from posecal.geometry.distances import half_mean_arcs, half_mean_distances, on_circle
+from posecal.geometry.distances import different, half_mean_arcs, half_mean_distances, on_circle
 
 
 def joint_energies(block: Block, joints: BoolArray | None = None) -> FloatArray:
@@ -50,11 +50,11 @@ def joint_energies(block: Block, joints: BoolArray | None = None) -> FloatArray:
         offsets = on_circle(offsets, block.period)
         squares = squared_norms(offsets)
         errors = np.sqrt(squares)
-    each = errors.mean(axis=-1, dtype=np.float64) - half_mean_distances(offsets)
+    each = block.mean_of_each(errors, np.float64) - half_mean_distances(offsets, block.weights)
     if not scored.all():
         offsets, squares = offsets * scored[..., None, None], squares * scored[..., None]
-    of_pose = np.sqrt(squares.sum(axis=1)).mean(axis=-1, dtype=np.float64)
-    of_pose -= half_mean_distances(offsets.reshape(B, 1, -1, n))[:, 0]
+    of_pose = block.mean_of_each(np.sqrt(squares.sum(axis=1)), np.float64)
+    of_pose -= half_mean_distances(offsets.reshape(B, 1, -1, n), block.weights)[:, 0]
     return np.where(np.column_stack([scored, scored.any(axis=1)]), np.column_stack([each, of_pose]), np.nan)
 
 
@@ -64,13 +64,24 @@ def joint_crps(block: Block, joints: BoolArray | None = None) -> FloatArray:
     scored = block.where if joints is None else block.where & joints
     if n < 2:
         return np.full(scored.shape, np.nan)
-    error = np.abs(block.shortest(block.offsets)).mean(axis=-1, dtype=np.float64)
+    error = block.mean_of_each(np.abs(block.shortest(block.offsets)), np.float64)
     apart: FloatArray
-    if block.period is None:
+    if block.period is None and block.weights is not None:
+        apart = _half_mean_differences(block.offsets, block.weights)
+    elif block.period is None:
         apart = block.sorted @ ((2 * np.arange(1, n + 1) - n - 1) / (n * (n - 1)))
     else:
-        apart = half_mean_arcs(block.offsets, block.period)
+        apart = half_mean_arcs(block.offsets, block.period, block.weights)
     return np.where(scored, (error - apart).mean(axis=-1), np.nan)
+
+
+def _half_mean_differences(values: FloatArray, weights: FloatArray) -> FloatArray:
+    """½ Σ_{i ≠ j} w_i w_j |x_i − x_j| / (1 − Σ w²) of values (B, K, D, N), (B, K, D), from one sort."""
+    order = np.argsort(values, axis=-1)
+    ordered = np.take_along_axis(values, order, axis=-1)
+    each = np.take_along_axis(np.broadcast_to(weights[:, None, None], values.shape), order, axis=-1)
+    times = each * (2 * np.cumsum(each, axis=-1) - each - 1)  # the weight below minus that above
+    return np.asarray(np.einsum("bkdn,bkdn->bkd", ordered, times) / different(weights)[:, None, None])
 
 
 def variograms(block: Block, joints: BoolArray | None = None) -> FloatArray:
@@ -86,7 +97,8 @@ def variograms(block: Block, joints: BoolArray | None = None) -> FloatArray:
     if n < 2:
         return np.full(B, np.nan)
     total, pairs = np.zeros(B), np.zeros(B)
-    shares = np.full(n, 1 / n, dtype=block.offsets.dtype)
+    shares = np.full((B, n, 1), 1 / n) if block.weights is None else block.weights[..., None]
+    shares = shares.astype(block.offsets.dtype)
     poses = block.offsets + block.truth[..., None]
     for joint in range(1, K):
         counted = scored[:, :joint] & scored[:, joint, None]
@@ -96,9 +108,12 @@ def variograms(block: Block, joints: BoolArray | None = None) -> FloatArray:
         np.sqrt(np.sqrt(roots, out=roots), out=roots)
         true = squared_norms((block.truth[:, :joint] - block.truth[:, joint, None])[..., None])
         roots -= np.sqrt(np.sqrt(true))  # before they are summed, so that little is lost where they differ little
-        apart = roots @ shares
+        apart = (roots @ shares)[..., 0]
         roots -= apart[..., None]
-        chance = np.einsum("bkn,bkn->bk", roots, roots) / (n * (n - 1))
+        if block.weights is None:
+            chance = np.einsum("bkn,bkn->bk", roots, roots) / (n * (n - 1))
+        else:
+            chance = block.mean_of_each(roots**2) / (block.n_effective - 1)[:, None]
         total += np.where(counted, apart.astype(np.float64) ** 2 - chance, 0).sum(axis=1)
         pairs += counted.sum(axis=1)
     return np.where(pairs > 0, total / np.maximum(pairs, 1), np.nan)
