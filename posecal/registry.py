@@ -11,7 +11,7 @@ from posecal.calibration.intervals import interval_metrics
 from posecal.calibration.rank_tests import PreRank, rank_test_metrics
 from posecal.data.skeleton import JOINT_SETS
 from posecal.engine import needs
-from posecal.engine.measure import SUM_OF_TRUE_POSES
+from posecal.engine.measure import EFFECTIVE_NUMBER, SUM_OF_TRUE_POSES
 from posecal.engine.metric import Curve, Metric, Statistic
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec, Scope
@@ -161,6 +161,8 @@ def _all_metrics(
         found += [*score_metrics(scope), *brier_metrics(scope), *skill_metrics(scope)]
         found += [*sharpness_metrics(scope), *uncertainty_metrics(scope)]
     found += [_with_functions(metric) for metric in own]
+    if spec.has_weights:
+        found = [changed(metric, definition=f"{metric.definition}; hypotheses by their weights") for metric in found]
     if protocol.average != "poses":
         found = [changed(metric, definition=f"{metric.definition}; {_averaged(metric, protocol)}") for metric in found]
     return found
@@ -372,7 +374,8 @@ def statistics_of(
     metrics = list(metrics_of(protocol, spec, preranks, own).values())
     if "occlusion" in by:
         metrics += [m for kind in occlusion_metrics_of(protocol, spec).values() for m in kind.values()]
-    statistics = [SUM_OF_TRUE_POSES, *(statistic for metric in metrics for statistic in metric.statistics)]
+    statistics = [SUM_OF_TRUE_POSES, *[EFFECTIVE_NUMBER] * (spec.is_ragged or spec.has_weights)]
+    statistics += [*(statistic for metric in metrics for statistic in metric.statistics)]
     if {"default", "all"}.intersection(protocol.wanted):
         statistics += [curve.statistic for curve in curves_of(protocol, spec).values()]
     return tuple({statistic.name: statistic for statistic in statistics}.values())

@@ -30,9 +30,9 @@ from posecal.calibration.curve import joint_ece
 from posecal.calibration.ranks import LEVELS, rank_weights, shared_ranks
 from posecal.data.arrays import BoolArray, FloatArray, squared_norms
 from posecal.engine.block import Block
-from posecal.engine.weighted import effective_counts, effective_number
 from posecal.engine.metric import Deviation, Metric, Statistic, mean_over_joints
 from posecal.engine.scope import Scope
+from posecal.engine.weighted import effective_counts, effective_number
 from posecal.errors import PoseDataError
 
 PreRank = Callable[[FloatArray], npt.ArrayLike]

@@ -23,17 +23,17 @@ E ω(q) = q exactly, for every N, D, distribution and dependence between the hyp
 discreteness and by a centre that only the hypotheses pull; see :mod:`posecal.calibration.expected`.
 
 Hypotheses of weights w, of sum 1 for each pose, have the ``exchangeable`` definition alone. Draws x_i of a proposal g
-with w_i ∝ r(x_i), r = f/g, and a truth y of the density f are weighted exchangeable: given which N + 1 points there are,
-the truth is each of them with a chance in proportion to its r. So the rank with the mass r(y) of the truth among all,
-spread over its place, is exact. r(y) is not known; its mean, in units of the sum of the others, is
-E_f[r] / (N E_g[r]) = E_g[r²] / (N E_g[r]²), which Σ w² = 1 / N_eff estimates. With it the truth has the share
-1 / (N_eff + 1) of the pool, and the weight is clip(((N_eff + 1) q - c_less) / (c_equal + 1), 0, 1) of effective counts
-c = N_eff Σ w: the rule above with N_eff in place of N. The centre is the median of the pool by the same shares. It is
-exact where the weights are equal, and nearly so otherwise: r(y) differs from its mean, and is higher near the centre of
-a proposal that is too wide. Of hypotheses that are the components of a mixture, at their centres, the
-truth lies at one of them with the chance w_i: the rank is then exact without a share of the truth's own, of which
-1 / (N_eff + 1) is too much, if the components are narrow against their distances; draw from wide ones. What this gives
-is simulated in docs/evidence.md.
+with w_i ∝ r(x_i), r = f/g, and a truth y of the density f are weighted exchangeable: given which N + 1 points there
+are, the truth is each of them with a chance in proportion to its r. So the rank in which each point has its share, the
+truth's spread over its place, is exact: E ω(q) = q. But r(y) is not known. In units of the sum of the others its mean
+is E_f r / (N E_g r) = E_g r² / (N E_g² r), which Σ w² = 1/N_eff estimates. With it the truth has the share
+1/(N_eff + 1) of the pool, and its weight is clip(((N_eff + 1) q - c_less)/(c_equal + 1), 0, 1), of effective counts
+c = N_eff Σ w: the rule above with N_eff in place of N. The centre is the median of the pool by these shares. This is
+exact where the weights are equal, and nearly so otherwise, since r(y) is not its mean.
+
+If the hypotheses are the components of a mixture, each at its centre, the truth lies at one of them with the chance
+w_i, as far as they are narrow against their distances. Then the truth has no share of its own, and that of
+1/(N_eff + 1) is an error of about as much. Of wide components draw samples. docs/evidence.md has simulations of both.
 
 References
 ----------
@@ -171,10 +171,10 @@ def _circular_nearness(block: Block, period: float) -> Nearness:
     return Nearness(centres, within, _count(within), _count(distances[:, :, 0] < true[:, :, 0] - tie))
 
 
-def _weighted_counts(block: Block) -> tuple[FloatArray, FloatArray]:
+def _weighted_counts(block: Block, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Effective numbers of hypotheses nearer to the pooled median than the truth, and as near, (B, K) twice."""
     one = np.ones((len(block.truth), 1))
-    shares = np.concatenate([block.weights * block.n_effective[:, None], one], axis=1)
+    shares = np.concatenate([weights * block.n_effective[:, None], one], axis=1)
     points = np.concatenate([block.pooled, np.zeros_like(block.pooled[..., :1])], axis=-1)
     centre = weighted_median(points, shares[:, None, None])
     away = squared_norms(block.shortest(block.offsets - centre[..., None]))
@@ -245,7 +245,7 @@ def shared_ranks(values: FloatArray) -> FloatArray:
 
 def _exchangeable(block: Block) -> FloatArray:
     if block.weights is not None:
-        return rank_weights(block.n_effective[:, None], *_weighted_counts(block))
+        return rank_weights(block.n_effective[:, None], *_weighted_counts(block, block.weights))
     near = nearness(block)
     return rank_weights(block.n_hypotheses, near.less, near.at_most[..., 0] - near.less)
 

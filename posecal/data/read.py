@@ -18,8 +18,8 @@ from posecal.data.arrays import LABEL_KINDS, as_labels, as_marks, as_scores, as_
 from posecal.data.file_array import Source, open_array, open_member, opened
 from posecal.data.layout import MemoryArray
 from posecal.data.lazy import LIBRARIES, DatasetArray, is_dataset, open_datasets, split_address
-from posecal.data.weights import as_weights
 from posecal.data.stored_poses import COMMON_LABELS, StoredPoses
+from posecal.data.weights import as_weights
 from posecal.errors import PosecalError, PoseDataError, PoseFileError, attempt, raise_all, refuse_unreadable
 
 T = TypeVar("T")

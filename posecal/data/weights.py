@@ -81,9 +81,10 @@ def checked_weights(
         for weights that are not equal, since the first of those are no sample, and for poses without any left.
     """
 
-    def refuse(wrong: BoolArray, what: str, expected: str) -> None:
+    def refuse(wrong: npt.ArrayLike, what: str, expected: str) -> None:
+        wrong = np.asarray(wrong)
         if wrong.any():
-            first = first_few([str(frames[row]) for row in np.flatnonzero(wrong)])
+            first = first_few([str(frames[row]) for row in np.flatnonzero(wrong).tolist()])
             where = f"{int(wrong.sum()):,} of {len(wrong):,} frames (first: {first})"
             raise PoseDataError(f"{name}: {what} in {where}; expected {expected}")
 

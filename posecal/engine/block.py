@@ -186,7 +186,7 @@ class Block:
         return offsets if self.period is None else wrapped(offsets, self.period)
 
     def mean_of(self, offsets: FloatArray, shares: FloatArray | None = None) -> FloatArray:
-        """Mean over the hypotheses, (B, K, D, 1), by their weights or the given shares (B, N); circular if they repeat."""
+        """Mean over the hypotheses, (B, K, D, 1), by their weights, or by shares (B, N); circular where they repeat."""
         shares = self.weights if shares is None else shares
         if self.period is not None:
             return circular_mean(offsets, self.period, 1.0 if shares is None else shares[:, None, None])[..., None]
@@ -194,7 +194,7 @@ class Block:
             return np.asarray(np.einsum("bkdn,bn->bkd", offsets, shares.astype(offsets.dtype)))[..., None]
         return np.asarray(np.einsum("bkdn->bkd", offsets))[..., None] / offsets.dtype.type(offsets.shape[-1])
 
-    def mean_of_each(self, values: npt.NDArray[Any], dtype: npt.DTypeLike = None) -> FloatArray:
+    def mean_of_each(self, values: npt.NDArray[Any], dtype: npt.DTypeLike | None = None) -> FloatArray:
         """Mean over the hypotheses of a number of each, (B, ..., N) to (B, ...): in double, where they have weights."""
         if self.weights is None:
             return np.asarray(values.mean(axis=-1, dtype=dtype))

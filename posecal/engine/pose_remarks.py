@@ -78,7 +78,7 @@ class PoseRemarks:
 
     def _look(self, chunk: Chunk, frames: npt.NDArray[np.str_], spec: DataSpec) -> None:
         x, y, where = chunk.hypotheses, chunk.truth, chunk.where
-        there = present(x, chunk.scores) if spec.is_ragged else np.ones(x.shape[:2], dtype=bool)
+        there = present(x, chunk.scores, chunk.weights) if spec.is_ragged else np.ones(x.shape[:2], dtype=bool)
         with np.errstate(invalid="ignore", over="ignore"):  # joints that don't count may hold anything
             points = is_one_point(x, where) & there
             empty = (points == there).all(axis=0)

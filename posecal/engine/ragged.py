@@ -8,6 +8,7 @@ for any N is right; metrics that need as many hypotheses of every pose are left 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -45,12 +46,12 @@ def present(hypotheses: FloatArray, scores: FloatArray | None, weights: FloatArr
     return np.asarray(there & ((scores > 0) | ~(sum_to_one | is_point)))
 
 
-def weights_of(chunk: Chunk) -> FloatArray:
-    """Give the weights of hypotheses, (N, m), of sum 1: those that are there are equal where none are given."""
-    if chunk.weights is not None:
-        return chunk.weights
+def with_weights(chunk: Chunk, spec: DataSpec) -> Chunk:
+    """Give the poses of a chunk weights, equal ones where they have none, if those of others of them differ."""
+    if chunk.weights is not None or not (spec.is_ragged or spec.has_weights):
+        return chunk
     there = present(chunk.hypotheses, chunk.scores)
-    return np.asarray(there / there.sum(axis=0))
+    return replace(chunk, weights=there / there.sum(axis=0))
 
 
 def has_absent(data: PoseData) -> bool:
@@ -150,8 +151,9 @@ class RaggedBlock:
 
 def lay_out_ragged(chunk: Chunk, spec: DataSpec, limits: CoordinateRange | None) -> RaggedBlock:
     """Lay out poses of a chunk as a block for each number of hypotheses, and apart those of unequal weights."""
+    assert chunk.weights is not None
     parts = []
-    for rows, kept, weights in alike(weights_of(chunk)):
+    for rows, kept, weights in alike(chunk.weights):
         some, poses = chunk.select(rows), np.arange(len(rows))
         block = Block(
             some.hypotheses[kept, poses],

@@ -13,8 +13,8 @@ from posecal.data.joint_names import MOST_NAMED, joint_keys
 from posecal.data.pose_data import PoseData
 from posecal.data.root import AnyRoot, Root, resting_joints
 from posecal.data.skeleton import JOINT_SETS, known_set
-from posecal.data.weights import are_unequal
 from posecal.data.units import PERIODS
+from posecal.data.weights import are_unequal
 from posecal.engine.protocol import Protocol, named_joints
 from posecal.errors import PoseDataError, first_few
 from posecal.errors import option as named

@@ -1,9 +1,9 @@
 r"""Statistics of weighted hypotheses, and poses put together by how many they have and whether their weights differ.
 
 A pose with weights w of sum 1 has an *effective number* of hypotheses :math:`N_\mathrm{eff} = 1 / \sum_i w_i^2`, which
-is N where all are equal. Counts become effective counts, :math:`N_\mathrm{eff} \sum_{i \in A} w_i`; with those in place
-of counts, and N_eff in place of N, formulas for plain hypotheses hold for weighted ones. Poses whose weights above 0 are
-equal are measured as plain ones of the hypotheses that are there.
+is N where all are equal. Counts become effective counts, :math:`N_\mathrm{eff} \sum_{i \in A} w_i`; with those in
+place of counts, and N_eff in place of N, formulas for plain hypotheses hold for weighted ones. Poses whose weights
+above 0 are equal are measured as plain ones of the hypotheses that are there.
 """
 
 from __future__ import annotations

@@ -86,6 +86,7 @@ def cps(
     align: Alignment = "similarity",
     where: npt.ArrayLike | None = None,
     root: int | None = None,
+    weights: npt.ArrayLike | None = None,
     axes: str | None = None,
     unit: str | float | None = None,
 ) -> FloatArray:
@@ -98,7 +99,7 @@ def cps(
 
     Parameters
     ----------
-    hypotheses, truth, select, where, root, axes, unit
+    hypotheses, truth, select, where, root, weights, axes, unit
         As for :func:`posecal.metrics.pck`; Human3.6M's CPS has 16 of 17 joints, all but the spine.
     align : str
         See :mod:`posecal.geometry.procrustes`; Procrustes by default.
@@ -141,7 +142,7 @@ def cps(
     def statistic(block: Block) -> FloatArray:
         return pose_score(block, cps_area, select, align)
 
-    return per_pose(statistic, hypotheses, truth, where, root=root, axes=axes, unit=unit)
+    return per_pose(statistic, hypotheses, truth, where, root=root, weights=weights, axes=axes, unit=unit)
 
 
 # --- metrics --------------------------------------------------------------------------------------------------

@@ -54,6 +54,7 @@ def mpjpe(
     align: Alignment = "none",
     where: npt.ArrayLike | None = None,
     root: int | None = None,
+    weights: npt.ArrayLike | None = None,
     mode: int = 0,
     axes: str | None = None,
     unit: str | float | None = None,
@@ -72,7 +73,8 @@ def mpjpe(
         True poses, mm.
     of : str
         ``mean``, ``min``, ``median`` or ``worst`` of the N errors; or the error of one pose made of the
-        hypotheses: ``mean_pose``, ``median_pose`` or ``mode`` (the hypothesis of index ``mode``).
+        hypotheses: ``mean_pose``, ``median_pose`` or ``mode`` (the hypothesis of index ``mode``). Mean and median are
+        by the weights, ``min`` and ``worst`` of the hypotheses whose weight is above 0.
     align : str
         ``none``, ``similarity`` (PA-MPJPE), ``rigid``, ``reflection``, ``scale`` (N-MPJPE), ``norm_root`` or
         ``rms_mean``; see :mod:`posecal.geometry.procrustes`.
@@ -82,6 +84,9 @@ def mpjpe(
         The joint to subtract from every pose first.
     mode : int
         The index that ``of="mode"`` takes.
+    weights : array (N, M), optional
+        The weight of each hypothesis, of sum 1 for each pose, 0 for one that is absent; (M, N) where ``axes`` has M
+        first. Equal by default.
     axes, unit : str, optional
         Such as ``MNKD`` and ``m``, where the hypotheses are not (N, M, K, D), or both not in mm, or it is not clear.
         Angles, ``deg`` or ``rad``, are measured the shorter way round, in degrees.
@@ -127,6 +132,8 @@ def mpjpe(
     checked_choice(align, "align", ALIGNMENTS)
     checked_choice(of, "of", [*OF_ERRORS, *(name for name in OF_POSES if name != "weighted_pose")])
     index: int | None = None
+    if of == "mode" and weights is not None:
+        raise PoseDataError("weights: a hypothesis by its number has none; expected another of than mode.")
     if of == "mode":
         index = checked_index(mode, "mode", len(checked(hypotheses, truth, axes=axes, unit=unit)[0]), "hypotheses")
 
@@ -135,7 +142,7 @@ def mpjpe(
             return reduce_errors(pose_errors(block, align), of, block.weights)
         return pose_errors(block, align, cast(OfPoses, of), mode=index)[:, 0]
 
-    return per_pose(statistic, hypotheses, truth, where, root=root, axes=axes, unit=unit)
+    return per_pose(statistic, hypotheses, truth, where, root=root, weights=weights, axes=axes, unit=unit)
 
 
 def min_mpjpe(
@@ -146,6 +153,7 @@ def min_mpjpe(
     align: Alignment = "none",
     where: npt.ArrayLike | None = None,
     root: int | None = None,
+    weights: npt.ArrayLike | None = None,
     axes: str | None = None,
     unit: str | float | None = None,
 ) -> FloatArray:
@@ -155,7 +163,7 @@ def min_mpjpe(
 
     Parameters
     ----------
-    hypotheses, truth, align, where, root, axes, unit
+    hypotheses, truth, align, where, root, weights, axes, unit
         As for :func:`mpjpe`.
 
     Returns
@@ -191,7 +199,9 @@ def min_mpjpe(
     >>> min_mpjpe(hypotheses, np.zeros((1, 1, 3)))
     array([2.])
     """
-    return mpjpe(hypotheses, truth, of="min", align=align, where=where, root=root, axes=axes, unit=unit)
+    return mpjpe(
+        hypotheses, truth, of="min", align=align, where=where, root=root, weights=weights, axes=axes, unit=unit
+    )
 
 
 # --- metrics --------------------------------------------------------------------------------------------------
@@ -263,7 +273,7 @@ def _of_hypotheses(scope: Scope, prefix: str, align: Alignment) -> Iterator[Metr
         errors, ordered = pose_errors(block, align, body=body, fit=fit), sorted_errors(block, align, body, fit)
         least = linked(block, errors, body) if linking else ordered[:, 0]
         there = errors.shape[-1]  # of these poses; N is the most of all
-        median = (ordered[:, (there - 1) // 2] + ordered[:, there // 2]) / 2
+        median: FloatArray = (ordered[:, (there - 1) // 2] + ordered[:, there // 2]) / 2
         if block.weights is not None:
             median = weighted_median(errors, block.weights)
         reduced = (least, block.mean_of_each(errors), median, ordered[:, -1])

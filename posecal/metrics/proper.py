@@ -127,11 +127,12 @@ def fair_per_pose(
     root: int | None,
     axes: str | None,
     unit: str | float | None,
+    weights: npt.ArrayLike | None = None,
 ) -> FloatArray:
     """Compute a fair score of every pose, (M,); refuse fewer than two hypotheses."""
     if len(checked(hypotheses, truth, axes=axes, unit=unit)[0]) < 2:
         raise PoseDataError("hypotheses: N = 1; fair scores need at least 2.")
-    return per_pose(statistic, hypotheses, truth, where, root=root, axes=axes, unit=unit)
+    return per_pose(statistic, hypotheses, truth, where, root=root, weights=weights, axes=axes, unit=unit)
 
 
 def energy_score(
@@ -141,6 +142,7 @@ def energy_score(
     *,
     where: npt.ArrayLike | None = None,
     root: int | None = None,
+    weights: npt.ArrayLike | None = None,
     axes: str | None = None,
     unit: str | float | None = None,
 ) -> FloatArray:
@@ -148,7 +150,10 @@ def energy_score(
 
     .. math:: \frac{1}{N} \sum_n \lVert x_n - y \rVert - \frac{1}{2 N (N-1)} \sum_{i \ne j} \lVert x_i - x_j \rVert
 
-    with the norm over all joints and coordinates of a pose.
+    with the norm over all joints and coordinates of a pose. Of weights w, of sum 1, it is
+
+    .. math:: \sum_i w_i \lVert x_i - y \rVert
+              - \frac{1}{2 (1 - \sum_i w_i^2)} \sum_{i \ne j} w_i w_j \lVert x_i - x_j \rVert
 
     Parameters
     ----------
@@ -160,6 +165,9 @@ def energy_score(
         The joints that count.
     root : int, optional
         The joint to subtract from every pose first.
+    weights : array (N, M), optional
+        The weight of each hypothesis, of sum 1 for each pose, 0 for one that is absent; (M, N) where ``axes`` has M
+        first. Equal by default.
     axes, unit : str, optional
         Such as ``MNKD`` and ``m``, where the hypotheses are not (N, M, K, D), or both not in mm, or it is not clear.
         Angles, ``deg`` or ``rad``, are measured the shorter way round, in degrees.
@@ -199,7 +207,7 @@ def energy_score(
     >>> energy_score(hypotheses, np.zeros((1, 1, 1)))
     array([1.])
     """
-    return fair_per_pose(lambda b: joint_energies(b)[:, -1], hypotheses, truth, where, root, axes, unit)
+    return fair_per_pose(lambda b: joint_energies(b)[:, -1], hypotheses, truth, where, root, axes, unit, weights)
 
 
 def crps(
@@ -209,6 +217,7 @@ def crps(
     *,
     where: npt.ArrayLike | None = None,
     root: int | None = None,
+    weights: npt.ArrayLike | None = None,
     axes: str | None = None,
     unit: str | float | None = None,
 ) -> FloatArray:
@@ -219,7 +228,7 @@ def crps(
 
     Parameters
     ----------
-    hypotheses, truth, where, root, axes, unit
+    hypotheses, truth, where, root, weights, axes, unit
         As for :func:`energy_score`.
 
     Returns
@@ -253,7 +262,7 @@ def crps(
     >>> crps(hypotheses, np.zeros((1, 1, 1)))
     array([1.])
     """
-    return fair_per_pose(lambda b: mean_over_joints(joint_crps(b)), hypotheses, truth, where, root, axes, unit)
+    return fair_per_pose(lambda b: mean_over_joints(joint_crps(b)), hypotheses, truth, where, root, axes, unit, weights)
 
 
 def variogram_score(
@@ -263,6 +272,7 @@ def variogram_score(
     *,
     where: npt.ArrayLike | None = None,
     root: int | None = None,
+    weights: npt.ArrayLike | None = None,
     axes: str | None = None,
     unit: str | float | None = None,
 ) -> FloatArray:
@@ -276,7 +286,7 @@ def variogram_score(
 
     Parameters
     ----------
-    hypotheses, truth, where, root, axes, unit
+    hypotheses, truth, where, root, weights, axes, unit
         As for :func:`energy_score`.
 
     Returns
@@ -313,7 +323,7 @@ def variogram_score(
     """
     if period_of(unit) is not None:
         raise PoseDataError(f"unit: {unit}; expected positions, not angles, whose distances are compared.")
-    return fair_per_pose(variograms, hypotheses, truth, where, root, axes, unit)
+    return fair_per_pose(variograms, hypotheses, truth, where, root, axes, unit, weights)
 
 
 # --- metrics --------------------------------------------------------------------------------------------------

@@ -75,6 +75,7 @@ def diversity(
     population: bool = False,
     where: npt.ArrayLike | None = None,
     root: int | None = None,
+    weights: npt.ArrayLike | None = None,
     axes: str | None = None,
     unit: str | float | None = None,
 ) -> FloatArray:
@@ -94,6 +95,9 @@ def diversity(
         The joints that count.
     root : int, optional
         The joint to subtract from every pose first; its spread of 0 counts unless ``where`` leaves it out.
+    weights : array (N, M), optional
+        The weight of each hypothesis, of sum 1 for each pose, 0 for one that is absent; (M, N) where ``axes`` has M
+        first. Equal by default.
     axes, unit : str, optional
         Such as ``MNKD`` and ``m``, where the hypotheses are not (N, M, K, D), or both not in mm, or it is not clear.
         Angles, ``deg`` or ``rad``, are measured the shorter way round, in degrees.
@@ -139,6 +143,7 @@ def diversity(
         truth,
         where,
         root=root,
+        weights=weights,
         axes=axes,
         unit=unit,
     )
@@ -152,6 +157,7 @@ def radius(
     share: float = 0.5,
     where: npt.ArrayLike | None = None,
     root: int | None = None,
+    weights: npt.ArrayLike | None = None,
     axes: str | None = None,
     unit: str | float | None = None,
 ) -> FloatArray:
@@ -162,7 +168,7 @@ def radius(
 
     Parameters
     ----------
-    hypotheses, truth, where, root, axes, unit
+    hypotheses, truth, where, root, weights, axes, unit
         As for :func:`diversity`.
     share : float
         q, above 0 and at most 1.
@@ -204,7 +210,7 @@ def radius(
     def statistic(block: Block) -> FloatArray:
         return mean_over_joints(joint_radii(block, (share,))[..., 0])
 
-    return per_pose(statistic, hypotheses, truth, where, root=root, axes=axes, unit=unit)
+    return per_pose(statistic, hypotheses, truth, where, root=root, weights=weights, axes=axes, unit=unit)
 
 
 # --- metrics --------------------------------------------------------------------------------------------------
@@ -230,8 +236,7 @@ def number_metrics(scope: Scope) -> Iterator[Metric]:
             direction="none",
             family="sharpness",
             brief=f"1 / Σ w², of up to N={scope.spec.n_hypotheses}",
-            definition=f"mean over poses of 1 / Σ w², w: the weights of the up to N={scope.spec.n_hypotheses} hypotheses "
-            "of a pose",
+            definition=f"mean over poses of 1 / Σ w², w: weights of the up to N={scope.spec.n_hypotheses} hypotheses",
             statistic=EFFECTIVE_NUMBER,
             finish=entry(),
             headline=True,

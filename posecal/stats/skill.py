@@ -97,7 +97,9 @@ def climatology(pairs: PoseData, n_hypotheses: int | None = None, seed: int = 0)
     own_first, own_size = (np.cumsum(size) - size)[sequence][:, None], size[sequence][:, None]
     donors = order[np.where(draws >= own_first, draws + own_size, draws)]  # skip the poses of one's own sequence
     sample = ClimatologySample(pairs.truth, donors)
-    return pairs.replace(hypotheses=sample, scores=None, weights=None, names=("climatology", pairs.names[1]), remarks=())
+    return pairs.replace(
+        hypotheses=sample, scores=None, weights=None, names=("climatology", pairs.names[1]), remarks=()
+    )
 
 
 def with_reference(pairs: PoseData, reference: PoseData) -> PoseData:
