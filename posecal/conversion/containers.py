@@ -27,7 +27,7 @@ _LEAST_CLAIMED = 1 << 24
 """Bytes up to which a tensor may repeat its numbers."""
 
 _EXTRAS = {"h5py": "convert", "pymatreader": "convert", "ezc3d": "c3d", "torch": "models"}
-_STATED = ("axes", "fps", "joints", "unit")
+_STATED = ("axes", "fps", "joints", "unit", "weights")
 _LIKELY = (
     "hypotheses",
     "hyps",
@@ -98,6 +98,7 @@ def _tracks(arrays: Mapping[str, Any], dataset: str | None, name: str) -> Tracks
         declared["joints"] or (),
         declared["unit"] or "",
         declared["fps"] or 0.0,
+        weights=declared["weights"],
         axes=declared["axes"] or "",
         is_array=True,
         assumed=[f"what else stands beside {key} is not converted: {first_few(others)}"] if others else [],

@@ -17,6 +17,7 @@ from posecal.data.arrays import BoolArray, FloatArray
 from posecal.data.joint_names import joint_keys
 from posecal.data.layout import Layout, MemoryArray
 from posecal.data.units import quantity
+from posecal.data.weights import poses_last
 from posecal.data.write import write_file, write_members
 from posecal.errors import (
     PoseDataError,
@@ -147,6 +148,7 @@ def convert(
         **({} if rate is None else {"fps": float(rate)}),
         **({} if known.all() and (len(tracks) > 1 or first.confidence is None) else {"valid": known}),
         **(first.labels if len(tracks) == 1 else {}),
+        **({} if first.weights is None or poses.ndim == 3 or len(tracks) > 1 else {"weights": first.weights}),
     }
     if len(tracks) == 1 and first.confidence is not None:
         members["confidence"] = first.confidence
@@ -214,6 +216,8 @@ def _read(path: Path, like: str, dataset: str | None, axes: str | None, person: 
     layout = Layout(text.replace("C", "D"), "NMKD" if "N" in text else "MKD")
     laid_out = layout.read(MemoryArray(tracks.poses), np.arange(layout.shape(shape)[-3]))
     tracks.poses = np.asarray(laid_out, dtype=np.float64)
+    if tracks.weights is not None and tracks.poses.ndim == 4:
+        tracks.weights = poses_last(tracks.weights, tracks.poses.shape[:2], text, f"{path.name}: weights")
     if "C" in text:
         tracks.poses, tracks.confidence = tracks.poses[..., :-1], tracks.poses[..., -1]
     if axes is None:

@@ -32,6 +32,8 @@ class Tracks:
         Names of the frames; empty where they are numbered from 0.
     confidence : array (M, K) or (N, M, K), or None
         Of the detector.
+    weights : array (N, M), or None
+        The weight of each hypothesis.
     labels : dict
         Labels of the frames, by name.
     assumed : list of str
@@ -48,6 +50,7 @@ class Tracks:
     fps: float = 0.0
     frame_id: Sequence[str] = ()
     confidence: FloatArray | None = None
+    weights: FloatArray | None = None
     labels: dict[str, npt.NDArray[np.generic]] = field(default_factory=dict)
     assumed: list[str] = field(default_factory=list)
     axes: str = ""

@@ -91,7 +91,7 @@ def naive_variogram(x: Array, y: Array, w: Array) -> float:
 
 def naive_median(values: Array, w: Array) -> float:
     order = np.argsort(values)
-    return float(values[order][np.searchsorted(np.cumsum(w[order]) / w.sum(), 0.5)])
+    return float(np.interp(0.5, (np.cumsum(w[order]) - w[order] / 2) / w.sum(), values[order]))
 
 
 def naive_rank(x: Array, y: Array, w: Array) -> Array:
@@ -274,6 +274,9 @@ def test_the_floor_is_that_of_the_effective_number() -> None:
 def test_weighted_statistics_by_hand() -> None:
     values, weights = np.array([[5.0, 1, 3]]), np.array([[0.25, 0.25, 0.5]])
     assert weighted_median(values, weights).tolist() == [3]
+    assert weighted_median(values, np.array([[0.5, 0.25, 0.25]])).tolist() == pytest.approx([3 + 2 / 3])
+    assert weighted_median(values, np.array([[0.01, 0.98, 0.01]])).tolist() == pytest.approx([1 + 2 * 0.01 / 0.495])
+    assert weighted_median(np.array([4.0]), np.array([1.0])) == 4
     assert weighted_quantiles(values, weights, (0.25, 0.26, 0.75, 1.0)).tolist() == [[1, 3, 3, 5]]
     assert effective_number(weights).tolist() == effective_number(7 * weights).tolist() == [1 / 0.375]
     np.testing.assert_allclose(effective_counts(values > 2, weights), [0.75 / 0.375])
