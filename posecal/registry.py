@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace as changed
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 
 from posecal.calibration.error import calibration_metrics
 from posecal.calibration.intervals import interval_metrics
@@ -156,13 +156,10 @@ def _all_metrics(
     found += [*pck_metrics(scope), *cps_metrics(scope), *velocity_metrics(scope), *world_metrics(scope)]
     found += [*limb_metrics(scope), *root_metrics(scope)]
     if spec.n_hypotheses > 1:
-        found += [*number_metrics(scope)]
         found += [*calibration_metrics(scope), *interval_metrics(scope), *rank_test_metrics(scope, preranks)]
         found += [*score_metrics(scope), *brier_metrics(scope), *skill_metrics(scope)]
-        found += [*sharpness_metrics(scope), *uncertainty_metrics(scope)]
+        found += [*number_metrics(scope), *sharpness_metrics(scope), *uncertainty_metrics(scope)]
     found += [_with_functions(metric) for metric in own]
-    if spec.has_weights:
-        found = [changed(metric, definition=f"{metric.definition}; hypotheses by their weights") for metric in found]
     if protocol.average != "poses":
         found = [changed(metric, definition=f"{metric.definition}; {_averaged(metric, protocol)}") for metric in found]
     return found
@@ -281,23 +278,16 @@ def reserved_names() -> frozenset[str]:
 @cache
 def _known_anywhere() -> frozenset[str]:
     """Names of the metrics of data that have everything."""
-    spec = DataSpec(
-        n_hypotheses=ROUND_SIZES[-1],
-        joints=JOINT_SETS["h36m-17"],
-        root=0,
-        labels=("sequence",),
-        has_scores=True,
-        reference="another",
-    )
+    joints = JOINT_SETS["h36m-17"]
+    spec = DataSpec(ROUND_SIZES[-1], joints, root=0, labels=("sequence",), has_scores=True, reference="another")
     return frozenset(any_metrics(Protocol(), spec))
 
 
 def any_metrics(protocol: Protocol, spec: DataSpec, own: Sequence[Metric] = ()) -> dict[str, Metric]:
     """Every metric of such data, of positions in the world, of vertices and of weighted hypotheses as well."""
     protocol = changed(protocol, metrics=f"{protocol.metrics}, pve, pa_pve")
-    specs = changed(spec, root=None), spec, changed(spec, has_weights=True)
-    found = [known_metrics(protocol, some, own=own) for some in specs]
-    return {**found[0], **found[1], **{name: metric for name, metric in found[2].items() if name not in found[1]}}
+    known = partial(known_metrics, protocol, own=own)
+    return {**known(changed(spec, root=None)), **known(changed(spec, has_weights=True)), **known(spec)}
 
 
 def unmeasured(name: str, protocol: Protocol, spec: DataSpec) -> str:
@@ -374,8 +364,8 @@ def statistics_of(
     metrics = list(metrics_of(protocol, spec, preranks, own).values())
     if "occlusion" in by:
         metrics += [m for kind in occlusion_metrics_of(protocol, spec).values() for m in kind.values()]
-    statistics = [SUM_OF_TRUE_POSES, *[EFFECTIVE_NUMBER] * (spec.is_ragged or spec.has_weights)]
-    statistics += [*(statistic for metric in metrics for statistic in metric.statistics)]
+    counts = [EFFECTIVE_NUMBER] * (spec.is_ragged or spec.has_weights)
+    statistics = [SUM_OF_TRUE_POSES, *counts, *(statistic for metric in metrics for statistic in metric.statistics)]
     if {"default", "all"}.intersection(protocol.wanted):
         statistics += [curve.statistic for curve in curves_of(protocol, spec).values()]
     return tuple({statistic.name: statistic for statistic in statistics}.values())

@@ -58,8 +58,7 @@ def ece(
     root : int, optional
         The joint to subtract from every pose first; it is left out.
     weights : array (N, M), optional
-        The weight of each hypothesis, of sum 1 for each pose, 0 for one that is absent; (M, N) where ``axes`` has M
-        first. Equal by default.
+        The weight of each hypothesis, of sum 1 for each pose, 0 where absent; (M, N) where ``axes`` has M first.
     axes : str, optional
         The layout of the hypotheses, such as ``MNKD``; needed where the shapes leave it open.
     unit : str or float, optional

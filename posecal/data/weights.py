@@ -127,8 +127,8 @@ def collapse_copies(hypotheses: npt.ArrayLike, /, *, axes: str | None = None) ->
 
     Notes
     -----
-    Copies are no draws: of 10 draws that stand in N = 200 places, calibration and fair scores are those of 10 only if
-    they are told so. Where every draw has as many copies, the weights are equal, and the numbers those of the distinct
+    Copies are no draws: of 10 draws that stand in N = 200 places, calibration and fair scores are right only with the
+    copies as weights. Where every draw has as many copies, the weights are equal, and the numbers those of the distinct
     draws. Where a sampler draws one of a few poses again by chance, the shares estimate the chances of these poses.
     Differs from the published code: none; ours.
 

@@ -52,7 +52,9 @@ def _takes_weights(metric: Metric | Curve) -> bool:
 
 
 def in_unit(metric: Metric, spec: DataSpec) -> Metric:
-    """Write a metric of posecal's in the unit of the data; a user's own has the unit that the user gave it."""
+    """Write a metric of posecal's for the data, in their unit; a user's own has the unit that the user gave it."""
+    if spec.has_weights and "weights" not in metric.definition:
+        metric = replace(metric, definition=f"{metric.definition}; hypotheses by their weights")
     if spec.unit == "mm" or metric.function is not None:
         return metric
     texts = {name: getattr(metric, name) for name in ("label", "brief", "definition", "range", "reading")}

@@ -169,11 +169,10 @@ class Evaluation:
             check_label_names(labels, inspect.signature(self.update), inspect.signature(Evaluation))
             self._label_names = self._label_names | labels.keys()
         given: dict[str, Any] = {"where": where, "occluded": occluded, "scores": scores, "weights": weights}
-        given["labels"] = labels or None
         is_stored = isinstance(hypotheses, str | os.PathLike)  # a file may declare its own layout
         if self._axes is not None and not is_stored:
             given["axes"] = self._axes
-        data = as_pose_data(hypotheses, truth, {**self._options, **given})
+        data = as_pose_data(hypotheses, truth, {**self._options, **given, "labels": labels or None})
         n_given = len(data.truth)
         if frame_id is not None:
             data = self._new_frames(data, frame_id)

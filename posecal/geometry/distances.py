@@ -58,6 +58,15 @@ def different(weights: FloatArray) -> FloatArray:
     return np.where(chance > 0, chance, np.nan)
 
 
+def half_mean_differences(values: FloatArray, weights: FloatArray) -> FloatArray:
+    """½ Σ_{i ≠ j} w_i w_j |x_i − x_j| / (1 − Σ w²) of values (B, K, D, N), weights (B, N), by one sort."""
+    order = np.argsort(values, axis=-1)
+    ordered = np.take_along_axis(values, order, axis=-1)
+    each = np.take_along_axis(np.broadcast_to(weights[:, None, None], values.shape), order, axis=-1)
+    times = each * (2 * np.cumsum(each, axis=-1) - each - 1)  # the weight below minus that above
+    return np.asarray(np.einsum("bkdn,bkdn->bkd", ordered, times) / different(weights)[:, None, None])
+
+
 def half_mean_arcs(offsets: FloatArray, period: float, weights: FloatArray | None = None) -> FloatArray:
     """Half the mean distance, the shorter way round, of two different of N points on a circle, (..., N) to (...).
 

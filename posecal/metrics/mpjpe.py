@@ -73,8 +73,7 @@ def mpjpe(
         True poses, mm.
     of : str
         ``mean``, ``min``, ``median`` or ``worst`` of the N errors; or the error of one pose made of the
-        hypotheses: ``mean_pose``, ``median_pose`` or ``mode`` (the hypothesis of index ``mode``). Mean and median are
-        by the weights, ``min`` and ``worst`` of the hypotheses whose weight is above 0.
+        hypotheses: ``mean_pose``, ``median_pose`` or ``mode`` (that of index ``mode``). Means and medians by weight.
     align : str
         ``none``, ``similarity`` (PA-MPJPE), ``rigid``, ``reflection``, ``scale`` (N-MPJPE), ``norm_root`` or
         ``rms_mean``; see :mod:`posecal.geometry.procrustes`.
@@ -85,8 +84,7 @@ def mpjpe(
     mode : int
         The index that ``of="mode"`` takes.
     weights : array (N, M), optional
-        The weight of each hypothesis, of sum 1 for each pose, 0 for one that is absent; (M, N) where ``axes`` has M
-        first. Equal by default.
+        The weight of each hypothesis, of sum 1 for each pose, 0 where absent; (M, N) where ``axes`` has M first.
     axes, unit : str, optional
         Such as ``MNKD`` and ``m``, where the hypotheses are not (N, M, K, D), or both not in mm, or it is not clear.
         Angles, ``deg`` or ``rad``, are measured the shorter way round, in degrees.
@@ -132,9 +130,9 @@ def mpjpe(
     checked_choice(align, "align", ALIGNMENTS)
     checked_choice(of, "of", [*OF_ERRORS, *(name for name in OF_POSES if name != "weighted_pose")])
     index: int | None = None
-    if of == "mode" and weights is not None:
-        raise PoseDataError("weights: a hypothesis by its number has none; expected another of than mode.")
     if of == "mode":
+        if weights is not None:
+            raise PoseDataError("weights: a hypothesis by its number has none; expected another of than mode.")
         index = checked_index(mode, "mode", len(checked(hypotheses, truth, axes=axes, unit=unit)[0]), "hypotheses")
 
     def statistic(block: Block) -> FloatArray:
@@ -199,9 +197,8 @@ def min_mpjpe(
     >>> min_mpjpe(hypotheses, np.zeros((1, 1, 3)))
     array([2.])
     """
-    return mpjpe(
-        hypotheses, truth, of="min", align=align, where=where, root=root, weights=weights, axes=axes, unit=unit
-    )
+    of_arrays = partial(mpjpe, hypotheses, truth, of="min", align=align, where=where, root=root)
+    return of_arrays(weights=weights, axes=axes, unit=unit)
 
 
 # --- metrics --------------------------------------------------------------------------------------------------
@@ -273,9 +270,8 @@ def _of_hypotheses(scope: Scope, prefix: str, align: Alignment) -> Iterator[Metr
         errors, ordered = pose_errors(block, align, body=body, fit=fit), sorted_errors(block, align, body, fit)
         least = linked(block, errors, body) if linking else ordered[:, 0]
         there = errors.shape[-1]  # of these poses; N is the most of all
-        median: FloatArray = (ordered[:, (there - 1) // 2] + ordered[:, there // 2]) / 2
-        if block.weights is not None:
-            median = weighted_median(errors, block.weights)
+        middle = (ordered[:, (there - 1) // 2] + ordered[:, there // 2]) / 2
+        median = middle if block.weights is None else weighted_median(errors, block.weights)
         reduced = (least, block.mean_of_each(errors), median, ordered[:, -1])
         return np.stack(reduced, axis=1, dtype=np.float64)
 

@@ -28,7 +28,7 @@ from posecal.engine.metric import Metric, Statistic, entry, mean_over_joints
 from posecal.engine.per_pose import per_pose
 from posecal.engine.scope import Scope
 from posecal.errors import PoseDataError
-from posecal.geometry.distances import different, half_mean_arcs, half_mean_distances, on_circle
+from posecal.geometry.distances import half_mean_arcs, half_mean_differences, half_mean_distances, on_circle
 
 
 def joint_energies(block: Block, joints: BoolArray | None = None) -> FloatArray:
@@ -67,21 +67,12 @@ def joint_crps(block: Block, joints: BoolArray | None = None) -> FloatArray:
     error = block.mean_of_each(np.abs(block.shortest(block.offsets)), np.float64)
     apart: FloatArray
     if block.period is None and block.weights is not None:
-        apart = _half_mean_differences(block.offsets, block.weights)
+        apart = half_mean_differences(block.offsets, block.weights)
     elif block.period is None:
         apart = block.sorted @ ((2 * np.arange(1, n + 1) - n - 1) / (n * (n - 1)))
     else:
         apart = half_mean_arcs(block.offsets, block.period, block.weights)
     return np.where(scored, (error - apart).mean(axis=-1), np.nan)
-
-
-def _half_mean_differences(values: FloatArray, weights: FloatArray) -> FloatArray:
-    """½ Σ_{i ≠ j} w_i w_j |x_i − x_j| / (1 − Σ w²) of values (B, K, D, N), (B, K, D), from one sort."""
-    order = np.argsort(values, axis=-1)
-    ordered = np.take_along_axis(values, order, axis=-1)
-    each = np.take_along_axis(np.broadcast_to(weights[:, None, None], values.shape), order, axis=-1)
-    times = each * (2 * np.cumsum(each, axis=-1) - each - 1)  # the weight below minus that above
-    return np.asarray(np.einsum("bkdn,bkdn->bkd", ordered, times) / different(weights)[:, None, None])
 
 
 def variograms(block: Block, joints: BoolArray | None = None) -> FloatArray:
@@ -166,8 +157,7 @@ def energy_score(
     root : int, optional
         The joint to subtract from every pose first.
     weights : array (N, M), optional
-        The weight of each hypothesis, of sum 1 for each pose, 0 for one that is absent; (M, N) where ``axes`` has M
-        first. Equal by default.
+        The weight of each hypothesis, of sum 1 for each pose, 0 where absent; (M, N) where ``axes`` has M first.
     axes, unit : str, optional
         Such as ``MNKD`` and ``m``, where the hypotheses are not (N, M, K, D), or both not in mm, or it is not clear.
         Angles, ``deg`` or ``rad``, are measured the shorter way round, in degrees.

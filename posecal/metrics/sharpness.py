@@ -96,8 +96,7 @@ def diversity(
     root : int, optional
         The joint to subtract from every pose first; its spread of 0 counts unless ``where`` leaves it out.
     weights : array (N, M), optional
-        The weight of each hypothesis, of sum 1 for each pose, 0 for one that is absent; (M, N) where ``axes`` has M
-        first. Equal by default.
+        The weight of each hypothesis, of sum 1 for each pose, 0 where absent; (M, N) where ``axes`` has M first.
     axes, unit : str, optional
         Such as ``MNKD`` and ``m``, where the hypotheses are not (N, M, K, D), or both not in mm, or it is not clear.
         Angles, ``deg`` or ``rad``, are measured the shorter way round, in degrees.
