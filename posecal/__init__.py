@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from posecal.data.gaussian import GaussianPrediction
     from posecal.data.pose_data import PoseData
     from posecal.data.skeleton import JOINT_SETS, Skeleton
+    from posecal.data.weights import collapse_copies
     from posecal.engine.merge import merge_totals
     from posecal.engine.metric import Metric, Statistic
     from posecal.engine.prepare import prepare
@@ -48,6 +49,7 @@ _MODULES = {
     "posecal.data.gaussian": ("GaussianPrediction",),
     "posecal.data.pose_data": ("PoseData",),
     "posecal.data.skeleton": ("JOINT_SETS", "Skeleton"),
+    "posecal.data.weights": ("collapse_copies",),
     "posecal.engine.merge": ("merge_totals",),
     "posecal.engine.metric": ("Metric", "Statistic"),
     "posecal.engine.prepare": ("prepare",),
@@ -87,6 +89,7 @@ __all__ = [
     "calibration",
     "calibration_curve",
     "climatology",
+    "collapse_copies",
     "compare",
     "convert",
     "cross_fitted",

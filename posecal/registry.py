@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace as changed
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 
 from posecal.calibration.error import calibration_metrics
 from posecal.calibration.intervals import interval_metrics
 from posecal.calibration.rank_tests import PreRank, rank_test_metrics
 from posecal.data.skeleton import JOINT_SETS
 from posecal.engine import needs
-from posecal.engine.measure import SUM_OF_TRUE_POSES
+from posecal.engine.measure import EFFECTIVE_NUMBER, SUM_OF_TRUE_POSES
 from posecal.engine.metric import Curve, Metric, Statistic
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec, Scope
@@ -26,7 +26,7 @@ from posecal.metrics.occlusion import occlusion_metrics_of
 from posecal.metrics.pck import pck_curve, pck_metrics
 from posecal.metrics.proper import score_metrics
 from posecal.metrics.root_position import root_metrics
-from posecal.metrics.sharpness import sharpness_metrics
+from posecal.metrics.sharpness import number_metrics, sharpness_metrics
 from posecal.metrics.skill import skill_metrics
 from posecal.metrics.uncertainty import uncertainty_metrics
 from posecal.metrics.velocity import velocity_metrics
@@ -159,7 +159,7 @@ def _all_metrics(
     if spec.n_hypotheses > 1:
         found += [*calibration_metrics(scope), *interval_metrics(scope), *rank_test_metrics(scope, preranks)]
         found += [*score_metrics(scope), *brier_metrics(scope), *skill_metrics(scope)]
-        found += [*sharpness_metrics(scope), *uncertainty_metrics(scope)]
+        found += [*number_metrics(scope), *sharpness_metrics(scope), *uncertainty_metrics(scope)]
     found += likelihood_metrics(scope)
     found += [_with_functions(metric) for metric in own]
     if protocol.average != "poses":
@@ -286,9 +286,10 @@ def _known_anywhere() -> frozenset[str]:
 
 
 def any_metrics(protocol: Protocol, spec: DataSpec, own: Sequence[Metric] = ()) -> dict[str, Metric]:
-    """Every metric of such data, of positions in the world and of vertices as well."""
+    """Every metric of such data, of positions in the world, of vertices and of weighted hypotheses as well."""
     protocol = changed(protocol, metrics=f"{protocol.metrics}, pve, pa_pve")
-    return {**known_metrics(protocol, changed(spec, root=None), own=own), **known_metrics(protocol, spec, own=own)}
+    known = partial(known_metrics, protocol, own=own)
+    return {**known(changed(spec, root=None)), **known(changed(spec, has_weights=True)), **known(spec)}
 
 
 def unmeasured(name: str, protocol: Protocol, spec: DataSpec) -> str:
@@ -367,7 +368,8 @@ def statistics_of(
     metrics = list(metrics_of(protocol, spec, preranks, own).values())
     if "occlusion" in by:
         metrics += [m for kind in occlusion_metrics_of(protocol, spec).values() for m in kind.values()]
-    statistics = [SUM_OF_TRUE_POSES, *(statistic for metric in metrics for statistic in metric.statistics)]
+    counts = [EFFECTIVE_NUMBER] * (spec.is_ragged or spec.has_weights)
+    statistics = [SUM_OF_TRUE_POSES, *counts, *(statistic for metric in metrics for statistic in metric.statistics)]
     if any(metric.name in LIKELIHOODS for metric in metrics):
         statistics += filter(None, [moments_statistic(Scope(protocol, spec))])
     if {"default", "all"}.intersection(protocol.wanted):

@@ -274,6 +274,7 @@ def calibration_curve(
     definition: Definition = "exchangeable",
     where: npt.ArrayLike | None = None,
     root: int | None = None,
+    weights: npt.ArrayLike | None = None,
     axes: str | None = None,
     unit: str | float | None = None,
 ) -> CalibrationCurve:
@@ -293,6 +294,8 @@ def calibration_curve(
         The joints that count.
     root : int, optional
         The joint to subtract from every pose first; it carries no information then and is left out.
+    weights : array (N, M), optional
+        The weight of each hypothesis, of sum 1 for each pose, 0 where absent; (M, N) where ``axes`` has M first.
     axes : str, optional
         The layout of the hypotheses, such as ``MNKD``; needed where the shapes leave it open.
     unit : str or float, optional
@@ -337,9 +340,8 @@ def calibration_curve(
     n_joints = checked(hypotheses, truth, axes=axes, unit=unit)[1].shape[1]
     root = checked_root(root, n_joints)
     joints = None if root is None else np.arange(n_joints) != root
-    table = per_pose(
-        lambda b: inside_table(b, definition, joints), hypotheses, truth, where, root=root, axes=axes, unit=unit
-    )
+    statistic = partial(inside_table, definition=definition, joints=joints)
+    table = per_pose(statistic, hypotheses, truth, where, root=root, weights=weights, axes=axes, unit=unit)
     number = (~np.isnan(table[..., 0])).sum(axis=0)[:, None]
     mean = np.where(number > 0, np.nansum(table, axis=0) / np.maximum(number, 1), np.nan)
     return curve_of(mean, definition)

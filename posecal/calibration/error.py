@@ -34,6 +34,7 @@ def ece(
     over: OverJoints = "median",
     where: npt.ArrayLike | None = None,
     root: int | None = None,
+    weights: npt.ArrayLike | None = None,
     axes: str | None = None,
     unit: str | float | None = None,
 ) -> float:
@@ -56,6 +57,8 @@ def ece(
         The joints that count.
     root : int, optional
         The joint to subtract from every pose first; it is left out.
+    weights : array (N, M), optional
+        The weight of each hypothesis, of sum 1 for each pose, 0 where absent; (M, N) where ``axes`` has M first.
     axes : str, optional
         The layout of the hypotheses, such as ``MNKD``; needed where the shapes leave it open.
     unit : str or float, optional
@@ -95,7 +98,9 @@ def ece(
     0.452
     """
     checked_choice(over, "over", OVER_JOINTS)
-    curve = calibration_curve(hypotheses, truth, definition=definition, where=where, root=root, axes=axes, unit=unit)
+    curve = calibration_curve(
+        hypotheses, truth, definition=definition, where=where, root=root, weights=weights, axes=axes, unit=unit
+    )
     return curve.ece(over)
 
 

@@ -27,11 +27,12 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.calibration.curve import joint_ece
-from posecal.calibration.ranks import rank_weights, shared_ranks
+from posecal.calibration.ranks import LEVELS, rank_weights, shared_ranks
 from posecal.data.arrays import BoolArray, FloatArray, squared_norms
 from posecal.engine.block import Block
 from posecal.engine.metric import Deviation, Metric, Statistic, mean_over_joints
 from posecal.engine.scope import Scope
+from posecal.engine.weighted import effective_counts, effective_number
 from posecal.errors import PoseDataError
 
 PreRank = Callable[[FloatArray], npt.ArrayLike]
@@ -70,13 +71,15 @@ class Pool(NamedTuple):
         return cls(points, truth.astype(np.float64), low, high)
 
 
-def weights_of_ranks(prerank: FloatArray) -> FloatArray:
+def weights_of_ranks(prerank: FloatArray, weights: FloatArray | None = None) -> FloatArray:
     """How far inside each level the truth's rank lies.
 
     Parameters
     ----------
     prerank : array (..., N + 1)
         A number of each pooled point; the last is the truth's.
+    weights : array (B, n), optional
+        Weights of the hypotheses, then of (B, N + 1) numbers; of the last N of them.
 
     Returns
     -------
@@ -86,8 +89,11 @@ def weights_of_ranks(prerank: FloatArray) -> FloatArray:
     others, truth = prerank[..., :-1], prerank[..., -1:]
     size = np.maximum(np.abs(others).max(axis=-1, keepdims=True), np.abs(truth))
     tie = 64 * np.finfo(prerank.dtype).eps * size  # sums of the same numbers in another order tie
-    less, equal = (others < truth - tie).sum(axis=-1), (np.abs(others - truth) <= tie).sum(axis=-1)
-    return rank_weights(others.shape[-1], less, equal)
+    before, beside = others < truth - tie, np.abs(others - truth) <= tie
+    if weights is None:
+        return rank_weights(others.shape[-1], before.sum(axis=-1), beside.sum(axis=-1))
+    weights = weights[:, -others.shape[-1] :]  # one may be held out, the first
+    return rank_weights(effective_number(weights), *(effective_counts(some, weights) for some in (before, beside)))
 
 
 def coordinate_weights(block: Block, joints: BoolArray) -> FloatArray:
@@ -96,9 +102,9 @@ def coordinate_weights(block: Block, joints: BoolArray) -> FloatArray:
     Angles are in order from the point opposite the circular mean of hypotheses and truth. NaN for joints that don't
     count.
     """
-    less, equal = (block.pooled < 0).sum(axis=-1), (block.pooled == 0).sum(axis=-1)
-    weights = rank_weights(block.n_hypotheses, less, equal)
-    return np.where((block.where & joints)[:, :, None, None], weights, np.nan)
+    less, equal = block.count(block.pooled < 0), block.count(block.pooled == 0)
+    weights = rank_weights(block.n_effective[:, None, None], less, equal)
+    return np.where((block.where & joints & (block.n_hypotheses > 1))[:, :, None, None], weights, np.nan)
 
 
 def _ranks(points: FloatArray) -> FloatArray:
@@ -193,10 +199,12 @@ class Test:
     prerank: Callable[[Pool], FloatArray] | None = None
 
     def weights(self, block: Block, joints: BoolArray) -> FloatArray:
-        """Weights of the truth's rank, (B, 1, Q), or (B, K, D, Q) for the coordinates."""
+        """Weights of the truth's rank, (B, 1, Q), or (B, K, D, Q) for the coordinates; NaN of one hypothesis."""
         if self.prerank is None:
             return coordinate_weights(block, joints)
-        weights = weights_of_ranks(self.prerank(Pool.of(block, joints)))
+        if block.n_hypotheses < 2:
+            return np.full((len(block.truth), 1, LEVELS.size), np.nan)
+        weights = weights_of_ranks(self.prerank(Pool.of(block, joints)), block.weights)
         weights[~block.where[:, joints].any(axis=1)] = np.nan
         return weights[:, None]
 
@@ -211,6 +219,8 @@ def user_weights(block: Block, joints: BoolArray, prerank: PreRank | None, name:
     """
     if prerank is None:
         raise PoseDataError(f"prerank: {name!r} is known from a saved result only; expected its function.")
+    if block.n_hypotheses < 2:
+        return np.full((len(block.truth), 1, LEVELS.size), np.nan)
     points = block.shortest(Pool.of(block, joints).points + block.truth[:, joints].astype(np.float64)[..., None])
     numbers = np.empty((len(points), points.shape[-1]))
     for b, poses in enumerate(points):
@@ -225,7 +235,7 @@ def user_weights(block: Block, joints: BoolArray, prerank: PreRank | None, name:
                 f"prerank: gave {values.shape} for a pool of {numbers.shape[1]} poses; expected one finite number each."
             )
         numbers[b] = values
-    weights = weights_of_ranks(numbers)
+    weights = weights_of_ranks(numbers, block.weights)
     weights[~(block.where & joints).any(axis=1)] = np.nan
     return weights[:, None]
 

@@ -22,9 +22,23 @@ E ω(q) = q exactly, for every N, D, distribution and dependence between the hyp
 (the text of the publication) and ``reference`` (its released script) are biased at finite N, by rank
 discreteness and by a centre that only the hypotheses pull; see :mod:`posecal.calibration.expected`.
 
+Hypotheses of weights w, of sum 1 for each pose, have the ``exchangeable`` definition alone. Draws x_i of a proposal g
+with w_i ∝ r(x_i), r = f/g, and a truth y of the density f are weighted exchangeable: given which N + 1 points there
+are, the truth is each of them with a chance in proportion to its r. So the rank in which each point has its share, the
+truth's spread over its place, is exact: E ω(q) = q. But r(y) is not known. In units of the sum of the others its mean
+is E_f r / (N E_g r) = E_g r² / (N E_g² r), which Σ w² = 1/N_eff estimates. With it the truth has the share
+1/(N_eff + 1) of the pool, and its weight is clip(((N_eff + 1) q - c_less)/(c_equal + 1), 0, 1), of effective counts
+c = N_eff Σ w: the rule above with N_eff in place of N. The centre is the median of the pool by these shares. This is
+exact where the weights are equal, and nearly so otherwise, since r(y) is not its mean.
+
+If the hypotheses are the components of a mixture, each at its centre, the truth lies at one of them with the chance
+w_i, as far as they are narrow against their distances. Then the truth has no share of its own, and that of
+1/(N_eff + 1) is an error of about as much. Of wide components draw samples. docs/evidence.md has simulations of both.
+
 References
 ----------
-Pierzchlewicz et al., arXiv:2210.11179, section 3.1.
+Pierzchlewicz et al., arXiv:2210.11179, section 3.1; Tibshirani, Barber, Candès and Ramdas, arXiv:1904.06019 (weighted
+exchangeability).
 """
 
 from __future__ import annotations
@@ -38,6 +52,8 @@ import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray, checked_choice, squared_norms
 from posecal.engine.block import Block
+from posecal.engine.weighted import weighted_median
+from posecal.errors import PoseDataError
 
 Counts = npt.NDArray[np.intp]
 Definition = Literal["exchangeable", "paper", "reference"]
@@ -77,9 +93,16 @@ def inside(block: Block, definition: Definition = "exchangeable") -> FloatArray:
     array (B, K, Q)
         Weights W in [0, 1] for the levels of :data:`LEVELS`, rising with q; NaN for joints that don't count and
         where there are fewer than two hypotheses. Their mean over poses is ω_k(q).
+
+    Raises
+    ------
+    PoseDataError
+        For hypotheses with weights, of another definition than ``exchangeable``.
     """
     if block.n_hypotheses < 2:
         return np.full((*block.where.shape, LEVELS.size), np.nan)
+    if block.weights is not None and definition != "exchangeable":
+        raise PoseDataError(f"definition: {definition}; expected exchangeable for hypotheses of unequal weights.")
     weights = {"exchangeable": _exchangeable, "paper": _paper, "reference": _reference}[definition](block)
     if not block.where.all():
         weights[~block.where] = np.nan
@@ -148,6 +171,19 @@ def _circular_nearness(block: Block, period: float) -> Nearness:
     return Nearness(centres, within, _count(within), _count(distances[:, :, 0] < true[:, :, 0] - tie))
 
 
+def _weighted_counts(block: Block, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Effective numbers of hypotheses nearer to the pooled median than the truth, and as near, (B, K) twice."""
+    one = np.ones((len(block.truth), 1))
+    shares = np.concatenate([weights * block.n_effective[:, None], one], axis=1)
+    points = np.concatenate([block.pooled, np.zeros_like(block.pooled[..., :1])], axis=-1)
+    centre = weighted_median(points, shares[:, None, None])
+    away = squared_norms(block.shortest(block.offsets - centre[..., None]))
+    true = squared_norms(block.shortest(centre[..., None]))
+    tie = TIE * np.finfo(away.dtype).eps * (true + block.squared_errors)
+    less = block.count(away < true - tie)
+    return less, block.count(away <= true + tie) - less
+
+
 def _count(chosen: BoolArray) -> Counts:
     """Count along the last axis, by bytes: many times faster than by words."""
     total = np.zeros(chosen.shape[:-1], dtype=np.intp)
@@ -156,16 +192,16 @@ def _count(chosen: BoolArray) -> Counts:
     return total
 
 
-def rank_weights(n_hypotheses: int, less: npt.ArrayLike, equal: npt.ArrayLike = 0) -> FloatArray:
+def rank_weights(n_hypotheses: npt.ArrayLike, less: npt.ArrayLike, equal: npt.ArrayLike = 0) -> FloatArray:
     r"""Weights of truths of some rank: how far inside each level they lie, ties shared.
 
     .. math:: \operatorname{clip}\left(\frac{(N + 1)\, q - n_<}{n_= + 1}, 0, 1\right)
 
     Parameters
     ----------
-    n_hypotheses : int
-        N.
-    less, equal : arrays of int (...)
+    n_hypotheses : int or array (...)
+        N; of hypotheses with weights, like the counts, the effective number.
+    less, equal : arrays (...)
         How many of the hypotheses come before the truth, and how many beside it.
 
     Returns
@@ -180,7 +216,8 @@ def rank_weights(n_hypotheses: int, less: npt.ArrayLike, equal: npt.ArrayLike = 
     >>> rank_weights(3, 1, 1)[[0, 5, 10, 15, 20]]
     array([0. , 0. , 0.5, 1. , 1. ])
     """
-    weights = (LEVELS * (n_hypotheses + 1) - np.asarray(less)[..., None]) / (np.asarray(equal)[..., None] + 1)
+    places = LEVELS * (np.asarray(n_hypotheses)[..., None] + 1)
+    weights = (places - np.asarray(less)[..., None]) / (np.asarray(equal)[..., None] + 1)
     return np.asarray(np.clip(weights, 0, 1, out=weights))
 
 
@@ -207,6 +244,8 @@ def shared_ranks(values: FloatArray) -> FloatArray:
 
 
 def _exchangeable(block: Block) -> FloatArray:
+    if block.weights is not None:
+        return rank_weights(block.n_effective[:, None], *_weighted_counts(block, block.weights))
     near = nearness(block)
     return rank_weights(block.n_hypotheses, near.less, near.at_most[..., 0] - near.less)
 

@@ -28,7 +28,7 @@ _LEAST_CLAIMED = 1 << 24
 """Bytes up to which a tensor may repeat its numbers."""
 
 _EXTRAS = {"h5py": "convert", "pymatreader": "convert", "ezc3d": "c3d", "torch": "models"}
-_BESIDE = ("frame_id", "parents", "scores", "valid")
+_BESIDE = ("frame_id", "parents", "scores", "valid", "weights")
 _LIKELY = (
     "hypotheses",
     "hyps",

@@ -55,6 +55,8 @@ _ENDINGS = {
 }
 """Endings of the files of what ``like`` names; those of other tables are text."""
 
+_OF_HYPOTHESES = ("scores", "weights")
+
 
 def convert(
     files: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
@@ -235,11 +237,11 @@ def _keep_what_fits(tracks: Tracks, *, is_transposed: bool) -> None:
         "visible": [(m, k)],
         "valid": [(m, k), (m,)],
     }
-    shapes["scores"] = [(m, *n) if is_transposed else (*n, m)] if n else []
+    shapes |= dict.fromkeys(_OF_HYPOTHESES, [(m, *n) if is_transposed else (*n, m)] if n else [])
     others = {word: value for word, value in tracks.beside.items() if value.shape not in shapes.get(word, [(m,)])}
     tracks.beside = {word: value for word, value in tracks.beside.items() if word not in others}
-    if is_transposed and "scores" in tracks.beside:
-        tracks.beside["scores"] = tracks.beside["scores"].T
+    if is_transposed:
+        tracks.beside |= {word: tracks.beside[word].T for word in _OF_HYPOTHESES if word in tracks.beside}
     if others:
         shown = first_few([f"{word} {value.shape}" for word, value in others.items()])
         tracks.assumed.append(f"what is not of its {m:,} frames or {k} joints is not converted: {shown}")

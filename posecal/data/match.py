@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.arrays import BoolArray, checked_number
+from posecal.data.arrays import BoolArray, FloatArray, checked_number
 from posecal.data.declarations import Declarations, choose_layouts, joint_names, quantity_of, refuse_other_names
 from posecal.data.degenerate import column_problem
 from posecal.data.draws import DrawnHypotheses, stated_log_density
@@ -28,6 +28,7 @@ from posecal.data.root import choose_root, origin, part_of_root, root_name
 from posecal.data.skeleton import ALL_NAMES
 from posecal.data.stored_poses import ArrayHypotheses, Labels, Rows, StoredPoses, in_millimetres
 from posecal.data.units import OTHERS
+from posecal.data.weights import checked_weights, poses_last
 from posecal.errors import PosecalError, PoseDataError, attempt, first_few, option, raise_all
 
 Names = tuple[str, ...]
@@ -105,14 +106,8 @@ class Matcher:
         own_members = read_members(hypotheses, (m, k), problems)
         true_members = read_members(truth, self.true_shape[:2], problems)
         self.remarks += unread_remarks(hypotheses, (m, k)) + unread_remarks(truth, self.true_shape[:2])
-        scores, fps = hypotheses.scores, self._rate()
-        if scores is not None:
-            text = self.layouts[0].text
-            poses_first = text.index("M") < text.index("N") and scores.shape == (m, n)
-            scores = scores.T if poses_first else scores
-            if scores.shape != (n, m):
-                problems.append(f"{hypotheses.name}: scores {scores.shape}; expected (N, M) = {(n, m)}.")
-                scores = None
+        scores, weights = (self._of_hypotheses(name) for name in ("scores", "weights"))
+        fps = self._rate()
         if (count := self.declared.n_hypotheses) is not None:
             which, expected = option("n_hypotheses"), f"1 to N = {n}, the hypotheses of {hypotheses.name}"
             n = int(attempt(problems, checked_number, count, which, range(1, n + 1).__contains__, expected) or n)
@@ -172,6 +167,9 @@ class Matcher:
             self.remarks += remarks
         else:
             log_prob, dimensions = log_density(hypotheses, self.shape, rows, frames, root, factor, problems)
+        frame_id = true_rows.astype(str) if truth.frame_id is None else truth.frame_id[true_rows]
+        if weights is not None:
+            weights = attempt(problems, checked_weights, weights[:, rows], n, f"{hypotheses.name}: weights", frame_id)
         return {
             "hypotheses": predicted,
             "truth": matched,
@@ -179,7 +177,7 @@ class Matcher:
             "joints": names,
             "parents": parents_among(parents, true_columns.tolist()) if parents else (),
             "root": root,
-            "frame_id": true_rows.astype(str) if truth.frame_id is None else truth.frame_id[true_rows],
+            "frame_id": frame_id,
             "has_frame_id": truth.frame_id is not None,
             "order": true_rows if order is None else order,
             "labels": labels,
@@ -187,6 +185,7 @@ class Matcher:
             "scores": None if scores is None else scores[:n, rows],
             "log_prob": log_prob,
             "dimensions": dimensions,
+            "weights": weights,
             "fps": fps,
             "names": (hypotheses.name, truth.name),
             "where": counts_at,
@@ -204,6 +203,13 @@ class Matcher:
         hypotheses = layout.read(self.hypotheses.array, first)
         found = column_problem(self.hypotheses.name, hypotheses, "axes", layout.text), of_truth
         return [problem for problem in found if problem]
+
+    def _of_hypotheses(self, name: str) -> FloatArray | None:
+        """Give what is declared of each hypothesis, (N, M); None where nothing is, or it has another shape."""
+        values, which = getattr(self.hypotheses, name), f"{self.hypotheses.name}: {name}"
+        if values is None:
+            return None
+        return attempt(self.problems, poses_last, values, self.shape[:2], self.layouts[0].text, which)
 
     def _rate(self) -> float | None:
         """Give the frames per second."""

@@ -22,6 +22,7 @@ from posecal.data.match import Matcher
 from posecal.data.read import read_poses
 from posecal.data.root import AnyRoot
 from posecal.data.stored_poses import Hypotheses, Labels, Rows, StoredPoses, sample_rows
+from posecal.data.weights import as_weights
 from posecal.errors import PosecalError, PoseDataError, attempt, raise_all
 
 T = TypeVar("T")
@@ -61,6 +62,8 @@ class PoseData:
         The model's log density at the true pose, nats, of coordinates in ``unit``; instead of a file's.
     dimensions : int, optional
         The number of coordinates that this density is over; those of the joints that are not the root by default.
+    weights : array (N, M), optional
+        The weight of each hypothesis, of sum 1 for each pose, 0 for one that is absent; likewise.
     fps : float, optional
         Frames per second; instead of a file's.
     frame_id : array (M,), optional
@@ -115,6 +118,8 @@ class PoseData:
         The model's log density at the true pose, nats, of coordinates in ``unit``.
     dimensions : int
         The number of coordinates that it is over; 0 without it.
+    weights : array (N, M) or None
+        The weight of each hypothesis, of sum 1 for each pose; None where all are equal.
     fps : float or None
         Frames per second.
     names : tuple of two str
@@ -163,6 +168,7 @@ class PoseData:
     scores: FloatArray | None
     log_prob: FloatArray | None
     dimensions: int
+    weights: FloatArray | None
     fps: float | None
     names: tuple[str, str]
     where: BoolArray | None
@@ -184,6 +190,7 @@ class PoseData:
         scores: npt.ArrayLike | None = None,
         log_prob: npt.ArrayLike | None = None,
         dimensions: int | None = None,
+        weights: npt.ArrayLike | None = None,
         fps: float | None = None,
         frame_id: npt.ArrayLike | None = None,
         truth_frame_id: npt.ArrayLike | None = None,
@@ -213,6 +220,7 @@ class PoseData:
             "scores": (as_scores, scores),
             "log_prob": (as_log_prob, log_prob),
             "dimensions": (as_dimensions, dimensions),
+            "weights": (as_weights, weights),
             "where": (as_array, where),
             "frame_id": (as_labels, frame_id),
             "truth_frame_id": (as_labels, truth_frame_id),
@@ -231,7 +239,7 @@ class PoseData:
         predicted = replace(
             predicted,
             frame_id=predicted.frame_id if ids is None else ids,
-            **{name: arrays[name] for name in ("scores", "log_prob", "dimensions") if name in arrays},
+            **{name: arrays[name] for name in ("scores", "weights", "log_prob", "dimensions") if name in arrays},
         )
         true = replace(
             true,
@@ -274,9 +282,9 @@ class PoseData:
                 f"poses: {poses!r}; expected numbers below M = {len(self.truth):,}, or a mask (M,)."
             ) from None
         part = {
-            name: None if values is None else values[..., rows] if name == "scores" else values[rows]
+            name: None if values is None else values[..., rows] if name in ("scores", "weights") else values[rows]
             for name, values in vars(self).items()
-            if name in ("truth", "frame_id", "order", "occluded", "scores", "log_prob", "where", "usable")
+            if name in ("truth", "frame_id", "order", "occluded", "scores", "weights", "log_prob", "where", "usable")
         }
         return self.replace(
             **part,

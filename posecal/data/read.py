@@ -22,6 +22,7 @@ from posecal.data.gaussian import GaussianPrediction
 from posecal.data.layout import HYPOTHESES, MemoryArray
 from posecal.data.lazy import LIBRARIES, DatasetArray, is_dataset, open_datasets, split_address
 from posecal.data.stored_poses import COMMON_LABELS, StoredPoses
+from posecal.data.weights import as_weights
 from posecal.errors import PosecalError, PoseDataError, PoseFileError, attempt, raise_all, refuse_unreadable
 
 T = TypeVar("T")
@@ -32,7 +33,8 @@ _ALWAYS_READ = 1000
 """Values of a member that are read whatever there are of coordinates, so that messages can say what they are."""
 
 _MARKS = ("occluded", "visible")
-_RESERVED = (*_MARKS, "axes", "unit", "joints", "frame_id", "scores", "fps", "valid", "parents", *density.MEMBERS)
+_OF_HYPOTHESES = ("scores", "weights", *density.MEMBERS)
+_RESERVED = (*_MARKS, *_OF_HYPOTHESES, "axes", "unit", "joints", "frame_id", "fps", "valid", "parents")
 DECLARED = frozenset((*_RESERVED, *COMMON_LABELS))
 """Names under which something beside the coordinates is read, whatever its kind."""
 
@@ -217,6 +219,7 @@ def _declared(
         "scores": read(as_scores, "scores"),
         "log_prob": read(density.as_log_prob, "log_prob"),
         "dimensions": read(density.as_dimensions, "dimensions"),
+        "weights": read(as_weights, "weights"),
         "valid": read(as_marks, "valid"),
         "fps": read(_number, "fps"),
     }

@@ -56,6 +56,8 @@ class StoredPoses:
         The model's log density at the true pose, nats, of coordinates in the unit.
     dimensions : int or None
         The number of coordinates that the density is over.
+    weights : array (N, M) or None
+        The weight of each hypothesis, of sum 1 for each pose.
     fps : float or None
         Frames per second.
     unread : mapping of tuples of int
@@ -77,13 +79,15 @@ class StoredPoses:
     scores: FloatArray | None = None
     log_prob: FloatArray | None = None
     dimensions: int | None = None
+    weights: FloatArray | None = None
     fps: float | None = None
     unread: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
 
     @property
     def frame_members(self) -> dict[str, npt.NDArray[np.generic]]:
         """What is declared about the frames, without their coordinates, as members of a file."""
-        others = {"frame_id": self.frame_id, "scores": self.scores, "fps": self.fps, "valid": self.valid}
+        others: dict[str, object] = {"frame_id": self.frame_id, "scores": self.scores, "weights": self.weights}
+        others |= {"fps": self.fps, "valid": self.valid}
         return {**self.labels, **self.marks, **{k: np.asarray(v) for k, v in others.items() if v is not None}}
 
 

@@ -21,13 +21,13 @@ from posecal.data.pose_data import PoseData
 from posecal.engine.block import block_length
 from posecal.engine.cells import CellIndex
 from posecal.engine.chunks import Chunk, Indices, join_chunks, read_chunks
-from posecal.engine.measure import Measured, measure_block, measure_segment
+from posecal.engine.measure import EFFECTIVE_NUMBER, Measured, measure_block, measure_segment
 from posecal.engine.metric import Metric, Statistic
 from posecal.engine.pose_hashes import PoseHashes, add_hashes, pose_hashes, repeated_remarks, smallest_hashes
 from posecal.engine.pose_remarks import PoseRemarks
 from posecal.engine.prepare import Prepared, refuse_non_finite
 from posecal.engine.protocol import Protocol
-from posecal.engine.ragged import lay_out
+from posecal.engine.ragged import lay_out, with_weights
 from posecal.engine.scope import DataSpec
 from posecal.engine.segments import Segments
 from posecal.engine.threads import run_in_order
@@ -195,14 +195,17 @@ class Accumulator:
             if not chosen[-1]:
                 self._last = None
 
-    def with_absent(self, statistics: Sequence[Statistic]) -> Accumulator:
-        """Copy the sums of some statistics, those of poses with absent hypotheses, so that such poses can be added."""
+    def with_weights(self, spec: DataSpec, statistics: Sequence[Statistic]) -> Accumulator:
+        """Copy the sums of some statistics, those of absent or weighted hypotheses, so that such poses can be added."""
         other, names = copy.deepcopy(self), {statistic.name for statistic in statistics}
-        other.spec, other.statistics = replace(self.spec, is_ragged=True), tuple(statistics)
+        other.spec, other.statistics = spec, tuple(statistics)
         other._sums = {name: sums for name, sums in other._sums.items() if name in names}
+        n = float(self.spec.n_hypotheses)  # of the poses so far
+        other._sums.setdefault(EFFECTIVE_NUMBER.name, (n * other._poses, other._poses.copy()))
         other._per_pose = {name: values for name, values in other._per_pose.items() if name in names}
         other._cell_of = other._cell_of if other._per_pose else []
-        other._earlier, other._segments = 0, Segments(0)  # no such metric is of poses with absent hypotheses
+        other._pending = [with_weights(chunk, spec) for chunk in other._pending]
+        other._earlier, other._segments = 0, Segments(0)  # no such metric is of weighted hypotheses
         return other
 
     @property
@@ -250,7 +253,7 @@ class Accumulator:
         sequence, start = data.labels.get("sequence"), 0
         continues = sequence is not None and (str(sequence[0]), int(data.order[0]) - 1) == self._last
         for chunk in read_chunks(data, self._length):
-            stop = start + len(chunk)
+            chunk, stop = with_weights(chunk, self.spec), start + len(chunk)
             follows = chunk.follows.copy()
             follows[0] |= continues and start == 0
             self._remarks.add(data.names, chunk, data.frame_id[start:stop], self.spec)

@@ -22,6 +22,7 @@ from posecal.data.root import AnyRoot, Root, origin
 from posecal.engine.circular import circular_mean, turns_of_pool, unwrapped, wrapped
 from posecal.engine.coordinate_range import CoordinateRange, coordinate_range
 from posecal.engine.memory import reuse_freed_memory
+from posecal.engine.weighted import effective_counts, effective_number, weighted_median
 from posecal.errors import PoseDataError
 
 if TYPE_CHECKING:
@@ -57,6 +58,8 @@ class Block:
         The model's own score of each hypothesis; higher is better.
     log_prob : array (B,), optional
         The model's log density at the true pose, nats; NaN where it has none.
+    weights : array (B, N), optional
+        The weight of each hypothesis, of sum 1 for each pose; equal ones by default.
     occluded : bool array (B, K), optional
         The joints whose keypoints were not seen; none by default.
     usable : bool array (B, K), optional
@@ -86,6 +89,8 @@ class Block:
         After how much coordinates repeat.
     log_prob : array (B,) or None
         The model's log density at the true pose.
+    weights : array (B, N) or None
+        The weights of the hypotheses; None where they are equal.
     """
 
     def __init__(
@@ -99,6 +104,7 @@ class Block:
         follows: BoolArray | None = None,
         scores: FloatArray | None = None,
         log_prob: FloatArray | None = None,
+        weights: FloatArray | None = None,
         occluded: BoolArray | None = None,
         usable: BoolArray | None = None,
         reference: FloatArray | None = None,
@@ -109,7 +115,7 @@ class Block:
         reuse_freed_memory()
         self.occluded = np.zeros(truth.shape[:2], dtype=bool) if occluded is None else occluded
         self.where = np.ones(truth.shape[:2], dtype=bool) if where is None else where
-        self.offsets, self.period = _offsets(hypotheses, truth, root), period
+        self.offsets, self.period, self.weights = _offsets(hypotheses, truth, root), period, weights
         if period is not None:
             outside = is_outside(self.offsets, LARGEST_ANGLE)
             self.offsets = np.where(outside, np.nan, unwrapped(self.offsets, period))
@@ -124,7 +130,7 @@ class Block:
         self._shared: dict[Hashable, Any] = {}
         self._make_fit_block: Callable[[], Block] | None = None
         if usable is not None:
-            lay_out = partial(Block, hypotheses, truth, root=root, scores=scores, period=period)
+            lay_out = partial(Block, hypotheses, truth, root=root, scores=scores, weights=weights, period=period)
             self._make_fit_block = partial(_where_finite, lay_out, usable)
         self._reference = (
             None if reference is None else partial(Block, reference, truth, where, root=root, period=period)
@@ -185,12 +191,29 @@ class Block:
         return offsets if self.period is None else wrapped(offsets, self.period)
 
     def mean_of(self, offsets: FloatArray, shares: FloatArray | None = None) -> FloatArray:
-        """Mean over the hypotheses, (B, K, D, 1), of equal or the given shares (B, N); circular where they repeat."""
+        """Mean over the hypotheses, (B, K, D, 1), by their weights, or by shares (B, N); circular where they repeat."""
+        shares = self.weights if shares is None else shares
         if self.period is not None:
             return circular_mean(offsets, self.period, 1.0 if shares is None else shares[:, None, None])[..., None]
         if shares is not None:
-            return np.asarray(np.einsum("bkdn,bn->bkd", offsets, shares))[..., None]
+            return np.asarray(np.einsum("bkdn,bn->bkd", offsets, shares.astype(offsets.dtype)))[..., None]
         return np.asarray(np.einsum("bkdn->bkd", offsets))[..., None] / offsets.dtype.type(offsets.shape[-1])
+
+    def mean_of_each(self, values: npt.NDArray[Any], dtype: npt.DTypeLike | None = None) -> FloatArray:
+        """Mean over the hypotheses of a number of each, (B, ..., N) to (B, ...): in double, where they have weights."""
+        if self.weights is None:
+            return np.asarray(values.mean(axis=-1, dtype=dtype))
+        return np.asarray(np.einsum("b...n,bn->b...", values, self.weights))
+
+    def count(self, chosen: BoolArray) -> npt.NDArray[Any]:
+        """Count the chosen hypotheses, (B, ..., N) to (B, ...): effective ones where they have weights."""
+        return np.asarray(chosen.sum(axis=-1) if self.weights is None else effective_counts(chosen, self.weights))
+
+    @cached_property
+    def n_effective(self) -> FloatArray:
+        """Effective number of hypotheses of each pose, (B,): N where they have no weights."""
+        n = np.full(len(self.truth), float(self.n_hypotheses))
+        return n if self.weights is None else effective_number(self.weights)
 
     @cached_property
     def pooled(self) -> FloatArray:
@@ -226,7 +249,9 @@ class Block:
 
     @cached_property
     def median(self) -> FloatArray:
-        """Per-coordinate median of the offsets, (B, K, D), mm; between the two middle values for an even N."""
+        """Per-coordinate median of the offsets, (B, K, D), mm, by their weights; midway between the middle values."""
+        if self.weights is not None:
+            return weighted_median(self.offsets, self.weights[:, None, None])
         middle, odd = divmod(self.n_hypotheses, 2)
         upper: FloatArray = self.sorted[..., middle]
         return upper if odd else (self.sorted[..., middle - 1] + upper) / 2
@@ -242,6 +267,8 @@ class Block:
 
         The mean lies within one deviation of the median, so that no digits are lost in the difference.
         """
+        if self.weights is not None:
+            return np.asarray(self.mean_of_each(self.from_median**2) - self.mean_of_each(self.from_median) ** 2)
         n = self.n_hypotheses
         squares = np.einsum("bkdn,bkdn->bkd", self.from_median, self.from_median).astype(np.float64) / n
         mean = np.einsum("bkdn->bkd", self.from_median).astype(np.float64) / n
@@ -257,7 +284,7 @@ class Block:
         """Distance of each hypothesis from the truth per joint, (B, K, N), mm."""
         return np.sqrt(self.squared_errors)
 
-    def weights(self, joints: BoolArray | None = None) -> FloatArray:
+    def joint_weights(self, joints: BoolArray | None = None) -> FloatArray:
         """Give each joint's share in the mean over a pose's joints, (B, K); 0 where a pose has none that counts.
 
         Parameters
@@ -271,7 +298,7 @@ class Block:
             number = np.maximum(counted.sum(axis=1, keepdims=True), 1)
             return np.asarray((counted / number).astype(self.offsets.dtype))
 
-        return self.share(("weights", None if joints is None else joints.tobytes()), compute)
+        return self.share(("joint_weights", None if joints is None else joints.tobytes()), compute)
 
     @cached_property
     def mean_offsets(self) -> FloatArray:

@@ -28,7 +28,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Chunk:
-    """Consecutive poses in memory: (N, m, K, D) or (N, m) hypotheses and scores, (m, …) all else."""
+    """Consecutive poses in memory: (N, m, K, D) or (N, m) hypotheses, scores and weights, (m, …) all else."""
 
     hypotheses: FloatArray
     truth: FloatArray
@@ -41,6 +41,7 @@ class Chunk:
     occluded: BoolArray | None
     scores: FloatArray | None
     log_prob: FloatArray | None
+    weights: FloatArray | None
     reference: FloatArray | None
 
     def __len__(self) -> int:
@@ -88,7 +89,7 @@ class Chunk:
         )
 
 
-_HYPOTHESES = ("hypotheses", "scores", "reference")
+_HYPOTHESES = ("hypotheses", "scores", "weights", "reference")
 """The members whose second axis is poses."""
 
 
@@ -127,6 +128,7 @@ def read_chunks(data: PoseData, multiple: int = 1) -> Iterator[Chunk]:
             sequence=nothing[start:stop],
             hashes=no_hashes[start:stop],
             scores=None if data.scores is None else data.scores[:, start:stop],
+            weights=None if data.weights is None else data.weights[:, start:stop],
             reference=None if data.reference is None else data.reference.hypotheses.read(start, stop),
             **part,
         )

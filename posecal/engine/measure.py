@@ -72,5 +72,8 @@ def _weighted_sum_of_truth(block: Block) -> FloatArray:
     return np.asarray(truth @ weights)
 
 
+EFFECTIVE_NUMBER = Statistic("effective_hypotheses", lambda block: block.n_effective)
+"""Effective number of hypotheses of each pose; of those of plain ones it is N, and not measured."""
+
 SUM_OF_TRUE_POSES = Statistic("truth", _weighted_sum_of_truth)
 """Weighted sum of a true pose's coordinates: not a metric, but the check that two results have the same truth."""

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from posecal.data.remarks import Count, Example, Remark, join_remarks
+from posecal.engine.measure import EFFECTIVE_NUMBER
 from posecal.engine.pose_hashes import MOST_HASHES, shared_poses, smallest_hashes
 from posecal.engine.totals import Totals, difference_of_signatures, different_metrics
 from posecal.errors import PoseDataError, first_few, option, raise_all
@@ -47,7 +48,7 @@ def merge_totals(parts: Sequence[Totals], names: Sequence[str] | None = None) ->
     names = [_ordinal(number) for number in range(1, len(parts) + 1)] if names is None else names
     if len(names) != len(parts):
         raise PoseDataError(f"names: {len(names)} for {len(parts)} results; expected one each.")
-    parts = _with_absent(parts)
+    parts = _with_weights(parts)
     labels = [name for name in parts[0].cells if all(name in part.cells for part in parts)]
     _refuse_unlike(parts, names)
     _refuse_shared(parts, names)
@@ -102,21 +103,30 @@ def _cut_sequences(parts: Sequence[Totals]) -> str:
     return ""
 
 
-def _with_absent(parts: Sequence[Totals]) -> Sequence[Totals]:
-    """Keep what poses with absent hypotheses can have, where some of the shards hold such poses."""
-    ragged = next((part for part in parts if part.spec.is_ragged), None)
-    if ragged is None:
+def _with_weights(parts: Sequence[Totals]) -> Sequence[Totals]:
+    """Keep what poses with absent or weighted hypotheses can have, where some of the shards hold such poses."""
+    kinds = {(part.spec.is_ragged, part.spec.has_weights) for part in parts}
+    if len(kinds) == 1:
         return parts
-    return [
-        replace(
-            part,
-            spec=replace(part.spec, is_ragged=True),
-            sums={name: sums for name, sums in part.sums.items() if name in ragged.sums},
-            counts={name: counts for name, counts in part.counts.items() if name in ragged.sums},
-            per_pose={name: values for name, values in part.per_pose.items() if name in ragged.per_pose},
-        )
-        for part in parts
-    ]
+    return [_of_names(part, parts) for part in parts]
+
+
+def _of_names(part: Totals, parts: Sequence[Totals]) -> Totals:
+    """Keep the sums of names that all of several parts have, and how many hypotheses a pose has."""
+    spec = part.spec
+    for other in parts:
+        spec = spec.together_with(other.spec)
+    names, name = set.intersection(*({*other.sums} for other in parts)), EFFECTIVE_NUMBER.name
+    of_n = {name: part.sums.get(name, float(spec.n_hypotheses) * part.poses)}
+    number = {name: part.counts.get(name, part.poses)}
+    kept = set.intersection(*({*other.per_pose} for other in parts))
+    return replace(
+        part,
+        spec=spec,
+        sums={key: sums for key, sums in part.sums.items() if key in names} | of_n,
+        counts={key: counts for key, counts in part.counts.items() if key in names} | number,
+        per_pose={key: values for key, values in part.per_pose.items() if key in kept},
+    )
 
 
 def _cells(part: Totals, labels: Sequence[str], prefix: str = "") -> list[Cell]:

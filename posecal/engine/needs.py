@@ -18,6 +18,7 @@ NEEDS: dict[Need, str] = {
 """What metrics need of the data, in words."""
 
 _AS_MANY = "as many hypotheses of every pose"
+_EQUAL = "hypotheses of equal weight"
 
 _OF_ANGLES = "; angles: circular mean, distances the shorter way round, order from the point opposite the mean"
 _OF_CHORDS = "; angles: distances are chords of a circle of a circumference of 360 deg"
@@ -30,26 +31,30 @@ def unmet(metric: Metric | Curve, scope: Scope) -> tuple[str, ...]:
     """Say in words which needs of a metric the data don't meet."""
     spec, lack = scope.spec, scope.lack(metric.name) if isinstance(metric, Curve) or metric.function is None else ""
     met = {"lengths": spec.unit == "mm", "three axes": spec.n_coordinates == 3, "positions": spec.unit not in PERIODS}
-    if spec.is_ragged and not _is_of_any_number(metric):
-        return (_AS_MANY,)
+    if (spec.is_ragged or spec.has_weights) and not _takes_weights(metric):
+        return (_AS_MANY if spec.is_ragged else _EQUAL,)
+    if spec.has_weights and isinstance(metric, Metric) and metric.function is not None:
+        return (_EQUAL,)
     return (*(NEEDS[need] for need in metric.needs if not met[need]), *([lack] if lack else []))
 
 
-def _is_of_any_number(metric: Metric | Curve) -> bool:
-    """Whether a metric is right for poses with different numbers of hypotheses."""
+def _takes_weights(metric: Metric | Curve) -> bool:
+    """Whether a metric is right for poses with different numbers of hypotheses, and for weighted ones.
+
+    What follows one hypothesis from frame to frame, is of one by its number, or of a chosen number of them is not; nor
+    is what has another expected value for each N, or is made of pairs of hypotheses without their weights.
+    """
     if isinstance(metric, Curve):
         return metric.name != "errors_by_n"
-    names_one = any(word in metric.name for word in ("min_mpjpe_at_", "mode_"))
     follows_one = metric.statistic.earlier or metric.statistic.by_segment or metric.sequences_per_batch
-    is_alone = metric.family in {"accuracy", "sharpness"} and not names_one and not follows_one
-    return is_alone or metric.name in {
-        *("energy_score", "joint_energy_score", "crps", "variogram_score"),
-        *("nll", "nll_per_dimension", "log_likelihood_skill"),
-    }
+    of_some = any(word in metric.name for word in ("min_mpjpe_at_", "mode_", "interval_", "brier"))
+    return not follows_one and not of_some and metric.offset is None
 
 
 def in_unit(metric: Metric, spec: DataSpec) -> Metric:
-    """Write a metric of posecal's in the unit of the data; a user's own has the unit that the user gave it."""
+    """Write a metric of posecal's for the data, in their unit; a user's own has the unit that the user gave it."""
+    if spec.has_weights and "weights" not in metric.definition:
+        metric = replace(metric, definition=f"{metric.definition}; hypotheses by their weights")
     if spec.unit == "mm" or metric.function is not None:
         return metric
     texts = {name: getattr(metric, name) for name in ("label", "brief", "definition", "range", "reading")}

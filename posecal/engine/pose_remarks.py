@@ -40,10 +40,14 @@ _OF_FRAMES = {
 }
 _OF_HYPOTHESES = {
     "some points": "are one point, and count. If they stand for absent ones, store NaN.",
-    "equal": "equal another of their frame. Spread, calibration and scores are then those of fewer.",
+    "equal": " there. Spread, calibration and scores are those of fewer; posecal.collapse_copies gives the distinct "
+    "ones with weights.",
     "score 0": "have score 0 or -inf, and count: the scores of their frame are no weights (at least 0, of sum 1). If "
     "they stand for absent ones, store weights, or NaN as coordinates.",
 }
+
+
+_EQUAL = "equal another of their frame, which leaves "
 
 
 class PoseRemarks:
@@ -53,7 +57,7 @@ class PoseRemarks:
         self._frames, self._hypotheses = Counter[str](), Counter[str]()
         self._first: dict[str, list[str]] = {}
         self._looks = (Fills(), Repeats()), (Fills(), Repeats())  # at hypotheses, at truth
-        self._poses, self._names, self._step = 0, ("", ""), 1
+        self._poses, self._names, self._step, self._distinct = 0, ("", ""), 1, 0
 
     def add(self, names: tuple[str, str], chunk: Chunk, frames: npt.NDArray[np.str_], spec: DataSpec) -> None:
         """Look at more poses.
@@ -78,7 +82,7 @@ class PoseRemarks:
 
     def _look(self, chunk: Chunk, frames: npt.NDArray[np.str_], spec: DataSpec) -> None:
         x, y, where = chunk.hypotheses, chunk.truth, chunk.where
-        there = present(x, chunk.scores) if spec.is_ragged else np.ones(x.shape[:2], dtype=bool)
+        there = present(x, chunk.scores, chunk.weights) if spec.is_ragged else np.ones(x.shape[:2], dtype=bool)
         with np.errstate(invalid="ignore", over="ignore"):  # joints that don't count may hold anything
             points = is_one_point(x, where) & there
             empty = (points == there).all(axis=0)
@@ -108,7 +112,12 @@ class PoseRemarks:
                 frames = Count(self._frames[kind], "frame", of=self._poses)
                 first = Example(", ".join(self._first[kind]))
                 start = [f"{self._names[0]}: in "] if kind in _OF_FRAMES else [f"{self._names[0]}: ", number, " in "]
-                found.append(Remark(*start, frames, " (first: ", first, f") {words}"))
+                end = (
+                    [words]
+                    if kind != "equal"
+                    else [_EQUAL, Count(self._distinct, "distinct one", "distinct ones"), words]
+                )
+                found.append(Remark(*start, frames, " (first: ", first, ") ", *end))
         words_of = (("hypothesis", "hypotheses"), None), (("pose", ""), self._poses)
         for name, (fills, repeats), (of, total) in zip(self._names, self._looks, words_of, strict=True):
             found += repeats.remarks(name, self._poses)
@@ -148,7 +157,9 @@ class PoseRemarks:
         same = (repeated.sum(axis=0) == counted.sum(axis=0) - 1) & (counted.sum(axis=0) > 1)
         self._note("same", same, frames)
         if k * d >= _FEWEST_COORDINATES:
-            self._note("equal", repeated & ~same, frames)
+            some_equal = repeated & ~same
+            self._note("equal", some_equal, frames)
+            self._distinct += int((counted & ~some_equal)[:, some_equal.any(axis=0)].sum())
 
     def _note_truth(self, x: FloatArray, y: FloatArray, where: BoolArray | None, frames: npt.NDArray[np.str_]) -> None:
         """Count poses of which a hypothesis equals the truth at the joints that count."""

@@ -1,15 +1,15 @@
-"""Poses with different numbers of hypotheses: those that are absent are NaN, or have weight 0.
+"""Poses whose hypotheses have weights: unequal ones, or 0 where a hypothesis is absent, which NaN stand for as well.
 
-A block of such poses is laid out as several, one for each number of hypotheses that are there, and what is computed of
-those is put together in the order of the poses. So everything that is defined for any N is right; metrics that need as
-many hypotheses of every pose are left out of the report.
+A block of such poses is laid out as several, one for each number of hypotheses that are there, apart for equal and
+unequal weights, and what is computed of those is put together in the order of the poses. So everything that is defined
+for any N is right; metrics that need as many hypotheses of every pose are left out of the report.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,39 +17,47 @@ from posecal.data.arrays import BoolArray, FloatArray
 from posecal.data.pose_data import PoseData
 from posecal.data.remarks import Count, Remark
 from posecal.data.stored_poses import sample_rows
+from posecal.data.weights import OF_WEIGHTS
 from posecal.engine.block import Block
 from posecal.engine.chunks import Chunk, Indices, read_chunks
 from posecal.engine.coordinate_range import CoordinateRange
 from posecal.engine.metric import Statistic
 from posecal.engine.scope import DataSpec
+from posecal.engine.weighted import alike
 from posecal.errors import PoseDataError, first_few
-
-if TYPE_CHECKING:
-    from posecal.engine.accumulate import Accumulator
 
 _SAMPLE = 64
 """How many poses are looked at for hypotheses that are absent."""
 
-_OF_WEIGHTS = 2.5e-3
-"""Scores whose sum is 1 to this, as of numbers of bfloat16, are weights."""
 
-
-def present(hypotheses: FloatArray, scores: FloatArray | None) -> BoolArray:
+def present(hypotheses: FloatArray, scores: FloatArray | None, weights: FloatArray | None = None) -> BoolArray:
     """Find the hypotheses (N, m, K, D) that are there, (N, m).
 
-    Absent are those that are NaN in every coordinate, and those of score 0 where the scores of a pose are weights, of a
-    sum of 1, or where the hypothesis is one point.
+    Absent are those of weight 0. Without weights, absent are those that are NaN in every coordinate, and those of
+    score 0 where the scores of a pose are weights, of a sum of 1, or where the hypothesis is one point.
     """
+    if weights is not None:
+        return np.asarray(weights > 0)
     there: BoolArray = np.asarray(~np.isnan(hypotheses).all(axis=(2, 3)))
     if scores is None or (scores < 0).any():
         return there
-    are_weights = np.abs(scores.sum(axis=0) - 1) < _OF_WEIGHTS
+    sum_to_one = np.abs(scores.sum(axis=0) - 1) < OF_WEIGHTS
     is_point = (hypotheses == hypotheses[:, :, :1]).all(axis=(2, 3))
-    return np.asarray(there & ((scores > 0) | ~(are_weights | is_point)))
+    return np.asarray(there & ((scores > 0) | ~(sum_to_one | is_point)))
+
+
+def with_weights(chunk: Chunk, spec: DataSpec) -> Chunk:
+    """Give the poses of a chunk weights, equal ones where they have none, if those of others of them differ."""
+    if chunk.weights is not None or not (spec.is_ragged or spec.has_weights):
+        return chunk
+    there = present(chunk.hypotheses, chunk.scores)
+    return replace(chunk, weights=there / there.sum(axis=0))
 
 
 def has_absent(data: PoseData) -> bool:
-    """Whether some hypotheses of a pose are absent and others not, among some poses that lie evenly."""
+    """Whether some hypotheses of a pose are absent and others not, by their weights, or among poses that lie evenly."""
+    if data.weights is not None:
+        return not data.weights.all()
     rows, scores = sample_rows(len(data.truth), _SAMPLE), data.scores
     if scores is not None and (scores >= 0).all() and (scores == 0).any():
         if (scores > 0).sum(axis=0).max() == 1:
@@ -60,8 +68,9 @@ def has_absent(data: PoseData) -> bool:
 
 
 def has_absent_anywhere(data: PoseData) -> bool:
-    """Whether NaN stand for some hypotheses of any pose."""
-    return any(_some_absent(chunk.hypotheses, None) for chunk in read_chunks(data.replace(reference=None)))
+    """Whether NaN stand for some hypotheses of any pose, where no weights say so."""
+    chunks = read_chunks(data.replace(reference=None)) if data.weights is None else ()
+    return any(_some_absent(chunk.hypotheses, None) for chunk in chunks)
 
 
 def _some_absent(hypotheses: FloatArray, scores: FloatArray | None) -> bool:
@@ -71,15 +80,10 @@ def _some_absent(hypotheses: FloatArray, scores: FloatArray | None) -> bool:
     return bool((there.any(axis=0) & ~there.all(axis=0)).any())
 
 
-def is_ragged(data: PoseData, accumulator: Accumulator | None) -> bool:
-    """Whether poses are to be measured as some with absent hypotheses: they have some, or those before them had."""
-    return has_absent(data) or (accumulator is not None and accumulator.spec.is_ragged)
-
-
 def n_present(data: PoseData) -> Indices:
     """Count the hypotheses of every pose that are there, (M,)."""
     chunks = read_chunks(data.replace(reference=None))
-    return np.concatenate([present(chunk.hypotheses, chunk.scores).sum(axis=0) for chunk in chunks])
+    return np.concatenate([present(chunk.hypotheses, chunk.scores, chunk.weights).sum(axis=0) for chunk in chunks])
 
 
 def live_remark(data: PoseData) -> str:
@@ -115,10 +119,14 @@ class RaggedBlock:
         B.
     """
 
-    reference = None
-
     def __init__(self, parts: list[tuple[Indices, Block]], n_poses: int) -> None:
         self.parts, self.n_poses = parts, n_poses
+
+    @property
+    def reference(self) -> RaggedBlock | None:
+        """The same poses with the hypotheses that skills are relative to; None without any."""
+        parts = [(rows, block.reference) for rows, block in self.parts if block.reference is not None]
+        return RaggedBlock(parts, self.n_poses) if parts else None
 
     @property
     def where(self) -> BoolArray:
@@ -141,15 +149,12 @@ class RaggedBlock:
         return found
 
 
-def lay_out_ragged(chunk: Chunk, spec: DataSpec) -> RaggedBlock:
-    """Lay out poses of a chunk as a block for each number of hypotheses."""
-    there = present(chunk.hypotheses, chunk.scores)
-    order, live = np.argsort(~there, axis=0, kind="stable"), there.sum(axis=0)
+def lay_out_ragged(chunk: Chunk, spec: DataSpec, limits: CoordinateRange | None) -> RaggedBlock:
+    """Lay out poses of a chunk as a block for each number of hypotheses, and apart those of unequal weights."""
+    assert chunk.weights is not None
     parts = []
-    for n in np.unique(live):
-        rows = np.flatnonzero(live == n)
-        some, kept = chunk.select(rows), order[:n, rows]
-        poses = np.arange(len(rows))
+    for rows, kept, weights in alike(chunk.weights):
+        some, poses = chunk.select(rows), np.arange(len(rows))
         block = Block(
             some.hypotheses[kept, poses],
             some.truth,
@@ -157,8 +162,12 @@ def lay_out_ragged(chunk: Chunk, spec: DataSpec) -> RaggedBlock:
             root=spec.root,
             scores=None if some.scores is None else some.scores[kept, poses],
             log_prob=some.log_prob,
+            weights=weights,
             occluded=some.occluded,
             usable=some.usable,
+            reference=some.reference,
+            limits=None if limits is None else lambda: limits,
+            sequence=some.sequence,
             period=spec.period,
         )
         parts.append((rows, block))
@@ -169,8 +178,8 @@ def lay_out(
     chunk: Chunk, start: int, stop: int, spec: DataSpec, limits: CoordinateRange | None, before: Chunk | None
 ) -> Callable[[], Block | RaggedBlock]:
     """Lay out some poses of a chunk as a block, when called; ``before`` holds the poses right before the first."""
-    if spec.is_ragged:
-        return partial(lay_out_ragged, chunk.select(slice(start, stop)), spec)
+    if spec.is_ragged or spec.has_weights:
+        return partial(lay_out_ragged, chunk.select(slice(start, stop)), spec, limits)
     return chunk.block(start, stop, spec.root, limits, before, spec.period)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +14,7 @@ from posecal.data.pose_data import PoseData
 from posecal.data.root import AnyRoot, Root, resting_joints
 from posecal.data.skeleton import JOINT_SETS, known_set
 from posecal.data.units import PERIODS
+from posecal.data.weights import are_unequal
 from posecal.engine.protocol import Protocol, named_joints
 from posecal.errors import PoseDataError, first_few
 from posecal.errors import option as named
@@ -60,6 +61,8 @@ class DataSpec:
         D.
     is_ragged : bool
         Whether hypotheses of some poses are absent; N is the most that a pose has.
+    has_weights : bool
+        Whether hypotheses of a pose have unequal weights.
     """
 
     n_hypotheses: int
@@ -76,6 +79,7 @@ class DataSpec:
     unit: str = "mm"
     n_coordinates: int = 3
     is_ragged: bool = False
+    has_weights: bool = False
     parents: tuple[int, ...] = ()
     dimensions: int = 0
 
@@ -104,6 +108,7 @@ class DataSpec:
             has_mask=has_mask,
             preranks=preranks,
             is_ragged=is_ragged,
+            has_weights=data.weights is not None and bool(are_unequal(data.weights).any()),
             reference="" if data.reference is None else data.reference.names[0],
             n_reference=0 if data.reference is None else data.reference.shape[0],
         )
@@ -122,6 +127,14 @@ class DataSpec:
     def point(self) -> tuple[str, str]:
         """What a joint is called: one, and several."""
         return ("vertex", "vertices") if self.is_mesh else ("joint", "joints")
+
+    def together_with(self, other: DataSpec) -> DataSpec:
+        """Describe these poses and others together, where some of either lack hypotheses, or have weights."""
+        return replace(
+            self,
+            is_ragged=self.is_ragged or other.is_ragged,
+            has_weights=self.has_weights or other.has_weights,
+        )
 
     def difference(self, other: DataSpec) -> str:
         """Say in what these data differ from others."""

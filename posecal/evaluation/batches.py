@@ -33,7 +33,7 @@ from posecal.engine.prepare import (
 )
 from posecal.engine.presets import as_protocol
 from posecal.engine.protocol import Protocol
-from posecal.engine.ragged import has_absent_anywhere, is_ragged, live_remark
+from posecal.engine.ragged import has_absent, has_absent_anywhere, live_remark
 from posecal.engine.scope import DataSpec
 from posecal.engine.totals import Totals
 from posecal.errors import PoseDataError, checked_type, first_few
@@ -138,6 +138,7 @@ class Evaluation:
         occluded: npt.ArrayLike | None = None,
         scores: npt.ArrayLike | None = None,
         log_prob: npt.ArrayLike | None = None,
+        weights: npt.ArrayLike | None = None,
         frame_id: npt.ArrayLike | None = None,
         **labels: npt.ArrayLike,
     ) -> None:
@@ -147,7 +148,7 @@ class Evaluation:
         ----------
         hypotheses, truth : arrays
             In the layout and unit that were declared once; tensors of any device.
-        where, occluded, scores, log_prob
+        where, occluded, scores, weights, log_prob
             Of the batch, as for :func:`evaluate`.
         frame_id : array (M,), optional
             Names of the frames. A frame that came before is counted once: samplers for several processes repeat some.
@@ -167,7 +168,8 @@ class Evaluation:
         if not labels.keys() <= self._label_names:
             check_label_names(labels, inspect.signature(self.update), inspect.signature(Evaluation))
             self._label_names = self._label_names | labels.keys()
-        given: dict[str, Any] = {"where": where, "occluded": occluded, "scores": scores, "log_prob": log_prob}
+        given: dict[str, Any] = {"where": where, "occluded": occluded, "scores": scores}
+        given |= {"weights": weights, "log_prob": log_prob}
         is_stored = isinstance(hypotheses, str | os.PathLike)  # a file may declare its own layout
         given |= {**self._options, "labels": labels or None}
         if self._axes is not None and not is_stored:
@@ -242,7 +244,7 @@ class Evaluation:
         if len(data.truth):
             pending: Pending = "all" if hold_back else "none" if complete else "rest"
             count = partial(self._count, data, progress, pending, has_mask)
-            ragged = is_ragged(data, self._accumulator)
+            ragged = has_absent(data)
             try:
                 remarks.append(count(ragged))
             except PoseDataError:

@@ -31,6 +31,7 @@ def evaluate(
     scores: npt.ArrayLike | None = None,
     log_prob: npt.ArrayLike | None = None,
     dimensions: int | None = None,
+    weights: npt.ArrayLike | None = None,
     fps: float | None = None,
     frame_id: npt.ArrayLike | None = None,
     truth_frame_id: npt.ArrayLike | None = None,
@@ -79,6 +80,9 @@ def evaluate(
         The model's log density at the true pose, nats, of coordinates in ``unit``; instead of a file's.
     dimensions : int, optional
         The number of coordinates that this density is over; those of the joints that are not the root by default.
+    weights : array (N, M), optional
+        The weight of each hypothesis, of sum 1 for each pose, 0 for one that is absent; likewise. Every number counts
+        hypotheses by them.
     fps : float, optional
         Frames per second; instead of a file's.
     frame_id, truth_frame_id : arrays (M,), optional
@@ -151,6 +155,7 @@ def evaluate(
         "scores": scores,
         "log_prob": log_prob,
         "dimensions": dimensions,
+        "weights": weights,
         "fps": fps,
         "frame_id": frame_id,
         "truth_frame_id": truth_frame_id,
@@ -188,4 +193,5 @@ def _reference(
         return climatology(data)
     if truth is None:
         raise PoseDataError('reference: expected "climatology" or PoseData where the data are PoseData.')
-    return as_pose_data(reference, truth, {**options, "scores": None, "log_prob": None, "dimensions": None})
+    own = dict.fromkeys(("scores", "weights", "log_prob", "dimensions"))  # of the model
+    return as_pose_data(reference, truth, {**options, **own})

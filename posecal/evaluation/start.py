@@ -50,7 +50,7 @@ def start_accumulator(
 def continue_accumulator(
     accumulator: Accumulator, spec: DataSpec, by: Sequence[str], preranks: Mapping[str, PreRank], number: int
 ) -> Accumulator:
-    """Give the accumulator that takes a further batch: the same one, or one for absent hypotheses from now on.
+    """Give the accumulator that takes a further batch: the same one, or one for absent or weighted hypotheses as well.
 
     Raises
     ------
@@ -60,8 +60,10 @@ def continue_accumulator(
     labels = accumulator.spec.labels
     if sorted(labels) == sorted(spec.labels):  # in any order
         spec = replace(spec, labels=labels)
-    if spec == replace(accumulator.spec, is_ragged=True) != accumulator.spec:
-        return accumulator.with_absent(statistics_of(accumulator.protocol, spec, by, preranks, accumulator.own_metrics))
-    if spec != accumulator.spec:
-        raise PoseDataError(f"batch {number}: {spec.difference(accumulator.spec)}; expected the same in every batch.")
-    return accumulator
+    together = spec.together_with(accumulator.spec)
+    if together == accumulator.spec:
+        return accumulator
+    if together == accumulator.spec.together_with(spec):
+        statistics = statistics_of(accumulator.protocol, together, by, preranks, accumulator.own_metrics)
+        return accumulator.with_weights(together, statistics)
+    raise PoseDataError(f"batch {number}: {together.difference(accumulator.spec)}; expected the same in every batch.")

@@ -55,7 +55,7 @@ def pose_score(
     array (B, ...)
         Scores; NaN for poses without a joint that counts.
     """
-    weights, fit = block.weights(joints), body if fit is None else fit
+    weights, fit = block.joint_weights(joints), body if fit is None else fit
 
     def largest() -> FloatArray:
         errors, counted = joint_errors(block, align, None, fit), weights > 0
@@ -70,7 +70,8 @@ def pose_score(
     elif select == "linked":
         scores = score(linked(block, worst, body))
     else:
-        scores = score(worst).mean(axis=1)
+        each = score(worst)
+        scores = each.mean(axis=1) if block.weights is None else np.einsum("bn,bn...->b...", block.weights, each)
     scores = np.asarray(scores, dtype=np.float64)
     scores[~weights.any(axis=1)] = np.nan
     return scores
@@ -85,6 +86,7 @@ def cps(
     align: Alignment = "similarity",
     where: npt.ArrayLike | None = None,
     root: int | None = None,
+    weights: npt.ArrayLike | None = None,
     axes: str | None = None,
     unit: str | float | None = None,
 ) -> FloatArray:
@@ -97,7 +99,7 @@ def cps(
 
     Parameters
     ----------
-    hypotheses, truth, select, where, root, axes, unit
+    hypotheses, truth, select, where, root, weights, axes, unit
         As for :func:`posecal.metrics.pck`; Human3.6M's CPS has 16 of 17 joints, all but the spine.
     align : str
         See :mod:`posecal.geometry.procrustes`; Procrustes by default.
@@ -140,7 +142,7 @@ def cps(
     def statistic(block: Block) -> FloatArray:
         return pose_score(block, cps_area, select, align)
 
-    return per_pose(statistic, hypotheses, truth, where, root=root, axes=axes, unit=unit)
+    return per_pose(statistic, hypotheses, truth, where, root=root, weights=weights, axes=axes, unit=unit)
 
 
 # --- metrics --------------------------------------------------------------------------------------------------

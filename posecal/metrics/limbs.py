@@ -40,9 +40,12 @@ def limb_length_errors(block: Block, bones: Bones, joints: BoolArray | None = No
     true = block.truth[:, children] - block.truth[:, parents]
     limbs = true[..., None] + block.offsets[:, children] - block.offsets[:, parents]
     lengths = np.sqrt(squared_norms(limbs)).astype(np.float64)
-    errors = np.abs(lengths - np.linalg.norm(true, axis=-1)[..., None]).mean(axis=-1)
+    errors = block.mean_of_each(np.abs(lengths - np.linalg.norm(true, axis=-1)[..., None]))
+    deviations = lengths.std(axis=-1)
+    if block.weights is not None:
+        deviations = np.sqrt(block.mean_of_each((lengths - block.mean_of_each(lengths)[..., None]) ** 2))
     number = known.sum(axis=1)
-    sums = [np.where(known, values, 0).sum(axis=1) for values in (errors, lengths.std(axis=-1))]
+    sums = [np.where(known, values, 0).sum(axis=1) for values in (errors, deviations)]
     return np.where(number > 0, np.stack(sums) / np.maximum(number, 1), np.nan).T
 
 

@@ -27,6 +27,7 @@ from posecal.engine.block import Block
 from posecal.engine.metric import Metric, Need, Statistic, entry, per_joint
 from posecal.engine.per_pose import per_pose
 from posecal.engine.scope import Scope
+from posecal.engine.weighted import weighted_median
 from posecal.errors import PoseDataError
 from posecal.geometry.procrustes import ALIGNMENTS, Alignment
 from posecal.metrics.position import OF_POSES, OfPoses, joint_errors, linked, pose_errors, sorted_errors
@@ -35,12 +36,12 @@ OfErrors = Literal["min", "mean", "median", "worst"]
 OF_ERRORS: tuple[OfErrors, ...] = get_args(OfErrors)
 
 
-def reduce_errors(errors: FloatArray, of: OfErrors = "min") -> FloatArray:
-    """Reduce the N errors of each pose, (..., N), to one, (...), mm."""
+def reduce_errors(errors: FloatArray, of: OfErrors = "min", weights: FloatArray | None = None) -> FloatArray:
+    """Reduce the N errors of each pose, (..., N), to one, (...), mm; mean and median by weights (..., N)."""
     if of == "median":
-        return np.asarray(np.median(errors, axis=-1))
+        return np.asarray(np.median(errors, axis=-1) if weights is None else weighted_median(errors, weights))
     if of == "mean":
-        return np.asarray(errors.mean(axis=-1))
+        return np.asarray(errors.mean(axis=-1) if weights is None else (errors * weights).sum(axis=-1))
     return np.asarray(errors.min(axis=-1) if of == "min" else errors.max(axis=-1))
 
 
@@ -53,6 +54,7 @@ def mpjpe(
     align: Alignment = "none",
     where: npt.ArrayLike | None = None,
     root: int | None = None,
+    weights: npt.ArrayLike | None = None,
     mode: int = 0,
     axes: str | None = None,
     unit: str | float | None = None,
@@ -71,7 +73,7 @@ def mpjpe(
         True poses, mm.
     of : str
         ``mean``, ``min``, ``median`` or ``worst`` of the N errors; or the error of one pose made of the
-        hypotheses: ``mean_pose``, ``median_pose`` or ``mode`` (the hypothesis of index ``mode``).
+        hypotheses: ``mean_pose``, ``median_pose`` or ``mode`` (that of index ``mode``). Means and medians by weight.
     align : str
         ``none``, ``similarity`` (PA-MPJPE), ``rigid``, ``reflection``, ``scale`` (N-MPJPE), ``norm_root`` or
         ``rms_mean``; see :mod:`posecal.geometry.procrustes`.
@@ -81,6 +83,8 @@ def mpjpe(
         The joint to subtract from every pose first.
     mode : int
         The index that ``of="mode"`` takes.
+    weights : array (N, M), optional
+        The weight of each hypothesis, of sum 1 for each pose, 0 where absent; (M, N) where ``axes`` has M first.
     axes, unit : str, optional
         Such as ``MNKD`` and ``m``, where the hypotheses are not (N, M, K, D), or both not in mm, or it is not clear.
         Angles, ``deg`` or ``rad``, are measured the shorter way round, in degrees.
@@ -127,14 +131,16 @@ def mpjpe(
     checked_choice(of, "of", [*OF_ERRORS, *(name for name in OF_POSES if name != "weighted_pose")])
     index: int | None = None
     if of == "mode":
+        if weights is not None:
+            raise PoseDataError("weights: a hypothesis by its number has none; expected another of than mode.")
         index = checked_index(mode, "mode", len(checked(hypotheses, truth, axes=axes, unit=unit)[0]), "hypotheses")
 
     def statistic(block: Block) -> FloatArray:
         if of in OF_ERRORS:
-            return reduce_errors(pose_errors(block, align), of)
+            return reduce_errors(pose_errors(block, align), of, block.weights)
         return pose_errors(block, align, cast(OfPoses, of), mode=index)[:, 0]
 
-    return per_pose(statistic, hypotheses, truth, where, root=root, axes=axes, unit=unit)
+    return per_pose(statistic, hypotheses, truth, where, root=root, weights=weights, axes=axes, unit=unit)
 
 
 def min_mpjpe(
@@ -145,6 +151,7 @@ def min_mpjpe(
     align: Alignment = "none",
     where: npt.ArrayLike | None = None,
     root: int | None = None,
+    weights: npt.ArrayLike | None = None,
     axes: str | None = None,
     unit: str | float | None = None,
 ) -> FloatArray:
@@ -154,7 +161,7 @@ def min_mpjpe(
 
     Parameters
     ----------
-    hypotheses, truth, align, where, root, axes, unit
+    hypotheses, truth, align, where, root, weights, axes, unit
         As for :func:`mpjpe`.
 
     Returns
@@ -190,7 +197,8 @@ def min_mpjpe(
     >>> min_mpjpe(hypotheses, np.zeros((1, 1, 3)))
     array([2.])
     """
-    return mpjpe(hypotheses, truth, of="min", align=align, where=where, root=root, axes=axes, unit=unit)
+    of_arrays = partial(mpjpe, hypotheses, truth, of="min", align=align, where=where, root=root)
+    return of_arrays(weights=weights, axes=axes, unit=unit)
 
 
 # --- metrics --------------------------------------------------------------------------------------------------
@@ -262,15 +270,17 @@ def _of_hypotheses(scope: Scope, prefix: str, align: Alignment) -> Iterator[Metr
         errors, ordered = pose_errors(block, align, body=body, fit=fit), sorted_errors(block, align, body, fit)
         least = linked(block, errors, body) if linking else ordered[:, 0]
         there = errors.shape[-1]  # of these poses; N is the most of all
-        median = (ordered[:, (there - 1) // 2] + ordered[:, there // 2]) / 2
-        reduced = (least, errors.mean(axis=-1), median, ordered[:, -1])
+        middle = (ordered[:, (there - 1) // 2] + ordered[:, there // 2]) / 2
+        median = middle if block.weights is None else weighted_median(errors, block.weights)
+        reduced = (least, block.mean_of_each(errors), median, ordered[:, -1])
         return np.stack(reduced, axis=1, dtype=np.float64)
 
     def of_joints(block: Block) -> FloatArray:
         errors = joint_errors(block, align, fit=fit)
         best = pose_errors(block, align, body=body, fit=fit).argmin(axis=-1)[:, None, None]
         least = np.take_along_axis(errors, best, axis=-1)[..., 0]
-        values = np.stack([least, np.einsum("bkn->bk", errors) / errors.shape[-1]], axis=-1, dtype=np.float64)
+        mean = np.einsum("bkn->bk", errors) / errors.shape[-1] if block.weights is None else block.mean_of_each(errors)
+        values = np.stack([least, mean], axis=-1, dtype=np.float64)
         return np.where((block.where & body)[..., None], values, np.nan)
 
     statistic, joints = Statistic(f"{prefix}errors", of_poses), Statistic(f"{prefix}joint_errors", of_joints, True)
@@ -310,7 +320,7 @@ def _best_per(scope: Scope, metric: Metric, align: Alignment, prefix: str) -> Me
     if kind == "joint":
 
         def of_poses(block: Block) -> FloatArray:
-            weights = block.weights(body)
+            weights = block.joint_weights(body)
             errors = (weights * joint_errors(block, align, fit=fit).min(axis=-1)).sum(axis=1, dtype=np.float64)
             return np.where(weights.any(axis=1), errors, np.nan)
 

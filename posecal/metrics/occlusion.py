@@ -60,7 +60,7 @@ def occlusion_metrics(scope: Scope, occlusion: str) -> Iterator[Metric]:
     def errors_both(block: Block) -> FloatArray:
         errors = joint_errors(block)
         means = [_mean_over(mask, errors) for mask in _masks(scope, block)]
-        return np.stack([np.stack([mean.min(axis=-1), mean.mean(axis=-1)], axis=-1) for mean in means], axis=1)
+        return np.stack([np.stack([mean.min(axis=-1), block.mean_of_each(mean)], axis=-1) for mean in means], axis=1)
 
     def radii_both(block: Block) -> FloatArray:
         radii = np.nan_to_num(joint_radii(block, (0.5,))[..., 0])
@@ -141,8 +141,6 @@ def occlusion_metrics_of(protocol: Protocol, spec: DataSpec) -> dict[str, dict[s
         raise PoseDataError(
             "by: occlusion needs to know which joints are occluded; expected a member occluded or visible, bool (M, K)."
         )
-    if spec.is_ragged:
-        raise PoseDataError("by: occlusion needs as many hypotheses of every pose.")
     if spec.n_hypotheses < 2:
         raise PoseDataError("by: occlusion needs at least 2 hypotheses; there is 1.")
     scope = Scope(protocol, spec)

@@ -49,7 +49,7 @@ def correct_joints(
     length: Callable[[Block], FloatArray] | None = None,
 ) -> FloatArray:
     """PCK of each pose at one threshold, (B,); as :func:`joint_score` of :func:`correct_share`, without its sort."""
-    weights = block.weights(joints)
+    weights = block.joint_weights(joints)
     if length is not None:
         weights = weights * np.isfinite(length(block))[:, None]
     limit = threshold if length is None else threshold * np.nan_to_num(length(block))[:, None, None]
@@ -58,7 +58,7 @@ def correct_joints(
     if select == "linked":
         share = linked(block, shares, body)
     else:
-        share = shares.max(axis=-1) if select == "own" else shares.mean(axis=-1)
+        share = shares.max(axis=-1) if select == "own" else block.mean_of_each(shares)
     return np.where(weights.any(axis=1), share, np.nan)
 
 
@@ -109,6 +109,7 @@ def pck(
     strict: bool = True,
     where: npt.ArrayLike | None = None,
     root: int | None = None,
+    weights: npt.ArrayLike | None = None,
     axes: str | None = None,
     unit: str | float | None = None,
 ) -> FloatArray:
@@ -133,6 +134,8 @@ def pck(
         The joints that count; Human3.6M's PCK has 14 of 17 (:data:`posecal.data.skeleton.JOINT_SETS`).
     root : int, optional
         The joint to subtract from every pose first.
+    weights : array (N, M), optional
+        The weight of each hypothesis, of sum 1 for each pose, 0 where absent; (M, N) where ``axes`` has M first.
     axes, unit : str, optional
         Such as ``MNKD`` and ``m``, where the hypotheses are not (N, M, K, D), or both not in mm, or it is not clear.
 
@@ -176,7 +179,7 @@ def pck(
     def statistic(block: Block) -> FloatArray:
         return correct_joints(block, threshold, select, strict=strict)
 
-    return per_pose(statistic, hypotheses, truth, where, root=root, axes=axes, unit=unit)
+    return per_pose(statistic, hypotheses, truth, where, root=root, weights=weights, axes=axes, unit=unit)
 
 
 def auc(
@@ -190,6 +193,7 @@ def auc(
     strict: bool = True,
     where: npt.ArrayLike | None = None,
     root: int | None = None,
+    weights: npt.ArrayLike | None = None,
     axes: str | None = None,
     unit: str | float | None = None,
 ) -> FloatArray:
@@ -197,7 +201,7 @@ def auc(
 
     Parameters
     ----------
-    hypotheses, truth, select, strict, where, root, axes, unit
+    hypotheses, truth, select, strict, where, root, weights, axes, unit
         As for :func:`pck`; ``own`` takes the best hypothesis at each threshold.
     thresholds : tuple of float, float and int
         The first and the last threshold, mm, and how many there are: hands take (0, 50, 100).
@@ -251,7 +255,7 @@ def auc(
     def statistic(block: Block) -> FloatArray:
         return joint_score(block, score, select)
 
-    return per_pose(statistic, hypotheses, truth, where, root=root, axes=axes, unit=unit)
+    return per_pose(statistic, hypotheses, truth, where, root=root, weights=weights, axes=axes, unit=unit)
 
 
 # --- metrics --------------------------------------------------------------------------------------------------

@@ -100,7 +100,7 @@ def joint_errors(
     def compute() -> FloatArray:
         fitted = block if align == "none" else block.fit_block
         offsets = fitted.shortest(fitted.offsets if of is None else pose_of(fitted, of, mode))
-        return aligned_errors(offsets, fitted.truth, fitted.weights(fit), align)
+        return aligned_errors(offsets, fitted.truth, fitted.joint_weights(fit), align)
 
     return block.share(key, compute)
 
@@ -132,7 +132,7 @@ def pose_errors(
     fit = body if fit is None else fit
 
     def compute() -> FloatArray:
-        weights = block.weights(body)
+        weights = block.joint_weights(body)
         errors = (weights[:, None] @ joint_errors(block, align, of, fit, mode))[:, 0]
         errors[~weights.any(axis=1)] = np.nan
         return errors

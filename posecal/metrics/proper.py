@@ -28,7 +28,7 @@ from posecal.engine.metric import Metric, Statistic, entry, mean_over_joints
 from posecal.engine.per_pose import per_pose
 from posecal.engine.scope import Scope
 from posecal.errors import PoseDataError
-from posecal.geometry.distances import half_mean_arcs, half_mean_distances, on_circle
+from posecal.geometry.distances import half_mean_arcs, half_mean_differences, half_mean_distances, on_circle
 
 
 def joint_energies(block: Block, joints: BoolArray | None = None) -> FloatArray:
@@ -50,11 +50,11 @@ def joint_energies(block: Block, joints: BoolArray | None = None) -> FloatArray:
         offsets = on_circle(offsets, block.period)
         squares = squared_norms(offsets)
         errors = np.sqrt(squares)
-    each = errors.mean(axis=-1, dtype=np.float64) - half_mean_distances(offsets)
+    each = block.mean_of_each(errors, np.float64) - half_mean_distances(offsets, block.weights)
     if not scored.all():
         offsets, squares = offsets * scored[..., None, None], squares * scored[..., None]
-    of_pose = np.sqrt(squares.sum(axis=1)).mean(axis=-1, dtype=np.float64)
-    of_pose -= half_mean_distances(offsets.reshape(B, 1, -1, n))[:, 0]
+    of_pose = block.mean_of_each(np.sqrt(squares.sum(axis=1)), np.float64)
+    of_pose -= half_mean_distances(offsets.reshape(B, 1, -1, n), block.weights)[:, 0]
     return np.where(np.column_stack([scored, scored.any(axis=1)]), np.column_stack([each, of_pose]), np.nan)
 
 
@@ -64,12 +64,14 @@ def joint_crps(block: Block, joints: BoolArray | None = None) -> FloatArray:
     scored = block.where if joints is None else block.where & joints
     if n < 2:
         return np.full(scored.shape, np.nan)
-    error = np.abs(block.shortest(block.offsets)).mean(axis=-1, dtype=np.float64)
+    error = block.mean_of_each(np.abs(block.shortest(block.offsets)), np.float64)
     apart: FloatArray
-    if block.period is None:
+    if block.period is None and block.weights is not None:
+        apart = half_mean_differences(block.offsets, block.weights)
+    elif block.period is None:
         apart = block.sorted @ ((2 * np.arange(1, n + 1) - n - 1) / (n * (n - 1)))
     else:
-        apart = half_mean_arcs(block.offsets, block.period)
+        apart = half_mean_arcs(block.offsets, block.period, block.weights)
     return np.where(scored, (error - apart).mean(axis=-1), np.nan)
 
 
@@ -86,7 +88,8 @@ def variograms(block: Block, joints: BoolArray | None = None) -> FloatArray:
     if n < 2:
         return np.full(B, np.nan)
     total, pairs = np.zeros(B), np.zeros(B)
-    shares = np.full(n, 1 / n, dtype=block.offsets.dtype)
+    shares = np.full((B, n, 1), 1 / n) if block.weights is None else block.weights[..., None]
+    shares = shares.astype(block.offsets.dtype)
     poses = block.offsets + block.truth[..., None]
     for joint in range(1, K):
         counted = scored[:, :joint] & scored[:, joint, None]
@@ -96,9 +99,12 @@ def variograms(block: Block, joints: BoolArray | None = None) -> FloatArray:
         np.sqrt(np.sqrt(roots, out=roots), out=roots)
         true = squared_norms((block.truth[:, :joint] - block.truth[:, joint, None])[..., None])
         roots -= np.sqrt(np.sqrt(true))  # before they are summed, so that little is lost where they differ little
-        apart = roots @ shares
+        apart = (roots @ shares)[..., 0]
         roots -= apart[..., None]
-        chance = np.einsum("bkn,bkn->bk", roots, roots) / (n * (n - 1))
+        if block.weights is None:
+            chance = np.einsum("bkn,bkn->bk", roots, roots) / (n * (n - 1))
+        else:
+            chance = block.mean_of_each(roots**2) / (block.n_effective - 1)[:, None]
         total += np.where(counted, apart.astype(np.float64) ** 2 - chance, 0).sum(axis=1)
         pairs += counted.sum(axis=1)
     return np.where(pairs > 0, total / np.maximum(pairs, 1), np.nan)
@@ -112,11 +118,12 @@ def fair_per_pose(
     root: int | None,
     axes: str | None,
     unit: str | float | None,
+    weights: npt.ArrayLike | None = None,
 ) -> FloatArray:
     """Compute a fair score of every pose, (M,); refuse fewer than two hypotheses."""
     if len(checked(hypotheses, truth, axes=axes, unit=unit)[0]) < 2:
         raise PoseDataError("hypotheses: N = 1; fair scores need at least 2.")
-    return per_pose(statistic, hypotheses, truth, where, root=root, axes=axes, unit=unit)
+    return per_pose(statistic, hypotheses, truth, where, root=root, weights=weights, axes=axes, unit=unit)
 
 
 def energy_score(
@@ -126,6 +133,7 @@ def energy_score(
     *,
     where: npt.ArrayLike | None = None,
     root: int | None = None,
+    weights: npt.ArrayLike | None = None,
     axes: str | None = None,
     unit: str | float | None = None,
 ) -> FloatArray:
@@ -133,7 +141,10 @@ def energy_score(
 
     .. math:: \frac{1}{N} \sum_n \lVert x_n - y \rVert - \frac{1}{2 N (N-1)} \sum_{i \ne j} \lVert x_i - x_j \rVert
 
-    with the norm over all joints and coordinates of a pose.
+    with the norm over all joints and coordinates of a pose. Of weights w, of sum 1, it is
+
+    .. math:: \sum_i w_i \lVert x_i - y \rVert
+              - \frac{1}{2 (1 - \sum_i w_i^2)} \sum_{i \ne j} w_i w_j \lVert x_i - x_j \rVert
 
     Parameters
     ----------
@@ -145,6 +156,8 @@ def energy_score(
         The joints that count.
     root : int, optional
         The joint to subtract from every pose first.
+    weights : array (N, M), optional
+        The weight of each hypothesis, of sum 1 for each pose, 0 where absent; (M, N) where ``axes`` has M first.
     axes, unit : str, optional
         Such as ``MNKD`` and ``m``, where the hypotheses are not (N, M, K, D), or both not in mm, or it is not clear.
         Angles, ``deg`` or ``rad``, are measured the shorter way round, in degrees.
@@ -184,7 +197,7 @@ def energy_score(
     >>> energy_score(hypotheses, np.zeros((1, 1, 1)))
     array([1.])
     """
-    return fair_per_pose(lambda b: joint_energies(b)[:, -1], hypotheses, truth, where, root, axes, unit)
+    return fair_per_pose(lambda b: joint_energies(b)[:, -1], hypotheses, truth, where, root, axes, unit, weights)
 
 
 def crps(
@@ -194,6 +207,7 @@ def crps(
     *,
     where: npt.ArrayLike | None = None,
     root: int | None = None,
+    weights: npt.ArrayLike | None = None,
     axes: str | None = None,
     unit: str | float | None = None,
 ) -> FloatArray:
@@ -204,7 +218,7 @@ def crps(
 
     Parameters
     ----------
-    hypotheses, truth, where, root, axes, unit
+    hypotheses, truth, where, root, weights, axes, unit
         As for :func:`energy_score`.
 
     Returns
@@ -238,7 +252,7 @@ def crps(
     >>> crps(hypotheses, np.zeros((1, 1, 1)))
     array([1.])
     """
-    return fair_per_pose(lambda b: mean_over_joints(joint_crps(b)), hypotheses, truth, where, root, axes, unit)
+    return fair_per_pose(lambda b: mean_over_joints(joint_crps(b)), hypotheses, truth, where, root, axes, unit, weights)
 
 
 def variogram_score(
@@ -248,6 +262,7 @@ def variogram_score(
     *,
     where: npt.ArrayLike | None = None,
     root: int | None = None,
+    weights: npt.ArrayLike | None = None,
     axes: str | None = None,
     unit: str | float | None = None,
 ) -> FloatArray:
@@ -261,7 +276,7 @@ def variogram_score(
 
     Parameters
     ----------
-    hypotheses, truth, where, root, axes, unit
+    hypotheses, truth, where, root, weights, axes, unit
         As for :func:`energy_score`.
 
     Returns
@@ -298,7 +313,7 @@ def variogram_score(
     """
     if period_of(unit) is not None:
         raise PoseDataError(f"unit: {unit}; expected positions, not angles, whose distances are compared.")
-    return fair_per_pose(variograms, hypotheses, truth, where, root, axes, unit)
+    return fair_per_pose(variograms, hypotheses, truth, where, root, axes, unit, weights)
 
 
 # --- metrics --------------------------------------------------------------------------------------------------

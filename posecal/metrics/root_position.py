@@ -20,7 +20,8 @@ def root_errors(block: Block) -> FloatArray:
     hypotheses, truth = block.stored
     apart = origin(hypotheses, block.root) - origin(truth, block.root)  # of one root, or of each joint's
     distances = np.linalg.norm(apart, axis=-1).mean(axis=-1)
-    found = np.stack([distances.min(axis=0), distances.mean(axis=0)], axis=1, dtype=np.float64)
+    mean = distances.mean(axis=0) if block.weights is None else block.mean_of_each(distances.T)
+    found = np.stack([distances.min(axis=0), mean], axis=1, dtype=np.float64)
     return np.where(block.where.any(axis=1, keepdims=True), found, np.nan)
 
 

@@ -60,7 +60,7 @@ def joint_score(
     array (B, ...)
         Scores, with the trailing axes that the score adds; NaN for poses without a joint that counts.
     """
-    weights = block.weights(joints).astype(np.float64)
+    weights = block.joint_weights(joints).astype(np.float64)
     fit = body if fit is None else fit
     scores: FloatArray
     if length is not None:
@@ -80,7 +80,10 @@ def joint_score(
         scores = np.einsum("bk,bk...->b...", weights, score(errors))
     else:
         each = score(joint_errors(block, align, None, fit))
-        scores = np.einsum("bk,bkn...->b...", weights, each) / block.n_hypotheses
+        if block.weights is None:
+            scores = np.einsum("bk,bkn...->b...", weights, each) / block.n_hypotheses
+        else:
+            scores = np.einsum("bn,bn...->b...", block.weights, np.einsum("bk,bkn...->bn...", weights, each))
     scores[~weights.any(axis=1)] = np.nan
     return scores
 
@@ -117,7 +120,7 @@ def _best_ordered(block: Block, align: Alignment, joints: BoolArray | None, fit:
     """Smallest, over the hypotheses, of the i-th smallest joint error, (B, K); infinite for joints left out."""
 
     def compute() -> FloatArray:
-        rows, counted = joint_errors(block, align, None, fit).swapaxes(0, 1), block.weights(joints).T > 0
+        rows, counted = joint_errors(block, align, None, fit).swapaxes(0, 1), block.joint_weights(joints).T > 0
         chosen = np.ones(len(rows), dtype=bool) if joints is None else joints
         rows, counted = rows[chosen], counted[chosen]
         if not counted.all():

@@ -14,9 +14,11 @@ import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray, checked_number, squared_norms
 from posecal.engine.block import Block
-from posecal.engine.metric import Metric, Statistic, mean_over_joints, per_joint
+from posecal.engine.measure import EFFECTIVE_NUMBER
+from posecal.engine.metric import Metric, Statistic, entry, mean_over_joints, per_joint
 from posecal.engine.per_pose import per_pose
 from posecal.engine.scope import Scope
+from posecal.engine.weighted import weighted_quantiles
 
 
 def joint_deviations(block: Block, *, population: bool = False) -> FloatArray:
@@ -29,8 +31,8 @@ def joint_deviations(block: Block, *, population: bool = False) -> FloatArray:
     """
     if block.n_hypotheses == 1 and not population:
         return np.full(block.where.shape, np.nan)
-    n = block.n_hypotheses
-    deviations = np.sqrt(block.variance * (n / (n if population else n - 1))).mean(axis=-1)
+    variance, n = block.variance, block.n_effective[:, None, None]
+    deviations = np.sqrt(variance if population else variance * (n / (n - 1))).mean(axis=-1)
     return np.where(block.where, deviations, np.nan)
 
 
@@ -49,8 +51,14 @@ def joint_radii(block: Block, shares: tuple[float, ...]) -> FloatArray:
     Returns
     -------
     array (B, K, len(shares))
-        The ⌈q N⌉-th smallest distance from the per-coordinate median, mm; NaN for joints that don't count.
+        The ⌈q N⌉-th smallest distance from the per-coordinate median, or the smallest up to which a share q of the
+        weights lies, mm; NaN for joints that don't count.
     """
+    if block.weights is not None:
+        radii = np.sqrt(squared_norms(block.shortest(block.from_median)), dtype=np.float64)
+        radii = weighted_quantiles(radii, block.weights[:, None], shares)
+        radii[~block.where] = np.nan
+        return radii
     n = block.n_hypotheses
     squares = block.share("sorted_squares", lambda: np.sort(squared_norms(block.shortest(block.from_median)), axis=-1))
     ranks = [max(1, int(np.ceil(round(share * n, 9)))) - 1 for share in shares]
@@ -67,6 +75,7 @@ def diversity(
     population: bool = False,
     where: npt.ArrayLike | None = None,
     root: int | None = None,
+    weights: npt.ArrayLike | None = None,
     axes: str | None = None,
     unit: str | float | None = None,
 ) -> FloatArray:
@@ -86,6 +95,8 @@ def diversity(
         The joints that count.
     root : int, optional
         The joint to subtract from every pose first; its spread of 0 counts unless ``where`` leaves it out.
+    weights : array (N, M), optional
+        The weight of each hypothesis, of sum 1 for each pose, 0 where absent; (M, N) where ``axes`` has M first.
     axes, unit : str, optional
         Such as ``MNKD`` and ``m``, where the hypotheses are not (N, M, K, D), or both not in mm, or it is not clear.
         Angles, ``deg`` or ``rad``, are measured the shorter way round, in degrees.
@@ -131,6 +142,7 @@ def diversity(
         truth,
         where,
         root=root,
+        weights=weights,
         axes=axes,
         unit=unit,
     )
@@ -144,6 +156,7 @@ def radius(
     share: float = 0.5,
     where: npt.ArrayLike | None = None,
     root: int | None = None,
+    weights: npt.ArrayLike | None = None,
     axes: str | None = None,
     unit: str | float | None = None,
 ) -> FloatArray:
@@ -154,7 +167,7 @@ def radius(
 
     Parameters
     ----------
-    hypotheses, truth, where, root, axes, unit
+    hypotheses, truth, where, root, weights, axes, unit
         As for :func:`diversity`.
     share : float
         q, above 0 and at most 1.
@@ -196,7 +209,7 @@ def radius(
     def statistic(block: Block) -> FloatArray:
         return mean_over_joints(joint_radii(block, (share,))[..., 0])
 
-    return per_pose(statistic, hypotheses, truth, where, root=root, axes=axes, unit=unit)
+    return per_pose(statistic, hypotheses, truth, where, root=root, weights=weights, axes=axes, unit=unit)
 
 
 # --- metrics --------------------------------------------------------------------------------------------------
@@ -210,6 +223,27 @@ _SHARPNESS = partial(
     reading="Sharpness: smaller is better only among models that are calibrated. It never looks at the truth.",
     source="Gneiting, Balabdaoui and Raftery, doi:10.1111/j.1467-9868.2007.00587.x",
 )
+
+
+def number_metrics(scope: Scope) -> Iterator[Metric]:
+    """Effective number of hypotheses, where they have weights or some are absent."""
+    if scope.spec.is_ragged or scope.spec.has_weights:
+        yield Metric(
+            name="effective_hypotheses",
+            label="effective N",
+            unit="",
+            direction="none",
+            family="sharpness",
+            brief=f"1 / Σ w², of up to N={scope.spec.n_hypotheses}",
+            definition=f"mean over poses of 1 / Σ w², w: weights of the up to N={scope.spec.n_hypotheses} hypotheses",
+            statistic=EFFECTIVE_NUMBER,
+            finish=entry(),
+            headline=True,
+            range="1 (one hypothesis has all weight) to N (all have the same)",
+            reading="As many hypotheses of equal weight give as sure a mean. Where it is small against N, most "
+            "hypotheses hardly count: the weights come from a proposal that is far from the model's distribution.",
+            source="Kong, Liu and Wong, J. Am. Stat. Assoc. 89, 278 (1994), doi:10.1080/01621459.1994.10476469",
+        )
 
 
 def _mean_of(index: int) -> Callable[[FloatArray], FloatArray]:

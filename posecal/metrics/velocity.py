@@ -56,7 +56,7 @@ def motion(block: Block, order: int, of: Moving = "error", body: BoolArray | Non
     """
     changes, counted = block.differences(order, _ATTRIBUTES[of])
     changes = changes.reshape(*changes.shape[:3], -1)
-    weights = block.weights(counted if body is None else counted & body)
+    weights = block.joint_weights(counted if body is None else counted & body)
     means = np.einsum("bk,bkn->bn", weights, np.sqrt(squared_norms(changes))).mean(axis=-1, dtype=np.float64)
     return np.where(weights.any(axis=1), means, np.nan)
 

@@ -18,6 +18,7 @@ from posecal.data.remarks import join_remarks
 from posecal.data.root import resting_joints
 from posecal.data.stored_poses import Rows
 from posecal.data.units import PERIODS, quantity
+from posecal.data.weights import are_unequal
 from posecal.engine.block import Block
 from posecal.engine.chunks import map_blocks, read_chunks
 from posecal.engine.pose_remarks import PoseRemarks
@@ -81,16 +82,33 @@ def select_fitted(data: PoseData, least: int = 2) -> PoseData:
     Raises
     ------
     PoseDataError
-        For fewer hypotheses, for poses that lack some, where the truth is not finite, and where no joint counts.
+        For fewer hypotheses or unequal weights, for poses that lack some, where the truth is not finite, and where no
+        joint counts.
     """
     if data.shape[0] < least:
         raise PoseDataError(f"{data.names[0]}: 1 hypothesis; recalibration needs at least 2.")
+    refuse_weights(data.weights, data.names[0])
     data = select_scored(data, Protocol())
     if lack := lack_of_scored(data, Protocol()):
         raise PoseDataError(lack)
     if has_absent(data):
         raise _absent(data)
     return data
+
+
+def refuse_weights(weights: FloatArray | None, name: str) -> None:
+    """Refuse hypotheses that do not count alike.
+
+    Raises
+    ------
+    PoseDataError
+        Where weights (N, M) of a pose above 0 are not equal.
+    """
+    if weights is not None and (unequal := are_unequal(weights)).any():
+        raise PoseDataError(
+            f"{name}: weights are not equal in {int(unequal.sum()):,} of {len(unequal):,} frames; expected hypotheses "
+            "that count alike for a recalibration. Draw as many from them by their weights, and leave the weights out."
+        )
 
 
 def _absent(data: PoseData) -> PoseDataError:

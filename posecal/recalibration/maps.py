@@ -19,13 +19,20 @@ from posecal.data.read import read_poses
 from posecal.data.root import AnyRoot, Root, parse_root, root_name
 from posecal.data.texts import json_text
 from posecal.data.units import PERIODS, quantity
+from posecal.data.weights import poses_last
 from posecal.data.write import Archive, write_file
 from posecal.engine.chunks import WINDOW_BYTES
 from posecal.engine.storage import digest_of
 from posecal.errors import PoseDataError, PoseFileError, refuse_unreadable
 from posecal.evaluation.sources import Source
 from posecal.recalibration.dispersion import SpreadMap, rescaled
-from posecal.recalibration.folds import refuse_another_unit, refuse_exchanged, refuse_unusable, values_for_joints
+from posecal.recalibration.folds import (
+    refuse_another_unit,
+    refuse_exchanged,
+    refuse_unusable,
+    refuse_weights,
+    values_for_joints,
+)
 from posecal.recalibration.radius import RadiusMap, balls
 
 FORMAT = 3
@@ -174,6 +181,8 @@ def apply_map(
     valid = poses.valid if poses.valid is None or poses.valid.ndim == 2 else poses.valid[:, None]
     first, m, period = source.read(0, 1), len(source.rows), PERIODS.get(map_.data_unit)
     n, _, k, d = first.shape
+    if poses.weights is not None:
+        refuse_weights(poses_last(poses.weights, (n, m), source.layout.text, f"{poses.name}: weights"), poses.name)
     window = max(1, WINDOW_BYTES // first.nbytes)
 
     def windows() -> Iterator[FloatArray]:

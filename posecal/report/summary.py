@@ -15,6 +15,7 @@ from posecal.metrics.occlusion import occlusion_words
 from posecal.registry import left_out
 from posecal.report.format import counted, p_value
 from posecal.stats.resampling import LEVEL, MIN_SEQUENCES
+from posecal.stats.uncertainty import effective_hypotheses
 
 if TYPE_CHECKING:
     from posecal.report.report import Report
@@ -69,10 +70,20 @@ def _of_statistics(report: Report) -> Iterator[str]:
         yield occlusion_words(totals.protocol, totals.spec)
     if {*LIKELIHOODS} & report.metrics.keys():
         yield from _of_likelihood(totals)
-    n = totals.spec.n_hypotheses
+    n, families = totals.spec.n_hypotheses, {metric.family for metric in report.metrics.values()}
+    effective = effective_hypotheses(totals)
+    if n > 1 and totals.spec.has_weights:
+        few = " So few leave a calibrated model an ECE of 0.01 to 0.04, and scores 1 to 7 % too low."
+        few *= effective < FEW_HYPOTHESES
+        yield f"hypotheses count by their weights: effective N = {effective:.1f} (mean of 1 / Σ w²), of up to {n}.{few}"
+    elif n > 1 and totals.spec.has_scores and {"calibration", "rank_tests", "scores"} & families:
+        yield (
+            "scores are not used by calibration and proper scores, which count all hypotheses alike. Where they are "
+            "chances of the hypotheses, give them as weights."
+        )
     if n < 2:
         yield "calibration and spread need at least 2 hypotheses; there is 1."
-    elif n < FEW_HYPOTHESES and any(metric.family == "calibration" for metric in report.metrics.values()):
+    elif n < FEW_HYPOTHESES and "calibration" in families and not totals.spec.has_weights:
         yield f"N = {n} hypotheses are few: look at what a perfect sampler would show before reading an ECE (paper)."
 
 

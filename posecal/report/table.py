@@ -21,7 +21,7 @@ from posecal.engine.metric import Direction, Metric
 from posecal.errors import PoseDataError, for_python
 from posecal.report.format import counted
 from posecal.report.summary import remarks
-from posecal.stats.uncertainty import effective_sample_size, unbiased_squared_error
+from posecal.stats.uncertainty import effective_hypotheses, effective_sample_size, unbiased_squared_error
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -214,7 +214,7 @@ def auxiliary_number(report: Report, row: AuxiliaryRow, group: str | None) -> tu
     if row.key == "squared_error":
         return unbiased_squared_error(totals, metric.statistic), ""
     definition = next(definition for definition, ece in ECE_OF.items() if ece == row.metric)
-    counts, n = totals.effective_sample_size(metric.statistic)[:-1], totals.spec.n_hypotheses
+    counts, n = totals.effective_sample_size(metric.statistic)[:-1], max(2, round(effective_hypotheses(totals)))
     poses, joints = round(counts.max(initial=0)), int((counts > 0).sum())
     detail = (
         f": N={n}, {counted(poses, 'independent pose')} and {counted(joints, 'independent joint')} "

@@ -98,7 +98,7 @@ def climatology(pairs: PoseData, n_hypotheses: int | None = None, seed: int = 0)
     own_first, own_size = (np.cumsum(size) - size)[sequence][:, None], size[sequence][:, None]
     donors = order[np.where(draws >= own_first, draws + own_size, draws)]  # skip the poses of one's own sequence
     sample = ClimatologySample(pairs.truth, donors)
-    own: dict[str, Any] = {"scores": None, "log_prob": None, "dimensions": 0}  # of the model
+    own: dict[str, Any] = {"scores": None, "weights": None, "log_prob": None, "dimensions": 0}  # of the model
     return pairs.replace(hypotheses=sample, **own, names=("climatology", pairs.names[1]), remarks=())
 
 
@@ -118,11 +118,14 @@ def with_reference(pairs: PoseData, reference: PoseData) -> PoseData:
     Raises
     ------
     PoseDataError
-        Where the two are not over the same frames, joints, root and true poses, or the reference has one hypothesis.
+        Where the two are not over the same frames, joints, root and true poses, or the reference has one hypothesis or
+        weights.
     """
     model, other = pairs.names[0], reference.names[0]
     if reference.shape[0] < 2:
         raise PoseDataError(f"{other}: N = 1; fair scores need at least 2. Give a reference with more hypotheses.")
+    if reference.weights is not None:
+        raise PoseDataError(f"{other}: has weights; expected a reference whose hypotheses all count alike.")
     if joint_keys(pairs.joints) != joint_keys(reference.joints):
         differ = sorted(set(pairs.joints) ^ set(reference.joints)) or ["their order"]
         raise PoseDataError(

@@ -8,6 +8,7 @@ import numpy as np
 
 from posecal.calibration.ranks import LEVELS
 from posecal.data.arrays import FloatArray
+from posecal.engine.measure import EFFECTIVE_NUMBER
 from posecal.engine.metric import Metric, Statistic
 from posecal.engine.sums import Cells, Counts, slices
 from posecal.engine.totals import Totals
@@ -109,6 +110,12 @@ def effective_sample_size(totals: Totals, statistic: Statistic, cells: Cells = N
     """Estimate how many independent poses would have calibration curves that vary as much as those of the sequences."""
     deviations, counts = sequence_deviations(totals, statistic, cells)
     return effective_poses(deviations[:, :-1], counts[:, :-1])
+
+
+def effective_hypotheses(totals: Totals) -> float:
+    """Mean over poses of the effective number of hypotheses: N where all have the same weight, and none is absent."""
+    known = EFFECTIVE_NUMBER.name in totals.sums
+    return float(totals.mean(EFFECTIVE_NUMBER)) if known else float(totals.spec.n_hypotheses)
 
 
 def unbiased_squared_error(totals: Totals, statistic: Statistic, cells: Cells = None) -> float:

@@ -92,7 +92,7 @@ def fast_procrustes(x: FloatArray, y: FloatArray, threads: int) -> FloatArray:
 
     def measure(lay_out: Callable[[], Block]) -> FloatArray:
         block = lay_out()
-        errors = aligned_errors(block.offsets, block.truth, block.weights(), "similarity")
+        errors = aligned_errors(block.offsets, block.truth, block.joint_weights(), "similarity")
         return errors.mean(axis=1).T
 
     return np.concatenate(list(run_in_order((lambda b=b: measure(b) for b in iter_blocks(x, y)), threads)), axis=1)

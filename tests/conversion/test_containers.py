@@ -70,9 +70,11 @@ def test_what_hdf5_states_of_an_array_counts(poses: Array, tmp_path: Path) -> No
 def test_scores_follow_the_layout(poses: Array, tmp_path: Path, axes: str, shape: tuple[int, int]) -> None:
     hypotheses = np.stack([poses, poses + 1], axis=axes.index("N"))
     scores = np.arange(2 * M, dtype=np.float64).reshape(shape)
-    np.savez(tmp_path / "a.npz", hypotheses=hypotheses, scores=scores, axes=axes, unit="mm")
+    beside = {"scores": scores, "weights": np.full(shape, 0.5), "axes": axes, "unit": "mm"}
+    np.savez(tmp_path / "a.npz", hypotheses=hypotheses, **beside)  # type: ignore[arg-type]
     members, _ = convert(tmp_path / "a.npz")
     assert members["axes"] == "NMKD"
+    assert members["weights"].shape == (2, M)
     np.testing.assert_array_equal(members["scores"], scores if axes == "NMKD" else scores.T)
     np.testing.assert_allclose(members["hypotheses"], [poses, poses + 1], rtol=1e-6)
 

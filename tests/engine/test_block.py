@@ -130,9 +130,9 @@ def test_weights_share_a_pose_among_the_joints_that_count() -> None:
     x = np.zeros((2, 4, 3, 3))
     block = Block(x, x[0], where)
     third = 1 / 3
-    np.testing.assert_allclose(block.weights(), [[third, third, third], [1, 0, 0], [0, 0, 1], [0, 0, 0]])
+    np.testing.assert_allclose(block.joint_weights(), [[third, third, third], [1, 0, 0], [0, 0, 1], [0, 0, 0]])
     only = np.array([True, True, False])
-    np.testing.assert_allclose(block.weights(only), [[0.5, 0.5, 0], [1, 0, 0], [0, 0, 0], [0, 0, 0]])
+    np.testing.assert_allclose(block.joint_weights(only), [[0.5, 0.5, 0], [1, 0, 0], [0, 0, 0], [0, 0, 0]])
 
 
 def test_alignments_are_fitted_to_usable_joints_that_need_not_count(arrays: tuple[Array, Array]) -> None:

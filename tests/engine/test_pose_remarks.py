@@ -91,8 +91,9 @@ def test_hypotheses_that_repeat_others_are_counted_wherever_they_are(masked: boo
         where[55, 3], x[:, 55, 3] = False, np.arange(24).reshape(8, 3)
     (remark,) = said(x, Y, "hypotheses:", where=where)
     assert remark == (
-        "hypotheses: 80 hypotheses in 20 of 90 frames (first: 50, 51, 52) equal another of their frame. Spread, "
-        "calibration and scores are then those of fewer."
+        "hypotheses: 80 hypotheses in 20 of 90 frames (first: 50, 51, 52) equal another of their frame, which leaves "
+        "80 distinct ones there. Spread, calibration and scores are those of fewer; posecal.collapse_copies gives the "
+        "distinct ones with weights."
     )
 
 

@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 
 import posecal
+from posecal.calibration.rank_tests import RANK_TESTS
+from posecal.calibration.ranks import LEVELS
+from posecal.engine.block import Block
 from posecal.engine.merge import merge_totals
 from posecal.errors import PoseDataError
 from posecal.metrics import crps, diversity, energy_score, min_mpjpe, mpjpe, pck, radius
@@ -65,8 +68,32 @@ def test_the_remark_says_how_many_are_absent_and_the_line_what_is_left_out() -> 
         line = next(remark for remark in report.remarks if remark.startswith("left out: "))
         assert "ece" in line
         assert line.endswith("which need as many hypotheses of every pose.")
-        assert not {"ece", "min_mpjpe_at_5", "mpjve", "jitter", "brier"} & report.metrics.keys()
-        assert report.summary == ()
+        assert not {"ece_paper", "min_mpjpe_at_5", "mpjve", "jitter", "brier"} & report.metrics.keys()
+        assert report.summary[0].startswith("Not miscalibrated beyond chance")
+
+
+def test_curves_and_rank_tests_are_means_over_poses_of_any_number() -> None:
+    report = report_of("NaN", "all")
+    curves = [posecal.calibration_curve(X[LIVE[:, m], m : m + 1], Y[m : m + 1]).joints for m in range(M)]
+    median = np.median(np.mean(curves, axis=0), axis=0)
+    assert report["ece"] == pytest.approx(np.abs(median - LEVELS).mean(), abs=1e-9)
+    for test in (test for test in RANK_TESTS if test.name not in {"coordinate_pit", "tarp_box"}):
+        blocks = (Block(X[LIVE[:, m], m : m + 1], Y[m : m + 1]) for m in range(M))
+        weights = [test.weights(block, np.ones(K, dtype=bool))[0, 0] for block in blocks]
+        assert report[test.name] == pytest.approx(np.abs(np.mean(weights, axis=0) - LEVELS).mean(), abs=1e-9)
+    number = round(LIVE.sum(axis=0).mean())
+    assert report["effective_hypotheses"] == pytest.approx(LIVE.sum(axis=0).mean())
+    assert report["ece_floor"] == posecal.perfect_sampler(number, M, K).mean
+
+
+def test_poses_of_one_hypothesis_have_no_rank() -> None:
+    x, _ = padded("NaN")
+    x[1:, :9], x[0, :9] = np.nan, X[0, :9]
+    options: dict[str, Any] = {"unit": "mm", "axes": "NMKD", "root_joint": "none", "metrics": "all"}
+    whole, part = posecal.evaluate(x, Y, **options), posecal.evaluate(x[:, 9:], Y[9:], **options)
+    for name in ("ece", "coordinate_pit", "average_rank", "tarp", "energy_score", "radius_50"):
+        same = name != "radius_50"  # of one hypothesis it is 0
+        assert (whole[name] == pytest.approx(part[name], rel=1e-9)) == same, name
 
 
 def test_weights_decide_the_weighted_pose() -> None:
@@ -117,7 +144,7 @@ def test_a_batch_with_absent_hypotheses_that_is_refused_changes_nothing() -> Non
     x[:, 3] = np.nan
     with pytest.raises(PoseDataError, match="have no hypothesis"):
         evaluation.update(x[:, :30], Y[:30], sequence=SEQUENCE[:30])
-    assert "ece" in evaluation.compute().metrics
+    assert "ece_paper" in evaluation.compute().metrics
 
 
 def test_groups_and_intervals_are_given() -> None:
@@ -148,7 +175,7 @@ def test_part_of_a_hypothesis_that_is_not_finite_is_refused_as_ever() -> None:
         posecal.evaluate(x, Y, unit="mm", axes="NMKD", root_joint="none")
 
 
-@pytest.mark.parametrize("options", [{"by": "occlusion", "occluded": np.zeros((M, K), dtype=bool)}, {"metrics": "ece"}])
+@pytest.mark.parametrize("options", [{"metrics": "ece_paper"}, {"metrics": "min_mpjpe_at_2"}])
 def test_what_needs_as_many_hypotheses_of_every_pose_is_refused(options: dict[str, Any]) -> None:
     with pytest.raises(PoseDataError, match=r"as many hypotheses of every pose"):
         report_of("NaN", **options)
