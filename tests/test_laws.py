@@ -58,7 +58,7 @@ PROTOCOLS = {
         average="sequence",
     ),
     "batch": Protocol(best="batch:2", mode="2", joints="Hip, Head, LWrist, RElbow, LFoot", cps_unit="share"),
-    "joint": Protocol(best="joint", ece_over="pooled", pck_joints="all"),
+    "joint": Protocol(best="joint", ece_over="pooled", pck_joints="all", failure_threshold=85),
     "world": Protocol(segment="3"),
 }
 
@@ -95,7 +95,8 @@ TOGETHER = "that point lies in the box of the true poses that are evaluated toge
 
 PER_AXIS = (
     *("*median_pose*", "ece*", "signed*", "coverage*", "radius*", "diversity", "coordinate_pit", "average_rank"),
-    *("interval*", "band_depth", "mahalanobis", "crps", "brier*", "spread_error_correlation", "sparsification_area"),
+    *("interval*", "band_depth", "mahalanobis", "crps", "brier*", "spread_error_correlation", "ause"),
+    *("aurc", "excess_aurc", "failure_auroc"),
 )
 PER_NUMBER = (
     *("ece", "ece_mean", "ece_worst", "ece_reference*", "signed*", "coverage*", "min_mpjpe_at_[25]"),
@@ -122,7 +123,10 @@ UNBOUND: dict[str, dict[tuple[str, str], str]] = {
         **{(name, "*"): ORIGIN for name in ("*jitter", "*wa_mpjpe", "*w_mpjpe")},
         ("tarp_box", "*"): DRAWN,
     },
-    "scale": {**{(name, "*"): THRESHOLD for name in ("*pck", "*auc", "cps", "brier*")}, ("tarp_box", "*"): DRAWN},
+    "scale": {
+        **{(name, "*"): THRESHOLD for name in ("*pck", "*auc", "cps", "brier*", "failure*")},
+        ("tarp_box", "*"): DRAWN,
+    },
     "twice": {
         **{(name, "*"): MORE for name in PER_NUMBER},
         ("diversity", "[!s]*"): MORE,

@@ -350,8 +350,9 @@ def test_a_stack_of_means_gives_each_joint_s_number_as_each_of_them_does(protoco
 
 def test_an_order_over_poses_without_a_sequence_is_that_of_the_others() -> None:
     known = [metric for metric in known_metrics(Protocol(), EVERYTHING).values() if metric.statistic.per_pose]
-    assert [metric.name for metric in known] == ["spread_error_correlation", "sparsification_area"]
-    values, sequence = np.random.default_rng(3).gamma(2, 20, (30, 2)), np.arange(30) % 4
+    risk = ["aurc", "excess_aurc", "failure_auroc"]
+    assert [metric.name for metric in known] == ["spread_error_correlation", "ause", *risk]
+    values, sequence = np.random.default_rng(3).gamma(2, 70, (30, 2)), np.arange(30) % 4
     for metric in known:
         assert metric.leave_out is not None
         expected = [metric.finish(values[sequence != s]) for s in range(4)]
