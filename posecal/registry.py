@@ -224,7 +224,7 @@ def metrics_of(
     possible = {*known, "default", "all", *families.intersection(GROUPS)}
     raise_all(f"metrics: {word} {_lacks(word, protocol, spec, known)}" for word in words if word not in possible)
     free = {metric.statistic.name for metric in known.values() if metric.headline}
-    free |= {"errors_by_n", "inside_reference", "radii", "failures"}
+    free |= {"errors_by_n", "inside_reference", "radii"}
     return {
         name: metric
         for name, metric in known.items()

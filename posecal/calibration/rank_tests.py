@@ -267,14 +267,14 @@ RANK_TESTS: tuple[Test, ...] = (
     ),
     Test(
         "tarp",
-        "TARP, hypothesis",
+        "TARP about a hypothesis",
         "distance of the whole pose to one hypothesis that is held out",
         "the distances among hypotheses differ from those between hypotheses and truth",
         tarp_hypothesis,
     ),
     Test(
         "tarp_box",
-        "TARP, box",
+        "TARP about a random point",
         "distance of the whole pose, each coordinate in units of its range over the true poses of the other sequences, "
         "to a random point of the box of these ranges",
         "seen from a random point, the truth lies nearer or farther than the hypotheses do",

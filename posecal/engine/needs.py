@@ -14,6 +14,7 @@ NEEDS: dict[Need, str] = {
     "lengths": "lengths (or thresholds in the data's own unit)",
     "three axes": "positions of three coordinates",
     "positions": "positions, not angles",
+    "three hypotheses": "at least 3 hypotheses",
 }
 """What metrics need of the data, in words."""
 
@@ -30,6 +31,7 @@ def unmet(metric: Metric | Curve, scope: Scope) -> tuple[str, ...]:
     """Say in words which needs of a metric the data don't meet."""
     spec, lack = scope.spec, scope.lack(metric.name) if isinstance(metric, Curve) or metric.function is None else ""
     met = {"lengths": spec.unit == "mm", "three axes": spec.n_coordinates == 3, "positions": spec.unit not in PERIODS}
+    met["three hypotheses"] = spec.n_hypotheses > 2
     if spec.is_ragged and not _is_of_any_number(metric):
         return (_AS_MANY,)
     return (*(NEEDS[need] for need in metric.needs if not met[need]), *([lack] if lack else []))

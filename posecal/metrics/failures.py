@@ -7,15 +7,14 @@ take a joint to be right, here of the mean over a pose's joints.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.arrays import FloatArray, checked_number
-from posecal.engine.block import Block
-from posecal.engine.metric import MEAN, Metric, Need, Statistic
+from posecal.data.arrays import BoolArray, FloatArray, checked_number
+from posecal.engine.metric import Metric, Need, Statistic
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import Scope
 from posecal.metrics.risk_coverage import Indices, known_pairs, run_numbers
@@ -101,12 +100,16 @@ def failure_auroc_without(
     return np.where(pairs > 0, (below[failed].sum() - lost + both) / np.maximum(pairs, 1), np.nan)
 
 
+def _share_without(failed: BoolArray, sequence: Indices) -> FloatArray:
+    """Share of failures without the poses of each sequence in turn, (S,)."""
+    rest = len(failed) - np.bincount(sequence)
+    return np.where(rest > 0, (failed.sum() - np.bincount(sequence, failed)) / np.maximum(rest, 1), np.nan)
+
+
 # --- metrics --------------------------------------------------------------------------------------------------
 
 
-def failure_metrics(
-    scope: Scope, of_poses: Statistic, error: Callable[[Block], FloatArray], about: str
-) -> Iterator[Metric]:
+def failure_metrics(scope: Scope, of_poses: Statistic, about: str) -> Iterator[Metric]:
     """AUROC of failures, and their share.
 
     Parameters
@@ -115,19 +118,12 @@ def failure_metrics(
         The options.
     of_poses : Statistic
         Predicted spread and error of every pose, (B, 2).
-    error : callable
-        The error of the poses of a block, (B,).
     about : str
-        What spread and error are.
+        What these are.
     """
     threshold = scope.protocol.failure_threshold
     needs: tuple[Need, ...] = ("lengths",) if threshold == Protocol().failure_threshold else ()
-    make = partial(Metric, unit="", family="sharpness", needs=needs)
-
-    def failures(block: Block) -> FloatArray:
-        errors = error(block)
-        return np.where(np.isnan(errors), np.nan, errors > threshold)
-
+    make = partial(Metric, unit="", family="sharpness", needs=needs, statistic=of_poses)
     yield make(
         name="failure_auroc",
         label="AUROC of failures",
@@ -135,7 +131,6 @@ def failure_metrics(
         brief=f"whether failures, of errors above {threshold:g} mm, have larger spreads; 0.5: no relation",
         definition="area under the ROC curve: P(spread of a failure > spread of a success), ties half; failure: error "
         f"above {threshold:g} mm; {about}",
-        statistic=of_poses,
         finish=lambda values: failure_auroc(values[:, 0], values[:, 1], threshold),
         leave_out=lambda values, sequence: failure_auroc_without(values[:, 0], values[:, 1], sequence, threshold),
         range="0 to 1 (every failure has a larger spread than every success); 0.5: no relation",
@@ -149,8 +144,8 @@ def failure_metrics(
         direction="lower",
         brief=f"share of poses of an error above {threshold:g} mm",
         definition=f"share of poses of an error above {threshold:g} mm; {about}",
-        statistic=Statistic("failures", failures),
-        finish=MEAN,
+        finish=lambda values: (values[:, 1] > threshold).mean() if len(values) else np.nan,
+        leave_out=lambda values, sequence: _share_without(values[:, 1] > threshold, sequence),
         range="0 to 1",
         reading="What failure_auroc is about: the share of poses that fail. Unlike PCK it is of whole poses.",
         source="posecal",

@@ -112,10 +112,11 @@ def fair_per_pose(
     root: int | None,
     axes: str | None,
     unit: str | float | None,
+    least: int = 2,
 ) -> FloatArray:
-    """Compute a fair score of every pose, (M,); refuse fewer than two hypotheses."""
-    if len(checked(hypotheses, truth, axes=axes, unit=unit)[0]) < 2:
-        raise PoseDataError("hypotheses: N = 1; fair scores need at least 2.")
+    """Compute a fair score of every pose, (M,); refuse fewer hypotheses than it needs."""
+    if (n := len(checked(hypotheses, truth, axes=axes, unit=unit)[0])) < least:
+        raise PoseDataError(f"hypotheses: N = {n}; fair scores need at least {least}.")
     return per_pose(statistic, hypotheses, truth, where, root=root, axes=axes, unit=unit)
 
 

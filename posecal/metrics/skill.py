@@ -34,7 +34,7 @@ def skill_metrics(scope: Scope) -> Iterator[Metric]:
             of_reference += ", whose hypotheses too are compared with the model's own median"
         yield Metric(
             name=metric.name.removesuffix("_score") + "_skill",
-            label=f"skill, {metric.label.replace(' score', '')}",
+            label=f"skill of the {metric.label}",
             unit="",
             direction="higher" if metric.direction == "lower" else metric.direction,
             family="scores",

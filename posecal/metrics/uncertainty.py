@@ -335,11 +335,9 @@ def uncertainty_metrics(scope: Scope) -> Iterator[Metric]:
     of = cast(OfPoses, protocol.single_pose)
     index = int(protocol.mode) if of == "mode" and protocol.mode != "score" else None
 
-    def error(block: Block) -> FloatArray:
-        return pose_errors(block, "none", of, scope.body, index)[:, 0]
-
     def spread_and_error(block: Block) -> FloatArray:
-        return np.stack([predicted_spread(block, scope.moving), error(block)], axis=1, dtype=np.float64)
+        error = pose_errors(block, "none", of, scope.body, index)[:, 0]
+        return np.stack([predicted_spread(block, scope.moving), error], axis=1, dtype=np.float64)
 
     statistic = Statistic("predicted_spread_and_error", spread_and_error, per_pose=True)
     about = (
@@ -376,4 +374,4 @@ def uncertainty_metrics(scope: Scope) -> Iterator[Metric]:
         source="Ilg et al., arXiv:1802.07095",
     )
     yield from risk_metrics(statistic, about)
-    yield from failure_metrics(scope, statistic, error, about)
+    yield from failure_metrics(scope, statistic, about)

@@ -44,13 +44,13 @@ def variogram(x: Array, y: Array) -> float:
 
 
 def near_median(x: Array, y: Array, threshold: float) -> tuple[int, bool]:
-    """How many hypotheses, and whether the truth, have every joint within the threshold of the median pose."""
-    median = np.median(x, axis=0)
+    """How many hypotheses have every joint near the median of the others, and whether the truth near that of all."""
 
-    def near(pose: Array) -> bool:
+    def near(pose: Array, others: Array) -> bool:
+        median = np.median(others, axis=0)
         return all(math.dist(joint, middle) < threshold for joint, middle in zip(pose, median, strict=True))
 
-    return sum(near(pose) for pose in x), near(y)
+    return sum(near(x[n], np.delete(x, n, axis=0)) for n in range(len(x))), near(y, x)
 
 
 def brier(inner: int, happened: bool, N: int) -> float:

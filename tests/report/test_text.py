@@ -315,7 +315,7 @@ def test_a_comparison_shows_headlines_scores_and_rank_tests() -> None:
     totals = [report_of(spread, metrics="all").totals for spread in (1.0, 0.5)]
     comparison = compare_totals(totals, ["right", "narrow"])
     shown = [row[0] for row in comparison_sheet(comparison).tables[0].rows]
-    assert {"minMPJPE", "CRPS", "TARP, box"} <= set(shown)
+    assert {"minMPJPE", "CRPS", "TARP about a random point"} <= set(shown)
     assert comparison.metrics["ece_worst"].label not in shown
     assert "energy score: right is best beyond chance." in comparison_sheet(comparison).sentences
 
