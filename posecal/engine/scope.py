@@ -58,6 +58,8 @@ class DataSpec:
         D.
     is_ragged : bool
         Whether hypotheses of some poses are absent; N is the most that a pose has.
+    apart : tuple of str
+        Of merged results: what each had found from its own poses alone, such as the ``coordinate range``.
     """
 
     n_hypotheses: int
@@ -75,6 +77,7 @@ class DataSpec:
     n_coordinates: int = 3
     is_ragged: bool = False
     parents: tuple[int, ...] = ()
+    apart: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         root: object = self.root

@@ -25,7 +25,7 @@ def test_the_probability_is_the_share_of_hypotheses_with_every_joint_near_the_me
         inner, happened = near_median(x[:, m], y[m], 150)
         p = inner / N
         expected.append((p - happened) ** 2 - p * (1 - p) / (N - 1))
-    assert len({round(value, 9) for value in expected}) > min(N, 5)
+    assert len({round(value, 9) for value in expected}) > (2 if N < 5 else 5)
     np.testing.assert_allclose(brier_score(x, y), expected, rtol=1e-9)
 
 
