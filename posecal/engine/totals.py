@@ -168,8 +168,7 @@ class Totals:
 
     def mean(self, statistic: Statistic, cells: Cells = None) -> FloatArray:
         """Mean of a statistic over the poses of some cells; NaN where none counts."""
-        sums, counts = self.of_cells(statistic, cells)
-        return mean_of(sums.sum(axis=0), counts.sum(axis=0))
+        return mean_of(*(part.sum(axis=0) for part in self.of_cells(statistic, cells)))
 
     def averaged(self, statistic: Statistic, cells: Cells = None) -> FloatArray:
         """Mean of a statistic; by the option ``average``, the mean of its groups' means, for each joint by itself."""
