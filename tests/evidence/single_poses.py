@@ -170,7 +170,7 @@ TABLES = [
         "failures",
         ("chance of a failure at spread s", "AUROC", "right", "AURC", "right"),
         failure_rows,
-        200,
+        500,
     ),
     Table("orders", ("order of 20,000 poses", "AURC", "right", "excess AURC", "AUSE"), order_rows, 1),
     Table(
