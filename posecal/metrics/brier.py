@@ -25,14 +25,20 @@ LEAST = 3
 """Hypotheses that it needs: of two, each is the other's median, and both are near or neither is."""
 
 
-def _median_of_others(block: Block) -> FloatArray:
-    """Give for each hypothesis the per-coordinate median of the others, (B, K, D, N)."""
+def _from_median_of_others(block: Block) -> FloatArray:
+    """Give the distance of each hypothesis from the median of the others in each coordinate, (B, K, D, N).
+
+    Without a value below the middle the median moves to ``above``, without one above it to ``below``: the farther of
+    the two. Of an odd number the middle value itself leaves both of its neighbours.
+    """
     x, (middle, odd) = block.offsets, divmod(block.n_hypotheses, 2)
-    below, at = block.sorted[..., middle - 1, None], block.sorted[..., middle, None]
+    below, above = block.sorted[..., middle - 1, None], block.sorted[..., middle, None]
     if not odd:
-        return np.where(x <= below, at, below)
-    above = block.sorted[..., middle + 1, None]
-    return np.where(x == at, (below + above) / 2, np.where(x < at, at + above, below + at) / 2)
+        return np.maximum(above - x, x - below)
+    at, last = above, block.sorted[..., middle + 1, None]
+    distances = np.maximum((at + last) / 2 - x, x - (below + at) / 2)
+    np.copyto(distances, abs(at - (below + last) / 2), where=x == at)
+    return distances
 
 
 def _within(
@@ -44,11 +50,17 @@ def _within(
     """
     scored = block.where if joints is None else block.where & joints
     centre = block.median[..., None]
-    from_centre = block.offsets - _median_of_others(block) if forecast is None else forecast.offsets - centre
+    from_centre = _from_median_of_others(block) if forecast is None else forecast.offsets - centre
     reach = np.where(scored[..., None], squared_norms(block.shortest(from_centre)), 0).max(axis=1)
     truth = np.where(scored, squared_norms(block.shortest(centre))[..., 0], 0).max(axis=1)
     share: FloatArray = (reach < threshold**2).mean(axis=-1)
     return share, np.asarray(truth < threshold**2), np.asarray(scored.any(axis=1))
+
+
+def _of_own(block: Block, joints: BoolArray | None, threshold: float) -> tuple[FloatArray, BoolArray, BoolArray]:
+    """Give the same for the block's own hypotheses, once for the score and its parts."""
+    key = ("own median", None if joints is None else joints.tobytes(), threshold)
+    return block.share(key, lambda: _within(block, joints, threshold))
 
 
 def fair_brier(
@@ -61,14 +73,15 @@ def fair_brier(
     n = (block if forecast is None else forecast).n_hypotheses
     if n < (LEAST if forecast is None else 2):
         return np.full(len(block.where), np.nan)
-    share, happened, counted = _within(block, joints, threshold, forecast)
+    within = _of_own if forecast is None else partial(_within, forecast=forecast)
+    share, happened, counted = within(block, joints, threshold)
     return np.where(counted, (share - happened) ** 2 - share * (1 - share) / (n - 1), np.nan)
 
 
 def brier_counts(block: Block, joints: BoolArray | None = None, threshold: float = 150.0) -> FloatArray:
     """One-hot table of the predicted share and the outcome, (B, N + 1, 2); its sums give the reliability diagram."""
     n = block.n_hypotheses
-    share, happened, counted = _within(block, joints, threshold)
+    share, happened, counted = _of_own(block, joints, threshold)
     table = np.zeros((len(share), n + 1, 2))
     table[np.arange(len(share)), np.rint(share * n).astype(int), happened.astype(int)] = 1
     table[~counted] = np.nan

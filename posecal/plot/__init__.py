@@ -149,6 +149,7 @@ def _risk_coverage_caption(report: Report) -> str:
         if not math.isnan(value := report.value(name)):
             metric = report.metrics[name]
             words.append(f"{metric.label} {value:.3f} {metric.unit}".rstrip())
+            words[-1] += f" (failure rate {report.value('failure_rate'):.4f})" * (name == "failure_auroc")
     return f"{', '.join(words)}. AURC: {report.definition('aurc')}."
 
 

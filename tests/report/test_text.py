@@ -102,6 +102,15 @@ def test_calibration_errors_and_rank_tests_keep_their_own_p_values_side_by_side(
     assert cells(report, "ECE")[4] == ("< 0.001" if report["ece_p"] < 0.001 else f"{report['ece_p']:.3f}")
 
 
+@pytest.mark.parametrize("form", ["markdown", "latex", "html"])
+def test_in_every_form_the_null_its_quantile_and_the_p_value_have_a_column_each(form: str) -> None:
+    report = report_of(2.5, metrics="default, rank_tests")
+    text = report._repr_html_() if form == "html" else report.render(form)  # type: ignore[arg-type]
+    headings = re.sub(r"<[^>]*>|&(?!\w+;)|\|", " | ", text).replace("\\%", "%").replace("&nbsp;", " ")
+    for p in ("p", "adjusted p"):
+        assert len(re.findall(rf"\| +null mean[ |\n]+\| +null 95 %[ |\n]+\| +{p} ", headings)) == 1
+
+
 def test_groups_without_numbers_to_show_have_their_poses() -> None:
     table = report_sheet(report_of(metrics="crps", by=("action",))).tables[-1]
     assert list(table.headings) == ["action", "poses"]
