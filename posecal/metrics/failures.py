@@ -21,7 +21,7 @@ from posecal.metrics.risk_coverage import Indices, known_pairs, run_numbers
 
 
 def failure_auroc(spread: npt.ArrayLike, error: npt.ArrayLike, threshold: float = 150.0) -> float:
-    """Area under the ROC curve of failures, told from successes by the predicted spread.
+    """Area under the ROC curve (AUROC) of failures against successes, by the predicted spread.
 
     The probability that a failure, a pose of an error above the threshold, has a larger predicted spread than a
     success; equal spreads count half.

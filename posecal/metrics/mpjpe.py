@@ -358,7 +358,7 @@ def _of_one_pose(scope: Scope, prefix: str, align: Alignment) -> Iterator[Metric
     for of, words in poses.items():
         yield ERROR(
             name=f"{prefix}{of}_mpjpe",
-            label=_label(prefix, f"MPJPE of the {of.replace('_', ' ')}"),
+            label=f"{of.replace('_', '-')} {_label(prefix, 'MPJPE')}",
             brief=f"of the {words}",
             definition=f"mean over poses of the error of the {words}; error: {error_words(scope, align)}",
             statistic=Statistic(
