@@ -18,6 +18,7 @@ from posecal.engine.scope import DataSpec
 from posecal.errors import PoseDataError
 from posecal.registry import (
     GROUPS,
+    any_metrics,
     check_names,
     curves_of,
     known_metrics,
@@ -352,10 +353,20 @@ def test_a_stack_of_means_gives_each_joint_s_number_as_each_of_them_does(protoco
     }
 
 
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_no_label_reads_as_a_list_of_two(protocol: str) -> None:
+    metrics = any_metrics(PROTOCOLS[protocol], EVERYTHING)
+    labels = [entry.label for entry in (*metrics.values(), *auxiliary_rows(metrics).values())]
+    assert len(labels) > 100
+    assert len({*labels}) == len(labels)
+    assert [label for label in labels if "," in label] == []
+
+
 def test_an_order_over_poses_without_a_sequence_is_that_of_the_others() -> None:
     known = [metric for metric in known_metrics(Protocol(), EVERYTHING).values() if metric.statistic.per_pose]
-    assert [metric.name for metric in known] == ["spread_error_correlation", "sparsification_area"]
-    values, sequence = np.random.default_rng(3).gamma(2, 20, (30, 2)), np.arange(30) % 4
+    risk = ["aurc", "excess_aurc", "failure_auroc", "failure_rate"]
+    assert [metric.name for metric in known] == ["spread_error_correlation", "ause", *risk]
+    values, sequence = np.random.default_rng(3).gamma(2, 70, (30, 2)), np.arange(30) % 4
     for metric in known:
         assert metric.leave_out is not None
         expected = [metric.finish(values[sequence != s]) for s in range(4)]

@@ -169,16 +169,16 @@ def calibration_metrics(scope: Scope) -> Iterator[Metric]:
 def _errors(scope: Scope, definition: Definition) -> Iterator[Metric]:
     statistic, joints, n = _inside(scope, definition), scope.counted(scope.moving), scope.spec.n_hypotheses
     over, plain = scope.protocol.summary_over_joints, definition == "exchangeable"
-    name, label = ("ece", "ECE") if plain else (f"ece_{definition}", f"ECE ({definition})")
+    name, whose = ("ece", "") if plain else (f"ece_{definition}", f" ({definition})")
     summaries: tuple[tuple[str, str, OverJoints, str], ...] = (
-        ("", "", over, f"mean over q of |ω(q) − q|, ω: {_OVER[over][0]} {joints}"),
-        ("_mean", ", mean of joints", "mean", f"mean over {joints} of the mean over q of |ω_k(q) − q|"),
-        ("_worst", ", worst joint", "worst", f"largest over {joints} of the mean over q of |ω_k(q) − q|"),
+        ("", "ECE", over, f"mean over q of |ω(q) − q|, ω: {_OVER[over][0]} {joints}"),
+        ("_mean", "mean ECE of joints", "mean", f"mean over {joints} of the mean over q of |ω_k(q) − q|"),
+        ("_worst", "ECE of the worst joint", "worst", f"largest over {joints} of the mean over q of |ω_k(q) − q|"),
     )
-    for ending, words, how, meaning in summaries:
+    for ending, label, how, meaning in summaries:
         yield _ERROR(
             name=name + ending,
-            label=label + words,
+            label=label + whose,
             brief=f"{definition}; {_OVER[how][1]} {scope.number(scope.moving)}",
             definition=f"{meaning}; {definition} definition, N={n}, {LEVELS.size} levels",
             statistic=statistic,
@@ -214,7 +214,7 @@ def _areas(scope: Scope) -> Iterator[Metric]:
     for name, words, extreme in (("min", "smallest", np.fmin), ("max", "largest", np.fmax)):
         yield _AREA(
             name=f"signed_area_{name}",
-            label=f"signed area, {words} of joints",
+            label=f"{words} signed area of joints",
             brief=f"{words} of {scope.number(scope.moving)}",
             definition=f"∫ (ω_k(q) − q) dq, exchangeable, the {words} over {joints}",
             statistic=statistic,

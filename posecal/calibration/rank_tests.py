@@ -30,7 +30,7 @@ from posecal.calibration.curve import joint_ece
 from posecal.calibration.ranks import LEVELS, rank_weights, shared_ranks
 from posecal.data.arrays import BoolArray, FloatArray, squared_norms
 from posecal.engine.block import Block
-from posecal.engine.metric import Deviation, Metric, Statistic, mean_over_joints
+from posecal.engine.metric import Deviation, Metric, Need, Statistic, mean_over_joints
 from posecal.engine.scope import Scope
 from posecal.engine.weighted import effective_counts, effective_number
 from posecal.errors import PoseDataError
@@ -277,14 +277,14 @@ RANK_TESTS: tuple[Test, ...] = (
     ),
     Test(
         "tarp",
-        "TARP, hypothesis",
+        "TARP about a hypothesis",
         "distance of the whole pose to one hypothesis that is held out",
         "the distances among hypotheses differ from those between hypotheses and truth",
         tarp_hypothesis,
     ),
     Test(
         "tarp_box",
-        "TARP, box",
+        "TARP about a random point",
         "distance of the whole pose, each coordinate in units of its range over the true poses of the other sequences, "
         "to a random point of the box of these ranges",
         "seen from a random point, the truth lies nearer or farther than the hypotheses do",
@@ -294,10 +294,10 @@ RANK_TESTS: tuple[Test, ...] = (
 """The tests, in the order of a report."""
 
 NEEDS_COORDINATE_RANGE = frozenset({"tarp_box"})
-"""The tests whose ranks depend on which poses are evaluated together: of shards they add, but not to the same."""
+"""The tests whose ranks depend on which poses are evaluated together."""
 
-_NEEDS_POSITIONS = frozenset({"pair_distance", "tarp_box"})
-"""The tests that measure distances between joints, or the range of coordinates, which angles don't have."""
+_NEEDS: dict[str, tuple[Need, ...]] = {"pair_distance": ("positions",), "tarp_box": ("positions", "coordinate range")}
+"""Of the tests that measure distances between joints, or the range of coordinates, which angles don't have."""
 
 # --- metrics --------------------------------------------------------------------------------------------------
 
@@ -342,7 +342,7 @@ def _rank_metric(scope: Scope, test: Test, weights: Callable[[Block], FloatArray
         by_joint=(statistic, by_joint) if coordinates else None,
         deviation=Deviation(),
         rejection=test.rejection,
-        needs=("positions",) if test.name in _NEEDS_POSITIONS else (),
+        needs=_NEEDS.get(test.name, ()),
         range="0 (ranks uniform) to about 0.5",
         reading="A test, not a score: read its p-value, which is adjusted for the number of tests. Small p: the truth "
         "does not rank among the hypotheses as one of them would.",

@@ -57,7 +57,7 @@ def merge(
     results: Annotated[list[Path], opt.argument("Saved results of shards of one test set.")],
     output: opt.Output,
 ) -> None:
-    """Add the results of shards: the same numbers as one run, but for what depends on all poses of a run."""
+    """Add the results of shards: the same numbers as one run, without what depends on all poses of a run."""
     check_outputs(*results, output=output)
     import posecal
 

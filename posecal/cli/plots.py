@@ -18,6 +18,7 @@ KINDS = {
     "pck": "PCK and CPS against the threshold.",
     "rank-tests": "The rank curves of each test, with the band that chance allows.",
     "sparsification": "The error left when the most uncertain poses are dropped.",
+    "risk-coverage": "The error of the poses that are kept by their predicted spread.",
     "event": "Reliability of the probability that the median pose is right at every joint.",
 }
 """Figures of a report, with their help."""

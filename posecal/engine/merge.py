@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from posecal.data.remarks import Count, Example, Remark, join_remarks
+from posecal.engine.apart import without_apart, without_own_cuts
 from posecal.engine.measure import EFFECTIVE_NUMBER
 from posecal.engine.pose_hashes import MOST_HASHES, shared_poses, smallest_hashes
 from posecal.engine.totals import Totals, difference_of_signatures, different_metrics
@@ -33,10 +34,11 @@ def merge_totals(parts: Sequence[Totals], names: Sequence[str] | None = None) ->
     Returns
     -------
     Totals
-        What one run over all poses gives, but for what depends on which poses are evaluated together: the coordinate
-        range of ``tarp_box``, climatology's draws and the cuts of the predicted spread are those of each shard, runs of
-        poses without sequence labels stay those of their shard, and no difference over time and no segment reaches over
-        a cut. A sequence may be split over shards.
+        What one run over all poses gives. What depends on which poses are evaluated together is left out, with a
+        remark, unless the shards found it from the same poses: ``tarp_box`` (where they were evaluated with one
+        ``prepared``), skills against climatology, and groups by equal parts of the predicted spread. Runs of poses
+        without sequence labels stay those of their shard, and no difference over time and no segment reaches over a
+        cut. A sequence may be split over shards.
 
     Raises
     ------
@@ -48,8 +50,9 @@ def merge_totals(parts: Sequence[Totals], names: Sequence[str] | None = None) ->
     names = [_ordinal(number) for number in range(1, len(parts) + 1)] if names is None else names
     if len(names) != len(parts):
         raise PoseDataError(f"names: {len(names)} for {len(parts)} results; expected one each.")
-    parts = _with_weights(parts)
+    parts, lost = without_apart(_with_weights(parts))
     labels = [name for name in parts[0].cells if all(name in part.cells for part in parts)]
+    labels, uncut = without_own_cuts(parts, labels)
     _refuse_unlike(parts, names)
     _refuse_shared(parts, names)
     first, has_sequences = parts[0], all(part.has_sequences for part in parts)
@@ -74,9 +77,10 @@ def merge_totals(parts: Sequence[Totals], names: Sequence[str] | None = None) ->
         has_sequences=has_sequences,
         pose_hashes=smallest_hashes([part.pose_hashes for part in parts]),
         own_metrics=first.own_metrics,
+        found=first.found,
     )
-    if cut := _cut_sequences(parts):
-        total.remarks = (*total.remarks, cut)
+    new = (remark for remark in (*lost, uncut, _cut_sequences(parts)) if remark and remark not in total.remarks)
+    total.remarks = (*total.remarks, *new)
     for part, cells in zip(parts, numbers, strict=True):
         np.add.at(total.poses, cells, part.poses)
         for statistic in first.sums:

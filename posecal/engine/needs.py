@@ -14,8 +14,14 @@ NEEDS: dict[Need, str] = {
     "lengths": "lengths (or thresholds in the data's own unit)",
     "three axes": "positions of three coordinates",
     "positions": "positions, not angles",
+    "three hypotheses": "at least 3 hypotheses",
+    "coordinate range": "one coordinate range; each of the results that were merged has its own",
+    "climatology": "one climatology; each of the results that were merged has its own",
 }
 """What metrics need of the data, in words."""
+
+OF_ALL_POSES: tuple[Need, ...] = ("coordinate range", "climatology")
+"""Those that are found from all poses that are evaluated together."""
 
 _AS_MANY = "as many hypotheses of every pose"
 _EQUAL = "hypotheses of equal weight"
@@ -31,6 +37,7 @@ def unmet(metric: Metric | Curve, scope: Scope) -> tuple[str, ...]:
     """Say in words which needs of a metric the data don't meet."""
     spec, lack = scope.spec, scope.lack(metric.name) if isinstance(metric, Curve) or metric.function is None else ""
     met = {"lengths": spec.unit == "mm", "three axes": spec.n_coordinates == 3, "positions": spec.unit not in PERIODS}
+    met |= {"three hypotheses": spec.n_hypotheses > 2, **{part: part not in spec.apart for part in OF_ALL_POSES}}
     if (spec.is_ragged or spec.has_weights) and not _takes_weights(metric):
         return (_AS_MANY if spec.is_ragged else _EQUAL,)
     if spec.has_weights and isinstance(metric, Metric) and metric.function is not None:
@@ -84,7 +91,8 @@ def left_out(metrics: Iterable[Metric], scope: Scope, words: Collection[str]) ->
     groups: dict[str, list[str]] = {}
     for metric in metrics:
         shown = ("default" in words and metric.headline) or {"all", metric.family} & {*words}
-        for need in unmet(metric, scope)[:1] if shown else ():
+        is_apart = {*metric.needs}.intersection(scope.spec.apart)  # of which a remark of its own says more
+        for need in unmet(metric, scope)[:1] if shown and not is_apart else ():
             groups.setdefault(need, []).append(metric.name)
     parts = [f"{first_few(names, _SHOWN)}, which need {need}" for need, names in groups.items()]
     return f"left out: {'; '.join(parts)}." if parts else ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -37,6 +38,12 @@ class Prepared:
 
     limits: CoordinateRange
     sequences: dict[str, int]
+
+    @property
+    def hash(self) -> str:
+        """Equal where two were prepared with the same poses."""
+        ends = (np.asarray(end, dtype=np.float64).tobytes() for end in self.limits)
+        return f"{zlib.crc32(b''.join([*ends, repr(self.sequences).encode(errors='surrogatepass')])):08x}"
 
 
 def prepare(data: PoseData) -> Prepared:

@@ -12,6 +12,9 @@ from posecal.data.joint_names import find_joint, joint_keys
 from posecal.data.skeleton import JOINT_SETS, REST_POSE
 from posecal.errors import PoseDataError, did_you_mean, raise_all
 
+_LENGTHS = ("pck_threshold", "failure_threshold")
+"""Options that are numbers."""
+
 OverJoints = Literal["median", "mean", "worst", "pooled"]
 
 
@@ -119,6 +122,12 @@ class Protocol:
     )
     deviation: Literal["sample", "population"] = _option("sample", "diversity with n - 1 or with n")
     ece_over: Literal["auto", "median", "mean", "worst", "pooled"] = _option("auto", "over joints, for the ECE")
+    single_pose: Literal["mean_pose", "median_pose", "mode"] = _option(
+        "mean_pose", "the pose whose error the predicted spread is compared with (AUSE, AURC, failures)"
+    )
+    failure_threshold: float = _option(
+        150.0, "the error of a pose above which it fails, mm", "a length in mm", lambda mm: 0 < mm < float("inf")
+    )
     average: str = _option(
         "poses", "what the final mean is over", "poses, or a label: the mean of its groups' numbers, or curves"
     )
@@ -133,12 +142,13 @@ class Protocol:
     )
 
     def __post_init__(self) -> None:
-        for name, normal in (("metrics", _joined), ("mode", _text), ("segment", _text), ("pck_threshold", _number)):
+        normals = {"metrics": _joined, "mode": _text, "segment": _text} | dict.fromkeys(_LENGTHS, _number)
+        for name, normal in normals.items():
             object.__setattr__(self, name, normal(getattr(self, name)))
         problems = []
         for option in fields(self):
             value, choices = getattr(self, option.name), CHOICES.get(option.name)
-            right = isinstance(value, float if option.name == "pck_threshold" else str)
+            right = isinstance(value, float if option.name in _LENGTHS else str)
             if choices and not (right and value in choices):
                 problems.append(f"{option.name}: {value!r} is not known. {did_you_mean(str(value), choices)}")
             elif not choices and not (right and option.metadata["valid"](value)):

@@ -63,6 +63,8 @@ class DataSpec:
         Whether hypotheses of some poses are absent; N is the most that a pose has.
     has_weights : bool
         Whether hypotheses of a pose have unequal weights.
+    apart : tuple of str
+        Of merged results: what each had found from its own poses alone, such as the ``coordinate range``.
     """
 
     n_hypotheses: int
@@ -82,6 +84,7 @@ class DataSpec:
     has_weights: bool = False
     parents: tuple[int, ...] = ()
     dimensions: int = 0
+    apart: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         root: object = self.root

@@ -64,6 +64,8 @@ class Totals:
         Of the true poses; see :func:`posecal.engine.pose_hashes.pose_hashes`.
     own_metrics : tuple of Metric
         The user's metrics that the sums are of.
+    found : dict of str
+        Hashes of what was found from all poses together, by the need of metrics that it meets.
     """
 
     spec: DataSpec
@@ -80,6 +82,7 @@ class Totals:
     cell_of: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     pose_hashes: PoseHashes = field(default_factory=lambda: np.zeros((0, 2), dtype=np.uint64))
     own_metrics: tuple[Metric, ...] = ()
+    found: dict[str, str] = field(default_factory=dict)
     _shared: dict[Hashable, tuple[Cells, FloatArray]] = field(default_factory=dict, init=False, compare=False)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -130,12 +133,9 @@ class Totals:
             How many; all there are by default.
         """
         number = self.n_sequences if number is None else number
-        if self.has_sequences:
-            one, many = "sequence", "sequences"
-        elif np.bincount(self.sequence_of, self.poses).max(initial=0) > 1:
-            one, many = "run of frames", "runs of frames"
-        else:
-            one, many = "frame", "frames"
+        is_run = np.bincount(self.sequence_of, self.poses).max(initial=0) > 1
+        one = "sequence" if self.has_sequences else "run of frames" if is_run else "frame"
+        many = "runs of frames" if one == "run of frames" else f"{one}s"
         return f"{number:,} {one if number == 1 else many}"
 
     def groups(self, label: str) -> Iterator[tuple[str, Indices]]:
@@ -164,8 +164,7 @@ class Totals:
 
     def mean(self, statistic: Statistic, cells: Cells = None) -> FloatArray:
         """Mean of a statistic over the poses of some cells; NaN where none counts."""
-        sums, counts = self.of_cells(statistic, cells)
-        return mean_of(sums.sum(axis=0), counts.sum(axis=0))
+        return mean_of(*(part.sum(axis=0) for part in self.of_cells(statistic, cells)))
 
     def averaged(self, statistic: Statistic, cells: Cells = None) -> FloatArray:
         """Mean of a statistic; by the option ``average``, the mean of its groups' means, for each joint by itself."""
@@ -342,6 +341,7 @@ class Totals:
             **({} if s.unit == "mm" else {"unit": s.unit or "none"}),
             "origin": "as given" if s.root is None else root_name(s.root, names),
             **self.protocol.options,
+            **({"apart": ",".join(s.apart)} if s.apart else {}),
         }
         parts.pop("metrics")
         parts["where"] += ",mask" if s.has_mask else ""

@@ -291,8 +291,8 @@ def _of_hypotheses(scope: Scope, prefix: str, align: Alignment) -> Iterator[Metr
         (
             ("min_mpjpe", "minMPJPE", brief, words),
             ("mpjpe", "MPJPE", f"mean of N={n}", f"mean of the N={n} errors"),
-            ("median_mpjpe", "MPJPE, median of N", f"median of N={n}", f"median of the N={n} errors"),
-            ("worst_mpjpe", "MPJPE, worst of N", f"worst of N={n}", f"largest of the N={n} errors"),
+            ("median_mpjpe", "MPJPE (median of N)", f"median of N={n}", f"median of the N={n} errors"),
+            ("worst_mpjpe", "MPJPE (worst of N)", f"worst of N={n}", f"largest of the N={n} errors"),
         )
     ):
         headline, by_joint = prefix + name in {"min_mpjpe", "mpjpe", "pa_min_mpjpe"}, index < 2 and not prefix
@@ -368,7 +368,7 @@ def _of_one_pose(scope: Scope, prefix: str, align: Alignment) -> Iterator[Metric
     for of, words in poses.items():
         yield ERROR(
             name=f"{prefix}{of}_mpjpe",
-            label=_label(prefix, f"MPJPE, {of.replace('_', ' ')}"),
+            label=f"{of.replace('_', '-')} {_label(prefix, 'MPJPE')}",
             brief=f"of the {words}",
             definition=f"mean over poses of the error of the {words}; error: {error_words(scope, align)}",
             statistic=Statistic(

@@ -119,10 +119,12 @@ def fair_per_pose(
     axes: str | None,
     unit: str | float | None,
     weights: npt.ArrayLike | None = None,
+    *,
+    least: int = 2,
 ) -> FloatArray:
-    """Compute a fair score of every pose, (M,); refuse fewer than two hypotheses."""
-    if len(checked(hypotheses, truth, axes=axes, unit=unit)[0]) < 2:
-        raise PoseDataError("hypotheses: N = 1; fair scores need at least 2.")
+    """Compute a fair score of every pose, (M,); refuse fewer hypotheses than it needs."""
+    if (n := len(checked(hypotheses, truth, axes=axes, unit=unit)[0])) < least:
+        raise PoseDataError(f"hypotheses: N = {n}; fair scores need at least {least}.")
     return per_pose(statistic, hypotheses, truth, where, root=root, weights=weights, axes=axes, unit=unit)
 
 

@@ -32,7 +32,7 @@ def root_metrics(scope: Scope) -> Iterator[Metric]:
     n, statistic = scope.spec.n_hypotheses, Statistic("root_errors", root_errors)
     poses = "poses" if scope.protocol.where == "all" else f"poses with {scope.protocol.where} joints"
     for index, (name, label, words) in enumerate(
-        (("min_root_error", "root error, best of N", "smallest"), ("root_error", "root error", "mean"))
+        (("min_root_error", "root error (best of N)", "smallest"), ("root_error", "root error", "mean"))
     ):
         yield Metric(
             name=name,

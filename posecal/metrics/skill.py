@@ -34,11 +34,11 @@ def skill_metrics(scope: Scope) -> Iterator[Metric]:
             of_reference += ", whose hypotheses too are compared with the model's own median"
         yield Metric(
             name=metric.name.removesuffix("_score") + "_skill",
-            label=f"skill, {metric.label.replace(' score', '')}",
+            label=f"skill of the {metric.label}",
             unit="",
             direction="higher" if metric.direction == "lower" else metric.direction,
             family="scores",
-            needs=metric.needs,
+            needs=(*metric.needs, "climatology") if reference == "climatology" else metric.needs,
             brief=f"against {reference}: 0 no better, 1 perfect",
             definition=f"1 − S / S_ref, S: {metric.definition}; S_ref: {of_reference}",
             statistic=_paired(metric.statistic, scope),

@@ -11,31 +11,25 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
+from typing import cast
 
 import numpy as np
 import numpy.typing as npt
 
 from posecal.calibration.ranks import shared_ranks
-from posecal.data.arrays import FloatArray, real_array
+from posecal.data.arrays import FloatArray
 from posecal.engine.block import Block
 from posecal.engine.metric import Metric, Statistic
 from posecal.engine.scope import Scope
-from posecal.errors import PoseDataError
-from posecal.metrics.position import pose_errors
+from posecal.metrics.failures import failure_metrics
+from posecal.metrics.position import OfPoses, pose_errors
+from posecal.metrics.risk_coverage import known_pairs, risk_metrics, run_numbers
 from posecal.metrics.sharpness import predicted_spread
 
 Indices = npt.NDArray[np.intp]
 
 DROPPED: FloatArray = np.arange(20) / 20
 """Shares of poses that the sparsification curve drops: 0, 0.05, … 0.95."""
-
-
-def _pair(spread: npt.ArrayLike, error: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
-    s, e = real_array(spread, "spread").astype(np.float64), real_array(error, "error").astype(np.float64)
-    if s.ndim != 1 or s.shape != e.shape:
-        raise PoseDataError(f"spread {s.shape} and error {e.shape}: expected (M,) both.")
-    known = ~(np.isnan(s) | np.isnan(e))
-    return s[known], e[known]
 
 
 def rank_correlation(spread: npt.ArrayLike, error: npt.ArrayLike) -> float:
@@ -64,14 +58,14 @@ def rank_correlation(spread: npt.ArrayLike, error: npt.ArrayLike) -> float:
 
     See Also
     --------
-    sparsification_area : What dropping poses by their spread loses.
+    ause : What dropping poses by their spread loses.
 
     Examples
     --------
     >>> rank_correlation([10, 20, 30], [5, 40, 20])
     0.5
     """
-    s, e = (shared_ranks(values) - (len(values) - 1) / 2 for values in _pair(spread, error))
+    s, e = (shared_ranks(values) - (len(values) - 1) / 2 for values in known_pairs(spread, error))
     square = float((s * s).sum() * (e * e).sum())
     return round(float((s * e).sum()) / math.sqrt(square), 12) if square > 0 else math.nan
 
@@ -101,7 +95,7 @@ def sparsification(spread: npt.ArrayLike, error: npt.ArrayLike) -> tuple[FloatAr
 
     See Also
     --------
-    sparsification_area : One number from the two curves.
+    ause : One number from the two curves.
 
     References
     ----------
@@ -113,7 +107,7 @@ def sparsification(spread: npt.ArrayLike, error: npt.ArrayLike) -> tuple[FloatAr
     >>> by_spread[10]
     np.float64(0.6)
     """
-    s, e = _pair(spread, error)
+    s, e = known_pairs(spread, error)
     if not len(e):
         return np.full(DROPPED.size, np.nan), np.full(DROPPED.size, np.nan)
     number = np.maximum(np.rint((1 - DROPPED) * len(e)).astype(int), 1)
@@ -122,8 +116,8 @@ def sparsification(spread: npt.ArrayLike, error: npt.ArrayLike) -> tuple[FloatAr
     return by_spread, by_error
 
 
-def sparsification_area(spread: npt.ArrayLike, error: npt.ArrayLike) -> float:
-    """Area between the sparsification curves by spread and by error.
+def ause(spread: npt.ArrayLike, error: npt.ArrayLike) -> float:
+    """Area under the sparsification error (AUSE): between the sparsification curves by spread and by error.
 
     Parameters
     ----------
@@ -142,11 +136,13 @@ def sparsification_area(spread: npt.ArrayLike, error: npt.ArrayLike) -> float:
 
     Notes
     -----
-    Mean over the shares of ``DROPPED``. Differs from the published code: none.
+    Mean over the shares of ``DROPPED``, of curves in shares of the mean error, so that models of other errors compare.
+    Differs from the published code: none.
 
     See Also
     --------
     sparsification : The two curves.
+    excess_aurc : The same area in mm, over all shares.
     rank_correlation : How alike the two orders are.
 
     References
@@ -155,7 +151,7 @@ def sparsification_area(spread: npt.ArrayLike, error: npt.ArrayLike) -> float:
 
     Examples
     --------
-    >>> sparsification_area([1, 2, 3], [10, 20, 30])
+    >>> ause([1, 2, 3], [10, 20, 30])
     0.0
     """
     by_spread, by_error = sparsification(spread, error)
@@ -241,12 +237,12 @@ class _RanksWithout:
     def of(cls, values: FloatArray, sequence: Indices, size: Indices, n_bins: int) -> _RanksWithout:
         M, S = len(values), len(size)
         order = np.argsort(values)
-        ordered = _codes(values[order])
+        ordered = run_numbers(values[order])
         ties = np.bincount(ordered)
         middle = np.cumsum(ties) - (ties + 1) / 2  # rank of each distinct value, from 0
         sequences = sequence[order]
         within = np.argsort(sequences.astype(np.min_scalar_type(S)), kind="stable")  # numbers of few bits sort fastest
-        pairs = _codes(ordered[within], sequences[within])
+        pairs = run_numbers(ordered[within], sequences[within])
         own_ties = np.bincount(pairs)
         first = within[np.cumsum(own_ties) - own_ties]
         own_sequence, own_code = sequences[first], ordered[first]
@@ -280,19 +276,13 @@ class _RanksWithout:
         return np.asarray(exact - self.own_by_bin**2 @ np.bincount(self.bins, minlength=n_bins))
 
 
-def _codes(*ordered: npt.NDArray[np.generic]) -> Indices:
-    """Number runs of equal rows of columns in order, from 0."""
-    apart = np.any([column[1:] != column[:-1] for column in ordered], axis=0)
-    return np.concatenate([[0], np.cumsum(apart)])[: len(ordered[0])]
-
-
 def _cube(number: Indices) -> FloatArray:
     """(n³ - n) / 12: the sum of squared centred ranks of n values, and what as many ties take from it."""
     n = number.astype(np.float64)
     return (n * n - 1) * n / 12
 
 
-def sparsification_area_without(spread: FloatArray, error: FloatArray, sequence: Indices) -> FloatArray:
+def ause_without(spread: FloatArray, error: FloatArray, sequence: Indices) -> FloatArray:
     """Area between the sparsification curves without the poses of each sequence in turn, from one sort of all poses.
 
     The n poses of smallest spread among the others are the first n + j of all in their order, of which j are the
@@ -308,7 +298,7 @@ def sparsification_area_without(spread: FloatArray, error: FloatArray, sequence:
     Returns
     -------
     array (S,)
-        As :func:`sparsification_area`, NaN where no other pose is left. Exact but for rounding.
+        As :func:`ause`, NaN where no other pose is left. Exact but for rounding.
     """
     M, S = len(spread), int(sequence.max(initial=-1)) + 1
     error = error.astype(np.float64)  # sums of so many in single precision would be off
@@ -336,18 +326,23 @@ def sparsification_area_without(spread: FloatArray, error: FloatArray, sequence:
 
 _UNCERTAINTY = partial(Metric, unit="", family="sharpness")
 
+_WORDS: dict[str, str] = {"mean_pose": "mean pose", "median_pose": "median pose", "mode": "mode"}
+
 
 def uncertainty_metrics(scope: Scope) -> Iterator[Metric]:
-    """Rank correlation and sparsification of the predicted spread and the error of poses."""
+    """Orders of poses by predicted spread and by error: correlation, sparsification, risk–coverage, failures."""
+    protocol = scope.protocol
+    of = cast(OfPoses, protocol.single_pose)
+    index = int(protocol.mode) if of == "mode" and protocol.mode != "score" else None
 
     def spread_and_error(block: Block) -> FloatArray:
-        error = pose_errors(block, "none", "mean_pose", scope.body)[:, 0]
+        error = pose_errors(block, "none", of, scope.body, index)[:, 0]
         return np.stack([predicted_spread(block, scope.moving), error], axis=1, dtype=np.float64)
 
     statistic = Statistic("predicted_spread_and_error", spread_and_error, per_pose=True)
     about = (
-        f"predicted spread (mean standard deviation of {scope.counted(scope.moving)}) and error of the mean pose (mean "
-        f"over {scope.counted(scope.body)})"
+        f"predicted spread (mean standard deviation of {scope.counted(scope.moving)}) and error of the {_WORDS[of]} "
+        f"(mean over {scope.counted(scope.body)})"
     )
     yield _UNCERTAINTY(
         name="spread_error_correlation",
@@ -365,16 +360,18 @@ def uncertainty_metrics(scope: Scope) -> Iterator[Metric]:
         source="posecal",
     )
     yield _UNCERTAINTY(
-        name="sparsification_area",
-        label="sparsification area",
+        name="ause",
+        label="AUSE",
         direction="lower",
-        brief="of the error left when the most uncertain poses are dropped",
+        brief="sparsification: error left when poses are dropped by spread, beyond that by error, in mean errors",
         definition="mean over dropped shares 0 … 0.95 of the error left when poses are dropped by spread, minus by "
         f"error, over the mean error; {about}",
         statistic=statistic,
-        finish=lambda values: sparsification_area(*values.T),
-        leave_out=lambda values, sequence: sparsification_area_without(values[:, 0], values[:, 1], sequence),
+        finish=lambda values: ause(*values.T),
+        leave_out=lambda values, sequence: ause_without(values[:, 0], values[:, 1], sequence),
         range="about 0 (spread orders poses as their errors do) upwards",
         reading="What is lost, in mean errors, by dropping poses by their spread instead of their error.",
         source="Ilg et al., arXiv:1802.07095",
     )
+    yield from risk_metrics(statistic, about)
+    yield from failure_metrics(scope, statistic, about)

@@ -309,11 +309,11 @@ def velocity_metrics(scope: Scope) -> Iterator[Metric]:
     each, one = "mean over hypotheses, each followed through its sequence, of the ", "mean of the hypotheses, the "
     kinds: tuple[tuple[str, str, int, Moving, str], ...] = (
         ("mpjve", "MPJVE", 1, "error", each),
-        ("mean_pose_mpjve", "MPJVE, mean pose", 1, "mean_pose_error", one),
+        ("mean_pose_mpjve", "mean-pose MPJVE", 1, "mean_pose_error", one),
         ("acceleration_error", "acceleration error", 2, "error", each),
-        ("mean_pose_acceleration_error", "acceleration error, mean pose", 2, "mean_pose_error", one),
+        ("mean_pose_acceleration_error", "mean-pose acceleration error", 2, "mean_pose_error", one),
         ("jitter", "jitter", 3, "hypotheses", each),
-        ("mean_pose_jitter", "jitter, mean pose", 3, "mean_pose", one),
+        ("mean_pose_jitter", "mean-pose jitter", 3, "mean_pose", one),
         ("true_jitter", "jitter of the truth", 3, "truth", ""),
     )
     for name, label, order, of, words in kinds:

@@ -19,6 +19,7 @@ from posecal.plot.curves import (
     event_reliability,
     pck_curves,
     reliability,
+    risk_coverage,
     sparsification,
 )
 from posecal.plot.intervals import draw_intervals, intervals
@@ -49,6 +50,7 @@ __all__ = [
     "poses",
     "rank_test",
     "reliability",
+    "risk_coverage",
     "save",
     "signed_areas",
     "sparsification",
@@ -60,6 +62,7 @@ KINDS: dict[str, tuple[Callable[..., Any], str]] = {
     "errors": (errors_by_n, "minMPJPE against the number of hypotheses"),
     "pck": (pck_curves, "PCK and CPS against the threshold"),
     "sparsification": (sparsification, "the error left when the most uncertain poses are dropped"),
+    "risk_coverage": (risk_coverage, "the error of the poses that are kept by their predicted spread"),
     "event": (event_reliability, "reliability of: the median pose is right at every joint"),
     "rank_tests": (draw_rank_tests, "rank tests for what the ECE can't see"),
 }
@@ -132,10 +135,22 @@ def _caption(kind: str, report: Report) -> str:
     if kind == "errors":
         return f"{report.curve('errors_by_n')[0].definition}."
     if kind == "sparsification":
-        return f"{report.definition('sparsification_area')}: {report.value('sparsification_area'):.3f}."
+        return f"AUSE {report.value('ause'):.3f}: {report.definition('ause')}."
+    if kind == "risk_coverage":
+        return _risk_coverage_caption(report)
     if kind == "event":
         return f"{report.definition('brier')}. Isotonic regression, equal p pooled."
     return f"Joints: {report.curve('pck_curve')[0].definition}. Poses: {report.curve('cps_curve')[0].definition}."
+
+
+def _risk_coverage_caption(report: Report) -> str:
+    words = []
+    for name in ("aurc", "excess_aurc", "failure_auroc"):
+        if not math.isnan(value := report.value(name)):
+            metric = report.metrics[name]
+            words.append(f"{metric.label} {value:.3f} {metric.unit}".rstrip())
+            words[-1] += f" (failure rate {report.value('failure_rate'):.4f})" * (name == "failure_auroc")
+    return f"{', '.join(words)}. AURC: {report.definition('aurc')}."
 
 
 def _reliability_caption(report: Report) -> str:

@@ -1,8 +1,8 @@
-"""Pictures of curves: reliability diagram, errors against N, PCK and CPS, sparsification, reliability of an event."""
+"""Pictures of curves: reliability diagrams, errors by N, PCK and CPS, sparsification, risk–coverage."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,6 +16,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from posecal.report.report import Report
+
+MOST_POINTS = 500
+"""Points of a curve that has one for each pose."""
+
+_BY_SPREAD: dict[str, Any] = {"color": INK, "lw": 1.8, "label": "by predicted spread"}
+_BY_ERROR: dict[str, Any] = {"color": UNDER, "lw": 1.4, "ls": (0, (5, 1.5)), "label": "by the error itself"}
 
 
 def reliability(
@@ -191,11 +197,46 @@ def sparsification(report: Report, *, ax: Axes | None = None) -> Axes:
     ax = given(ax)
     by_spread, by_error = report.sparsification()
     ax.axhline(1, color=FAINT, lw=1, ls=(0, (2, 2)))
-    ax.plot(DROPPED, by_spread, color=INK, lw=1.8, label="by predicted spread", gid="by_spread")
-    ax.plot(DROPPED, by_error, color=UNDER, lw=1.4, ls=(0, (5, 1.5)), label="by the error itself", gid="by_error")
+    ax.plot(DROPPED, by_spread, gid="by_spread", **_BY_SPREAD)
+    ax.plot(DROPPED, by_error, gid="by_error", **_BY_ERROR)
     ax.set(xlim=(0, 1), ylim=(0, 1.15), xlabel="share of poses dropped", ylabel="mean error of the rest / of all")
     ax.text(0.02, 1.02, "at random", color="#777777", fontsize=7.5)
     ax.legend(loc="lower left")
+    return ax
+
+
+def risk_coverage(report: Report, *, ax: Axes | None = None) -> Axes:
+    """Draw the mean error of the poses that are kept, against their share.
+
+    Parameters
+    ----------
+    report : Report
+        Holds the curves.
+    ax : matplotlib Axes, optional
+        Where to draw; the current axes by default.
+
+    Returns
+    -------
+    matplotlib Axes
+        The axes: keeping poses by the predicted spread, by the error itself, and at random.
+
+    Raises
+    ------
+    PoseDataError
+        Where the report has no spreads and errors.
+    """
+    ax = given(ax)
+    coverage, by_spread, by_error = report.risk_coverage()
+    ax.axhline(by_error[-1], color=FAINT, lw=1, ls=(0, (2, 2)))
+    shown = np.unique(np.linspace(0, len(coverage) - 1, MOST_POINTS).astype(int))
+    for curve, name, style in ((by_spread, "by_spread", _BY_SPREAD), (by_error, "by_error", _BY_ERROR)):
+        ax.plot(coverage[shown], curve[shown], gid=name, **style)
+    unit = report.totals.spec.unit
+    error = f"mean error of the poses kept [{unit}]" if unit else "mean error of the poses kept"
+    ax.set(xlim=(0, 1), xlabel="coverage: share of poses kept", ylabel=error)
+    ax.set_ylim(0, 1.1 * max(by_spread[shown].max(), by_error[-1]))
+    ax.text(0.02, by_error[-1], "at random", color="#777777", fontsize=7.5, va="bottom")
+    ax.legend(loc="lower right")
     return ax
 
 

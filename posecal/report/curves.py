@@ -13,6 +13,7 @@ from posecal.data.arrays import FloatArray
 from posecal.engine.metric import Curve
 from posecal.errors import PoseDataError, did_you_mean, is_among, option
 from posecal.metrics.brier import Reliability, reliability
+from posecal.metrics.risk_coverage import risk_coverage as risk_coverage_curves
 from posecal.metrics.uncertainty import sparsification as sparsification_curves
 from posecal.registry import curves_of, lacks
 
@@ -98,10 +99,26 @@ def sparsification(report: Report) -> tuple[FloatArray, FloatArray]:
     PoseDataError
         Where the report has no spreads and errors.
     """
+    return sparsification_curves(*_spreads_and_errors(report, "sparsification"))
+
+
+def risk_coverage(report: Report) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Give the share of poses that is kept, and the mean error of those, by spread and by error.
+
+    Raises
+    ------
+    PoseDataError
+        Where the report has no spreads and errors.
+    """
+    return risk_coverage_curves(*_spreads_and_errors(report, "risk_coverage"))
+
+
+def _spreads_and_errors(report: Report, what: str) -> FloatArray:
+    """Give the predicted spread and the error of every pose, (2, M)."""
     values = report.totals.per_pose.get("predicted_spread_and_error")
     if values is None:
-        raise PoseDataError("sparsification: the report has no spreads and errors; they are among the default metrics.")
-    return sparsification_curves(values[:, 0], values[:, 1])
+        raise PoseDataError(f"{what}: the report has no spreads and errors; they are among the default metrics.")
+    return values.T
 
 
 def event_reliability(report: Report) -> Reliability:

@@ -39,6 +39,7 @@ _TRIED = {name: choices for name, choices in CHOICES.items() if name not in {"ro
     "segment": ("sequence",),
     "pck_threshold": ("100",),
     "pck_joints": ("all",),
+    "failure_threshold": ("100",),
     "auc_range": ("0:50:100",),
     "cps_joints": ("all",),
 }

@@ -157,7 +157,7 @@ class Report:
     summary_curve = curves.summary_curve
     curve = curves.curve
     rank_curves = curves.rank_curves
-    sparsification = curves.sparsification
+    sparsification, risk_coverage = curves.sparsification, curves.risk_coverage
     event_reliability = curves.event_reliability
 
     def __getitem__(self, name: str) -> float:

@@ -124,13 +124,17 @@ _PROBABILITY = "1 over the number of sign patterns (at most 2000, fewer of a mes
 _SIGNS = "random signs of entire sequences"
 
 AUXILIARY = {
-    "null": AuxiliaryRow("{}, of a calibrated sampler", f"mean of {{}} over {_SIGNS}", _ERRORS, _NULL_READING, _FLIPS),
+    "null": AuxiliaryRow("{} of a calibrated sampler", f"mean of {{}} over {_SIGNS}", _ERRORS, _NULL_READING, _FLIPS),
     "null_95": AuxiliaryRow(
-        "{}, of a calibrated sampler, 95 %", f"95 % quantile of {{}} over {_SIGNS}", _ERRORS, _NULL_READING, _FLIPS
+        "{} of a calibrated sampler (95 % quantile)",
+        f"95 % quantile of {{}} over {_SIGNS}",
+        _ERRORS,
+        _NULL_READING,
+        _FLIPS,
     ),
-    "p": AuxiliaryRow("{}, p-value", f"share of {_SIGNS} that make {{}} as large", _PROBABILITY, _P_READING, _HOLM),
+    "p": AuxiliaryRow("p-value of {}", f"share of {_SIGNS} that make {{}} as large", _PROBABILITY, _P_READING, _HOLM),
     "p_adjusted": AuxiliaryRow(
-        "{}, adjusted p-value",
+        "adjusted p-value of {}",
         f"share of {_SIGNS} that make {{}} as large, adjusted for all tests (Holm)",
         _PROBABILITY,
         _P_READING,
@@ -138,7 +142,10 @@ AUXILIARY = {
     ),
     "floor": AuxiliaryRow("{} of a perfect sampler", "expected {} of a perfect sampler", _ERRORS, _FLOOR_READING),
     "floor_95": AuxiliaryRow(
-        "{} of a perfect sampler, 95 %", "95 % quantile of the {} of a perfect sampler", _ERRORS, _FLOOR_READING
+        "{} of a perfect sampler (95 % quantile)",
+        "95 % quantile of the {} of a perfect sampler",
+        _ERRORS,
+        _FLOOR_READING,
     ),
     "effective_poses": AuxiliaryRow(
         "effective number of poses",
@@ -148,7 +155,7 @@ AUXILIARY = {
         "It is estimated from how the sequences differ, so of few sequences it is rough.",
     ),
     "squared_error": AuxiliaryRow(
-        "squared error of the curves, unbiased",
+        "unbiased squared error of the curves",
         "mean over joints and q of (ω_k(q) − q)² − its variance over sequences; exchangeable definition",
         "about 0 (calibrated; by chance a little below) to about 0.3",
         "Unlike an ECE it does not grow as data shrink: what chance adds to the squared distance from the diagonal is "

@@ -6,6 +6,7 @@ Climatology is the reference that anyone has: hypotheses sampled from the true p
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -38,6 +39,11 @@ class ClimatologySample:
     def n_hypotheses(self) -> int:
         """N."""
         return int(self.donors.shape[1])
+
+    @property
+    def hash(self) -> str:
+        """Equal where two are drawn from the same true poses."""
+        return f"{zlib.crc32(np.ascontiguousarray(self.truth).tobytes()):08x}"
 
     @property
     def itemsize(self) -> int:

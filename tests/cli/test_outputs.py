@@ -54,7 +54,9 @@ def test_results_of_shards_merge_into_that_of_one_run() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["reliability", "joints", "errors", "pck", "sparsification", "event", "rank-tests"])
+@pytest.mark.parametrize(
+    "kind", ["reliability", "joints", "errors", "pck", "sparsification", "risk-coverage", "event", "rank-tests"]
+)
 def test_a_saved_result_is_drawn(kind: str) -> None:
     done(*EVALUATE, "--metrics=default,rank_tests,scores", "--save=all.npz")
     assert done("plot", kind, "all.npz", "-o", "picture.svg") == ""

@@ -57,6 +57,7 @@ def test_the_defaults_that_are_no_choices_are_the_field_s() -> None:
         "metrics": "default",
         "pck_joints": "h36m-14",
         "pck_threshold": "150.0",
+        "failure_threshold": "150.0",
         "pck_relative": "none",
         "auc_range": "0:150:31",
         "segment": "100",

@@ -180,9 +180,9 @@ def test_the_energy_score_of_several_angles_is_proper() -> None:
 
 
 def test_the_score_of_a_median_angle_counts_arcs() -> None:
-    x = np.array([170.0, -170, 178, -178, 150]).reshape(5, 1, 1, 1)  # within 15 of 178 are four
+    x = np.array([170.0, -170, 178, -178, 150]).reshape(5, 1, 1, 1)  # 10, 16, 2, 8 and 30 from the others' median
     score = metrics.brier_score(x, np.full((1, 1, 1), -175.0), threshold=15, unit="deg")
-    assert score == pytest.approx((0.8 - 1) ** 2 - 0.8 * 0.2 / 4)
+    assert score == pytest.approx((0.6 - 1) ** 2 - 0.6 * 0.4 / 4)
 
 
 def test_steps_of_the_mean_angle_go_the_shorter_way() -> None:

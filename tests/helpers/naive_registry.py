@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -313,10 +314,16 @@ class Twin:
     def define_uncertainty(self) -> None:
         deviations = oracles.deviations(self.x, 1)
         spread = np.array([oracles.mean(list(row[w])) for row, w in zip(deviations, self.moving, strict=True)])
-        error = oracles.pose_errors(oracles.one_pose(self.x, "mean_pose"), self.y, self.body)[0]
+        pose = oracles.one_pose(self.x, self.protocol.single_pose, self.world.scores)
+        error = oracles.pose_errors(pose, self.y, self.body)[0]
+        threshold = self.protocol.failure_threshold
         for name, of in (
+            ("aurc", score_oracles.aurc),
+            ("excess_aurc", score_oracles.excess_aurc),
+            ("failure_auroc", partial(score_oracles.failure_auroc, threshold=threshold)),
+            ("failure_rate", partial(score_oracles.failure_rate, threshold=threshold)),
             ("spread_error_correlation", score_oracles.rank_correlation),
-            ("sparsification_area", score_oracles.sparsification_area),
+            ("ause", score_oracles.ause),
         ):
             self.numbers[name] = lambda poses, of=of: of(
                 *(list(values[poses][~np.isnan(spread[poses] + error[poses])]) for values in (spread, error))

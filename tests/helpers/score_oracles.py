@@ -44,13 +44,13 @@ def variogram(x: Array, y: Array) -> float:
 
 
 def near_median(x: Array, y: Array, threshold: float) -> tuple[int, bool]:
-    """How many hypotheses, and whether the truth, have every joint within the threshold of the median pose."""
-    median = np.median(x, axis=0)
+    """How many hypotheses have every joint near the median of the others, and whether the truth near that of all."""
 
-    def near(pose: Array) -> bool:
+    def near(pose: Array, others: Array) -> bool:
+        median = np.median(others, axis=0)
         return all(math.dist(joint, middle) < threshold for joint, middle in zip(pose, median, strict=True))
 
-    return sum(near(pose) for pose in x), near(y)
+    return sum(near(x[n], np.delete(x, n, axis=0)) for n in range(len(x))), near(y, x)
 
 
 def brier(inner: int, happened: bool, N: int) -> float:
@@ -165,7 +165,7 @@ PRERANKS: dict[str, Callable[[Array], list[float]]] = {
 }
 
 
-# --- rank correlation and sparsification ----------------------------------------------------------------------------
+# --- spread and error of poses -------------------------------------------------------------------------------------
 
 
 def rank_correlation(spread: Sequence[float], error: Sequence[float]) -> float:
@@ -177,7 +177,7 @@ def rank_correlation(spread: Sequence[float], error: Sequence[float]) -> float:
     return float((s * e).sum() / math.sqrt((s**2).sum() * (e**2).sum()))
 
 
-def sparsification_area(spread: Sequence[float], error: Sequence[float]) -> float:
+def ause(spread: Sequence[float], error: Sequence[float]) -> float:
     """The mean, over dropped shares 0 … 0.95, of what is left by spread minus what is left by error."""
     if not len(error):
         return math.nan
@@ -188,3 +188,28 @@ def sparsification_area(spread: Sequence[float], error: Sequence[float]) -> floa
         return mean([error[m] for m in least]) / mean(error)
 
     return mean([left(spread, i / 20) - left(error, i / 20) for i in range(20)])
+
+
+def aurc(spread: Sequence[float], error: Sequence[float]) -> float:
+    """The mean, over numbers n of poses, of the mean error of the n of least spread; of equal spreads, their mean."""
+    tied = {value: mean([e for s, e in zip(spread, error, strict=True) if s == value]) for value in spread}
+    kept = [tied[value] for value in sorted(spread)]
+    return mean([mean(kept[:n]) for n in range(1, len(kept) + 1)]) if kept else math.nan
+
+
+def excess_aurc(spread: Sequence[float], error: Sequence[float]) -> float:
+    """How much less the order of the errors has."""
+    return aurc(spread, error) - aurc(error, error)
+
+
+def failure_auroc(spread: Sequence[float], error: Sequence[float], threshold: float) -> float:
+    """The share of pairs of a failure and a success of which the failure has the larger spread."""
+    failures = [s for s, e in zip(spread, error, strict=True) if e > threshold]
+    successes = [s for s, e in zip(spread, error, strict=True) if not e > threshold]
+    pairs = [1.0 if f > s else 0.5 if f == s else 0.0 for f in failures for s in successes]
+    return mean(pairs) if pairs else math.nan
+
+
+def failure_rate(spread: Sequence[float], error: Sequence[float], threshold: float) -> float:
+    """The share of failures."""
+    return mean([float(e > threshold) for e in error]) if len(error) else math.nan

@@ -12,7 +12,7 @@ from scipy import stats
 
 from posecal import evaluate
 from posecal.errors import PoseDataError
-from posecal.metrics.uncertainty import DROPPED, rank_correlation, sparsification, sparsification_area
+from posecal.metrics.uncertainty import DROPPED, ause, rank_correlation, sparsification
 
 values = st.lists(st.tuples(st.integers(0, 6), st.integers(1, 9)), min_size=2, max_size=30)
 
@@ -36,8 +36,8 @@ def test_sparsification_drops_the_widest_first(pairs: list[tuple[int, int]]) -> 
         order = sorted(range(len(pairs)), key=lambda m: spread[m])[:kept]  # equal spreads in the order of the poses
         np.testing.assert_allclose(by_spread[place], np.mean(error[order]) / np.mean(error))
         np.testing.assert_allclose(by_error[place], np.mean(np.sort(error)[:kept]) / np.mean(error))
-    np.testing.assert_allclose(sparsification_area(spread, error), np.mean(by_spread - by_error))
-    assert sparsification_area(spread, error) >= -1e-12
+    np.testing.assert_allclose(ause(spread, error), np.mean(by_spread - by_error))
+    assert ause(spread, error) >= -1e-12
 
 
 def test_poses_without_a_number_are_left_out() -> None:
@@ -48,7 +48,7 @@ def test_poses_without_a_number_are_left_out() -> None:
 
 def test_nothing_left_has_no_curve() -> None:
     assert np.isnan(sparsification([math.nan], [1.0])).all()
-    assert math.isnan(sparsification_area([], []))
+    assert math.isnan(ause([], []))
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
@@ -67,4 +67,4 @@ def test_a_spread_that_goes_with_the_error_correlates_and_another_does_not() -> 
     assert related["spread_error_correlation"] > 0.8
     # Without any relation the correlation's standard error is 1/√(M - 1).
     assert abs(unrelated["spread_error_correlation"]) < 4 / math.sqrt(M - 1)
-    assert related["sparsification_area"] < unrelated["sparsification_area"]
+    assert related["ause"] < unrelated["ause"]

@@ -106,6 +106,10 @@ def test_what_is_no_report_is_not_drawn(what: object) -> None:
             "sparsification",
             r"^sparsification: the report has no spreads and errors; they are among the default metrics\.$",
         ),
+        (
+            "risk_coverage",
+            r"^risk_coverage: the report has no spreads and errors; they are among the default metrics\.$",
+        ),
         ("event", r'^event: the report has no Brier score\. Evaluate with metrics="scores"\.$'),
         ("rank_tests", r'^rank_tests: the report has none\. Evaluate with metrics="rank_tests"\.$'),
     ],

@@ -1,4 +1,4 @@
-"""Pictures of rank tests, sparsification and the reliability of an event: tested on the numbers of their lines."""
+"""Pictures of rank tests and of the uncertainty of poses: tested on the numbers of their lines."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from posecal.calibration import LEVELS
 from posecal.calibration.rank_tests import RANK_TESTS
 from posecal.errors import PoseDataError
-from posecal.plot import draw_rank_tests, event_reliability, rank_test, sparsification
+from posecal.plot import draw, draw_rank_tests, event_reliability, rank_test, risk_coverage, sparsification
 from posecal.plot.style import INK, ORANGE
 from tests.helpers.reports import report_of
 
@@ -73,6 +73,31 @@ def test_the_sparsification_shows_what_is_left_by_spread_and_by_error(ax: Axes) 
     drawn = [np.asarray(line.get_ydata(), dtype=float) for line in ax.lines]
     for curve in report.sparsification():
         assert any(len(line) == len(curve) and np.abs(line - curve).max() < 1e-12 for line in drawn)
+
+
+def test_the_risk_coverage_shows_the_error_of_what_is_kept_by_spread_and_by_error(
+    ax: Axes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    report = report_of()
+    coverage, *curves = report.risk_coverage()
+    for most in (len(coverage) + 5, 7):
+        monkeypatch.setattr("posecal.plot.curves.MOST_POINTS", most)
+        ax.clear()
+        risk_coverage(report, ax=ax)
+        by_name = {line.get_gid(): line for line in ax.lines}
+        for name, curve in zip(("by_spread", "by_error"), curves, strict=True):
+            x, y = (np.asarray(values, dtype=float) for values in by_name[name].get_data())
+            assert len(x) == min(most, len(coverage))
+            assert (x[0], x[-1]) == (coverage[0], 1)
+            np.testing.assert_allclose(y, np.interp(x, coverage, curve))
+        assert ax.get_ylabel() == "mean error of the poses kept [mm]"
+
+
+def test_the_caption_of_the_risk_coverage_has_the_numbers_that_there_are() -> None:
+    report = report_of()
+    (words,) = (text.get_text().replace("\n", " ") for text in draw(report, "risk_coverage").texts)
+    assert words.startswith(f"AURC {report['aurc']:.3f} mm, excess AURC {report['excess_aurc']:.3f} mm")
+    assert ("AUROC" in words.partition(". AURC:")[0]) == (report["failure_rate"] > 0)
 
 
 def test_the_event_shows_the_isotonic_frequencies(ax: Axes) -> None:

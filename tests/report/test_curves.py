@@ -62,7 +62,16 @@ def test_rank_curves_are_one_or_one_per_coordinate() -> None:
 def test_sparsification_begins_with_the_mean_error_of_all() -> None:
     by_spread, by_error = report_of().sparsification()
     assert by_spread[0] == by_error[0] == 1
-    np.testing.assert_allclose((by_spread - by_error).mean(), report_of()["sparsification_area"])
+    np.testing.assert_allclose((by_spread - by_error).mean(), report_of()["ause"])
+
+
+def test_risk_coverage_ends_with_the_mean_error_of_all() -> None:
+    report = report_of()
+    coverage, by_spread, by_error = report.risk_coverage()
+    assert coverage[-1] == 1
+    np.testing.assert_allclose([by_spread[-1], by_error[-1]], report["mean_pose_mpjpe"], rtol=1e-6)
+    np.testing.assert_allclose(by_spread.mean(), report["aurc"])
+    np.testing.assert_allclose((by_spread - by_error).mean(), report["excess_aurc"])
 
 
 def test_the_reliability_of_the_event_is_that_of_the_brier_score() -> None:

@@ -103,6 +103,7 @@ def test_the_pictures_are_within_the_page_and_say_what_they_show() -> None:
         "minMPJPE against the number of hypotheses",
         "PCK and CPS against the threshold",
         "the error left when the most uncertain poses are dropped",
+        "the error of the poses that are kept by their predicted spread",
         "reliability of: the median pose is right at every joint",
         "rank tests for what the ECE can't see",
     ]

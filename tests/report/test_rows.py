@@ -109,7 +109,7 @@ def test_the_rank_tests_rows_have_the_p_values_of_their_table() -> None:
     assert [report.value(f"{name}_p_adjusted") for name in tests] == holm(raw)
     (row,) = (row for row in report.rows if row.metric == f"{least}_p_adjusted")
     assert f"adjusted for all tests (Holm); {len(tests)} tests" in row.definition
-    assert row.label.endswith(", adjusted p-value")
+    assert row.label.startswith("adjusted p-value of ")
 
 
 def test_groups_of_enough_sequences_have_what_a_calibrated_sampler_would_show() -> None:

@@ -102,6 +102,15 @@ def test_calibration_errors_and_rank_tests_keep_their_own_p_values_side_by_side(
     assert cells(report, "ECE")[4] == ("< 0.001" if report["ece_p"] < 0.001 else f"{report['ece_p']:.3f}")
 
 
+@pytest.mark.parametrize("form", ["markdown", "latex", "html"])
+def test_in_every_form_the_null_its_quantile_and_the_p_value_have_a_column_each(form: str) -> None:
+    report = report_of(2.5, metrics="default, rank_tests")
+    text = report._repr_html_() if form == "html" else report.render(form)  # type: ignore[arg-type]
+    headings = re.sub(r"<[^>]*>|&(?!\w+;)|\|", " | ", text).replace("\\%", "%").replace("&nbsp;", " ")
+    for p in ("p", "adjusted p"):
+        assert len(re.findall(rf"\| +null mean[ |\n]+\| +null 95 %[ |\n]+\| +{p} ", headings)) == 1
+
+
 def test_groups_without_numbers_to_show_have_their_poses() -> None:
     table = report_sheet(report_of(metrics="crps", by=("action",))).tables[-1]
     assert list(table.headings) == ["action", "poses"]
@@ -315,7 +324,7 @@ def test_a_comparison_shows_headlines_scores_and_rank_tests() -> None:
     totals = [report_of(spread, metrics="all").totals for spread in (1.0, 0.5)]
     comparison = compare_totals(totals, ["right", "narrow"])
     shown = [row[0] for row in comparison_sheet(comparison).tables[0].rows]
-    assert {"minMPJPE", "CRPS", "TARP, box"} <= set(shown)
+    assert {"minMPJPE", "CRPS", "TARP about a random point"} <= set(shown)
     assert comparison.metrics["ece_worst"].label not in shown
     assert "energy score: right is best beyond chance." in comparison_sheet(comparison).sentences
 

@@ -253,7 +253,7 @@ def _core() -> list[Case]:
         posecal_("recalibrate apply hyps.npz spread.json -o out.npz", "spread.json", JSON, _always),
         posecal_("recalibrate apply hyps.npz radius.json -o out.npz", "radius.json", JSON, _always),
     ]
-    for kind in ("reliability", "joints", "errors", "pck", "rank-tests", "sparsification", "event"):
+    for kind in ("reliability", "joints", "errors", "pck", "rank-tests", "sparsification", "risk-coverage", "event"):
         cases.append(posecal_(f"plot {kind} full.npz -o out.svg", "full.npz", RESULT))
     table = (*bytes_and_zips.BYTES, *[texts.table_edited(",")] * 8)
     tabs = (*bytes_and_zips.BYTES, *[texts.table_edited("\t")] * 8)

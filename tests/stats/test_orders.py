@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from posecal.metrics import uncertainty
 from posecal.metrics.uncertainty import (
+    ause,
+    ause_without,
     rank_correlation,
     rank_correlation_without,
-    sparsification_area,
-    sparsification_area_without,
 )
 from posecal.stats.jackknife import jackknife
 
@@ -24,7 +24,7 @@ Number = Callable[[Array, Array], float]
 
 PAIRS = {
     "rank correlation": (rank_correlation, rank_correlation_without),
-    "sparsification area": (sparsification_area, sparsification_area_without),
+    "AUSE": (ause, ause_without),
 }
 
 
@@ -94,8 +94,8 @@ def test_values_in_single_precision_are_summed_in_double() -> None:
     random = np.random.default_rng(3)
     sequence = np.repeat(np.arange(20), 1000)
     spread, error = random.gamma(2, 20, (2, 20_000)).astype(np.float32)
-    expected = recomputed(sparsification_area, spread, error, sequence)
-    np.testing.assert_allclose(sparsification_area_without(spread, error, sequence), expected, rtol=1e-10)
+    expected = recomputed(ause, spread, error, sequence)
+    np.testing.assert_allclose(ause_without(spread, error, sequence), expected, rtol=1e-10)
 
 
 @pytest.mark.parametrize("kind", PAIRS)

@@ -147,11 +147,14 @@ def test_the_brier_skill_is_about_the_model_s_own_median_for_both() -> None:
     def score(hypotheses: Array, m: int) -> float:
         centre, joints = np.median(x[:, m], axis=0), where[m]
 
-        def near(pose: Array) -> bool:
+        def near(pose: Array, centre: Array) -> bool:
             return bool((np.linalg.norm(pose - centre, axis=-1)[joints] < 90).all())
 
-        n, p = len(hypotheses), np.mean([near(pose) for pose in hypotheses[:, m]])
-        return float((p - near(y[m])) ** 2 - p * (1 - p) / (n - 1))
+        def centre_of(i: int) -> Array:
+            return np.median(np.delete(x[:, m], i, axis=0), axis=0) if hypotheses is x else centre
+
+        n, p = len(hypotheses), np.mean([near(pose, centre_of(i)) for i, pose in enumerate(hypotheses[:, m])])
+        return float((p - near(y[m], centre)) ** 2 - p * (1 - p) / (n - 1))
 
     counted = np.flatnonzero(where.any(axis=1))
     ours, theirs = (np.mean([score(hypotheses, m) for m in counted]) for hypotheses in (x, other))
