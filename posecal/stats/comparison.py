@@ -250,15 +250,18 @@ class Comparison:
     def _adjusted(self, primary: bool) -> dict[str, list[float]]:
         """Give the adjusted p-values of the primary metrics, or of all."""
         names = self.primary if primary else tuple(self.metrics)
-        p = ((name, [one.p for one in self._paired(name)]) for name in names)
-        return self._once(("adjusted", names), lambda: adjust(dict(p)))
+        return self._once(
+            ("adjusted", names), lambda: adjust({name: [pair.p for pair in self._paired(name)] for name in names})
+        )
 
     def _paired(self, metric: str) -> list[Pair]:
+        return self._once(("pairs", metric), lambda: [*self._pairs(metric)])
+
+    def _pairs(self, metric: str) -> Iterator[Pair]:
         present = np.any([self._present(metric, name) for name in self.names], axis=0)
         values = {name: self.value(metric, name) for name in self.names}
         without = {name: self._without(metric, name) for name in self.names}
-        direction = self._find(metric, self.names[0])[0].direction
-        return self._once(("pairs", metric), lambda: [*pairs(direction, values, without, present)])
+        return pairs(self._find(metric, self.names[0])[0].direction, values, without, present)
 
 
 def _plain(value: object) -> object:
