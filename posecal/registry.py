@@ -235,7 +235,7 @@ def metrics_of(
     }
 
 
-def check_names(protocol: Protocol, own: Collection[str] = (), what: str = "metrics") -> None:
+def check_names(protocol: Protocol, own: Collection[str] = ()) -> None:
     """Refuse names of metrics that no data could make known, and pre-ranks whose names are another number's.
 
     Parameters
@@ -244,8 +244,6 @@ def check_names(protocol: Protocol, own: Collection[str] = (), what: str = "metr
         The options.
     own : collection of str
         Names of the user's own pre-ranks.
-    what : str
-        The parameter that gave the names of the metrics.
 
     Raises
     ------
@@ -261,7 +259,7 @@ def check_names(protocol: Protocol, own: Collection[str] = (), what: str = "metr
     known = sorted({*_known_anywhere(), *_REGISTERED, *GROUPS, *own})
     unknown = [word for word in protocol.wanted if word not in known]
     if unknown:
-        raise PoseDataError(f"{what}: {', '.join(unknown)} not known. {did_you_mean(unknown[0], known)}")
+        raise PoseDataError(f"metrics: {', '.join(unknown)} not known. {did_you_mean(unknown[0], known)}")
 
 
 @cache

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from posecal.data.pose_data import PoseData
-from posecal.engine.presets import as_protocol
 from posecal.engine.protocol import Protocol
 from posecal.engine.storage import load_totals
 from posecal.engine.totals import Totals
@@ -15,10 +14,9 @@ from posecal.errors import PoseDataError
 from posecal.evaluation.batches import Evaluation
 from posecal.evaluation.options import check_callable
 from posecal.evaluation.sources import Progress, Source, as_pose_data, check_descriptions
-from posecal.registry import check_names
 from posecal.report.report import Report
 from posecal.stats.comparison import Comparison, compare_totals
-from posecal.stats.multiplicity import names_of
+from posecal.stats.multiplicity import check_known, names_of
 
 
 def compare(
@@ -96,7 +94,7 @@ def compare(
         else:
             data[name] = as_pose_data(model, truth, described)
     if not totals:
-        check_names(as_protocol(None, chosen or None), what="primary")
+        check_known(chosen)
     if metrics is None and protocol is None and all(some.shape[0] > 1 for some in data.values()):
         metrics = ["default", "scores", *chosen]
     for name, some in data.items():

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 
+from posecal.engine.presets import as_protocol
 from posecal.engine.totals import Totals
 from posecal.errors import PoseDataError, did_you_mean, raise_all
-from posecal.registry import unmeasured
+from posecal.registry import check_names, unmeasured
 from posecal.stats.resampling import holm
 
 PRIMARY = ("energy_score", "ece")
@@ -38,6 +39,20 @@ def names_of(primary: object) -> tuple[str, ...]:
         raise PoseDataError(f"primary: {primary!r}; expected names of metrics.")
     names = [name.strip() for part in parts for name in part.split(",")]
     return tuple(dict.fromkeys(filter(None, names)))
+
+
+def check_known(primary: Sequence[str]) -> None:
+    """Refuse names of primary metrics that no data could have, before any are measured.
+
+    Raises
+    ------
+    PoseDataError
+        For the names, all at once.
+    """
+    try:
+        check_names(as_protocol(None, primary or None))
+    except PoseDataError as error:
+        raise PoseDataError(f"primary{error.message.removeprefix('metrics')}") from None
 
 
 def check_primary(primary: Sequence[str], metrics: Collection[str], totals: Totals) -> None:
