@@ -156,10 +156,10 @@ TABLES = [
         (
             "sequences",
             "energy score, p alone",
-            "as a primary metric",
-            "not as a primary metric",
+            "energy score, primary",
+            "energy score, not primary",
             "minMPJPE, p alone",
-            "not as a primary metric",
+            "minMPJPE, not primary",
         ),
         found,
         300,
