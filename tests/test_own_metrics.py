@@ -373,6 +373,7 @@ def test_metrics_that_are_described_otherwise_are_neither_merged_nor_compared(so
 @pytest.mark.parametrize("metric", [DEPTH, RMS], ids=["depth", "rms"])
 def test_models_are_compared_by_it(metric: Metric, some: World, tmp_path: Path) -> None:
     posecal.register(metric)
+    some = replace(some, sequence=np.repeat([*"abcdefgh"], 5))
     better = (
         some.pairs,
         posecal.PoseData(

@@ -18,6 +18,9 @@ def compare(
         list[Path], opt.argument("Hypotheses of two or more models and, last, the truth; or two or more saved results.")
     ],
     *,
+    primary: Annotated[
+        str | None, opt.option("Metrics to name the better model by.", show_default="energy_score,ece")
+    ] = None,
     scoring: opt.ScoringOptions,
     threads: opt.Threads = None,
     data: opt.DataOptions,
@@ -26,8 +29,9 @@ def compare(
 ) -> None:
     """Compare models on the same poses: differences with intervals, p-values and ranks."""
     import posecal
+    from posecal.engine.presets import as_protocol
     from posecal.engine.storage import is_result
-    from posecal.report.text import comparison_sheet
+    from posecal.report.comparison import comparison_sheet
 
     check_outputs(*files, *(scoring.metric or []), plot=plot)
     results = [path for path in files if is_result(path)]
@@ -50,9 +54,16 @@ def compare(
     sources: dict[str, Any] = dict(zip(_names(models), models, strict=True))
     if not saved:
         sources = {name: data.read(path, files[-1], **scoring.matching) for name, path in sources.items()}
+        several = all(source.shape[0] > 1 for source in sources.values())
+        if protocol and not scoring.metrics and "default" in protocol.wanted and several:
+            protocol = as_protocol(protocol, [*protocol.wanted, "scores"])
     with progress() as bar:
         comparison = posecal.compare(
-            sources, protocol=protocol, threads=threads, progress=lambda name: bar(name, len(sources[name].truth))
+            sources,
+            primary=primary,
+            protocol=protocol,
+            threads=threads,
+            progress=lambda name: bar(name, len(sources[name].truth)),
         )
     if form in {"csv", "json"}:
         text = comparison.render(form, words=for_command_line)

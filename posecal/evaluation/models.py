@@ -16,6 +16,7 @@ from posecal.evaluation.options import check_callable
 from posecal.evaluation.sources import Progress, Source, as_pose_data, check_descriptions
 from posecal.report.report import Report
 from posecal.stats.comparison import Comparison, compare_totals
+from posecal.stats.multiplicity import check_known, names_of
 
 
 def compare(
@@ -23,6 +24,7 @@ def compare(
     truth: Source | None = None,
     /,
     *,
+    primary: str | Sequence[str] | None = None,
     metrics: str | Sequence[str] | None = None,
     protocol: Protocol | str | None = None,
     threads: int | None = None,
@@ -37,8 +39,13 @@ def compare(
         By name, each a report, its totals, pose data, the path of a saved result, or hypotheses (then with ``truth``).
     truth : array (M, K, D) or path, optional
         True poses, for hypotheses.
+    primary : str or sequence of str, optional
+        Metrics that the comparison rests on, chosen before one has seen the numbers; by default the energy score and
+        the ECE, and minMPJPE where the energy score was not measured. Their p-values are adjusted for the number of
+        primary metrics and pairs of models, all others for the number of all metrics and pairs.
     metrics, protocol, threads
-        As for :func:`evaluate`, for models that are evaluated here; ``default, scores`` by default.
+        As for :func:`evaluate`, for models that are evaluated here; ``default, scores`` and the primary ones by
+        default.
     progress : callable, optional
         From the name of a model to what is called with the number of its poses that are done.
     **described
@@ -52,7 +59,13 @@ def compare(
     Raises
     ------
     PoseDataError
-        Where there are fewer than two models, or two were not made alike or not on the same poses.
+        Where there are fewer than two models, or two were not made alike or not on the same poses, and for primary
+        metrics that are none of theirs.
+
+    Notes
+    -----
+    Between two models that are equally good, some metric names a better one in at most 7 % of simulated runs: 5 % by
+    the primary metrics, and little more by the others.
 
     Examples
     --------
@@ -68,6 +81,7 @@ def compare(
         raise PoseDataError(f"models: {type(models).__name__}; expected a mapping from names to reports or hypotheses.")
     check_descriptions(described)
     check_callable("progress", progress)
+    chosen = names_of(primary)
     totals: dict[str, Totals] = {}
     data: dict[str, PoseData] = {}
     for name, model in models.items():
@@ -79,10 +93,12 @@ def compare(
             totals[name] = load_totals(model)
         else:
             data[name] = as_pose_data(model, truth, described)
+    if not totals:
+        check_known(chosen)
     if metrics is None and protocol is None and all(some.shape[0] > 1 for some in data.values()):
-        metrics = ["default", "scores"]
+        metrics = ["default", "scores", *chosen]
     for name, some in data.items():
         evaluation = Evaluation(metrics=metrics, protocol=protocol, threads=threads)
         evaluation.add(some, progress=None if progress is None else progress(name), complete=True)
         totals[name] = evaluation.totals()
-    return compare_totals([totals[name] for name in models], list(models))
+    return compare_totals([totals[name] for name in models], list(models), chosen)

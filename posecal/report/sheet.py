@@ -25,8 +25,12 @@ GAP = 2
 """Columns of the terminal between two columns of a table."""
 
 _SYMBOLS = {"↓": "downarrow", "↑": "uparrow", "ω": "omega", "τ": "tau", "∫": "int", "≤": "le", "√": "surd", "‖": "Vert"}
+BOLD = "\ue010", "\ue011"
+"""Marks around bold text, of Unicode's private characters, until LaTeX is written."""
+
 LATEX = str.maketrans(
     {"\u00a0": "~", "−": "$-$", "<": "$<$", ">": "$>$", **{letter: rf"$\{name}$" for letter, name in _SYMBOLS.items()}}
+    | dict(zip(BOLD, (r"\textbf{", "}"), strict=True))
 )
 """Letters that LaTeX knows by other names."""
 
@@ -55,6 +59,8 @@ class Table:
         never broken over lines.
     breaks : bool
         Whether line breaks in cells are kept, not escaped.
+    best : collection of (int, int)
+        Row and column of the cells that LaTeX and Markdown print in bold.
     """
 
     title: str
@@ -62,6 +68,7 @@ class Table:
     rows: Sequence[tuple[str, ...]]
     words: Collection[str] = ()
     breaks: bool = False
+    best: Collection[tuple[int, int]] = ()
 
     def __post_init__(self) -> None:
         for part in fields(self):
@@ -73,11 +80,15 @@ class Table:
         """The headings, and whether a column holds numbers."""
         return [(heading, k > 0 and heading not in self.words) for k, heading in enumerate(self.headings)]
 
-    def frame(self) -> pd.DataFrame:
-        """Give the table as a pandas data frame of text."""
+    def frame(self, bold: tuple[str, str] = ("", "")) -> pd.DataFrame:
+        """Give the table as a pandas data frame of text, with marks around what is bold."""
         import pandas as pd
 
-        return pd.DataFrame(list(self.rows), columns=list(self.headings), dtype=str)
+        rows = [
+            [cell.join(bold) if (row, column) in self.best else cell for column, cell in enumerate(cells)]
+            for row, cells in enumerate(self.rows)
+        ]
+        return pd.DataFrame(rows, columns=list(self.headings), dtype=str)
 
     def parts(self, width: int) -> list[RichTable]:
         """Lay the table out for a terminal: where its numbers don't fit, as several with the same first column."""
@@ -173,7 +184,7 @@ class Sheet:
         """Write the sheet as Markdown, without a final line break."""
         blocks = [_escape(self.title), *map(_escape, self.words)]
         for table in self.tables:
-            frame = table.frame().map(_escape).rename(columns=_escape)
+            frame = table.frame(("**", "**")).map(_escape).rename(columns=_escape)
             align = ["right" if is_number else "left" for _, is_number in table.columns]
             blocks += [f"### {_escape(table.title)}"]
             blocks += [frame.to_markdown(index=False, disable_numparse=True, colalign=align)]
@@ -187,7 +198,7 @@ class Sheet:
         lines = [f"% {text}" for text in (self.title, *self.words)]
         for table in self.tables:
             columns = "".join("r" if is_number else "l" for _, is_number in table.columns)
-            tabular = table.frame().to_latex(index=False, escape=True, column_format=columns)
+            tabular = table.frame(BOLD).to_latex(index=False, escape=True, column_format=columns)
             lines += ["", f"% {table.title}", tabular.translate(LATEX).rstrip("\n")]
         lines += ["", *(f"% {term}: {meaning}" for term, meaning in self.definitions), f"% {self.footer}"]
         return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""What stands on the sheet of a report, a comparison, a recalibration and the list of presets."""
+"""What stands on the sheet of a report, a recalibration and the list of presets."""
 
 from __future__ import annotations
 
@@ -14,12 +14,11 @@ from posecal.engine.protocol import CHOICES, Protocol
 from posecal.errors import for_python
 from posecal.report.format import MISSING, counted, number, short_number, short_p, span
 from posecal.report.sheet import Sheet, Table
-from posecal.report.summary import frames_differ, remarks
+from posecal.report.summary import remarks
 from posecal.stats.resampling import MESH
 
 if TYPE_CHECKING:
     from posecal.report.report import Report
-    from posecal.stats.comparison import Comparison
 
 Words = Callable[[str], str]
 
@@ -143,56 +142,6 @@ def _by_joint(report: Report) -> Table:
         for joint in report.totals.spec.joints
     ]
     return Table("By joint", ("joint", *map(_heading, metrics.values())), rows)
-
-
-def comparison_sheet(comparison: Comparison, words: Words = for_python) -> Sheet:
-    """Lay out a comparison: two models with their differences, or more with their ranks."""
-    names, first = comparison.names, comparison.totals[0]
-    metrics = {n: m for n, m in comparison.metrics.items() if m.headline or m.family in {"scores", "rank_tests"}}
-    rows = [_compared(comparison, metric) for metric in metrics.values()]
-    headings = ("metric", *names, "difference", "95 % interval", "p", "better")
-    if len(names) > 2:
-        headings = ("metric", *(f"{name} (rank)" for name in names))
-    return Sheet(
-        f"{' against '.join(names)} · the same M = {first.poses.sum():,} poses, paired by {first.units()}",
-        sentences=_comparison_sentences(comparison),
-        remarks=list(comparison.remarks_in(words)),
-        tables=[Table("Comparison", headings, rows, ["better"])],
-        footer=f"signature: {first.signature}",
-    )
-
-
-def _compared(comparison: Comparison, metric: Metric) -> tuple[str, ...]:
-    values = [number(comparison.value(metric.name, model), metric.unit) for model in comparison.names]
-    if len(values) > 2:
-        if metric.direction != "none":
-            ranks = (comparison.rank(metric.name, model) for model in comparison.names)
-            values = [f"{value} ({rank})" for value, rank in zip(values, ranks, strict=True)]
-        return metric.label, *values
-    (difference,) = comparison.differences_of(metric.name)
-    digits = 2 if metric.unit else 4
-    low, high, p = difference.low, difference.high, difference.p
-    interval = "" if math.isnan(low) else f"{low:+.{digits}f} to {high:+.{digits}f}"
-    p_text = "" if math.isnan(p) else short_p(p)
-    return metric.label, *values, f"{difference.value:+.{digits}f}", interval, p_text, difference.better or ""
-
-
-def _comparison_sentences(comparison: Comparison) -> list[str]:
-    """Name the best model by accuracy, calibration and score, and the models that are not miscalibrated.
-
-    Nothing is said about calibration where the coordinate frames of a model differ.
-    """
-    sentences, differ = [], any(map(frames_differ, comparison.totals))
-    for name in ("min_mpjpe", "energy_score") if differ else ("min_mpjpe", "ece", "energy_score"):
-        if name in comparison.metrics:
-            ranks = {model: comparison.rank(name, model) for model in comparison.names}
-            first = [model for model, rank in ranks.items() if rank == 1]
-            best = f"{first[0]} is" if len(first) == 1 else "none is"
-            sentences.append(f"{comparison.metrics[name].label}: {best} best beyond chance.")
-    if not differ and "ece" in comparison.metrics and not math.isnan(comparison.feasible()):
-        models = ", ".join(comparison.calibrated()) or "none"
-        sentences.append(f"Not miscalibrated beyond chance: {models}.")
-    return sentences
 
 
 def presets_sheet() -> Sheet:

@@ -1,18 +1,18 @@
 """Comparison of models on the same poses, paired by sequence: differences, intervals, p-values and ranks.
 
 Both models meet the same easy and hard sequences, so their difference is less uncertain than either number: every
-metric's difference is jackknifed over sequences, and its interval and p-value come from that. Models whose numbers were
-not made alike, or on other poses, are refused.
+metric's difference is jackknifed over sequences, and its interval and p-value come from that. Which model is better is
+said by p-values that are adjusted for the number of tests. Models whose numbers were not made alike, or on other poses,
+are refused.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
 from html import escape
-from itertools import combinations
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -24,9 +24,11 @@ from posecal.engine.metric import Metric
 from posecal.engine.sums import sum_by
 from posecal.engine.totals import Totals, difference_of_signatures, different_metrics
 from posecal.errors import PoseDataError, did_you_mean, for_python, option, printable
-from posecal.registry import metrics_of
-from posecal.stats.jackknife import Interval, counting_sequences, jackknife, leave_one_out, paired_p
-from posecal.stats.resampling import LEVEL, MIN_SEQUENCES, Null, holm
+from posecal.registry import metrics_of, unmeasured
+from posecal.stats.jackknife import Interval, counting_sequences, jackknife, leave_one_out
+from posecal.stats.multiplicity import PRIMARY, adjust, check_primary, default_primary
+from posecal.stats.pairs import Difference, Pair, pairs
+from posecal.stats.resampling import LEVEL, MIN_SEQUENCES, Null
 from posecal.stats.uncertainty import null
 
 if TYPE_CHECKING:
@@ -35,36 +37,6 @@ if TYPE_CHECKING:
 FORMATS = ("csv", "json", "latex", "markdown")
 
 T = TypeVar("T")
-
-
-@dataclass(frozen=True)
-class Difference:
-    """How one metric differs between two models.
-
-    Attributes
-    ----------
-    metric : str
-        Name in snake case.
-    first, second : str
-        The two models.
-    value : float
-        The first's number minus the second's; where 0 is best, how much further from 0 the first's is.
-    low, high : float
-        95 % interval of the difference, over repetitions of the sequences.
-    p : float
-        Two-sided p-value, adjusted for the number of pairs of models (Holm).
-    better : str or None
-        The model that is better beyond chance; None where neither is, or where no direction is better.
-    """
-
-    metric: str
-    first: str
-    second: str
-    value: float
-    low: float
-    high: float
-    p: float
-    better: str | None
 
 
 @dataclass(frozen=True, repr=False)
@@ -77,10 +49,13 @@ class Comparison:
         The models.
     totals : tuple of Totals
         Their sums.
+    chosen : tuple of str
+        Primary metrics; none for those of the default.
     """
 
     names: tuple[str, ...]
     totals: tuple[Totals, ...]
+    chosen: tuple[str, ...] = ()
     _memory: dict[Hashable, Any] = field(default_factory=dict, init=False, compare=False)
 
     def __repr__(self) -> str:
@@ -97,7 +72,10 @@ class Comparison:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What a careful reader should know about the data of each model, after its name; once where it is of all."""
+        """What a careful reader should know: about the tests, and about the data of each model, after its name.
+
+        A remark on the data of all models stands once.
+        """
         return self.remarks_in(for_python)
 
     def remarks_in(self, words: Callable[[str], str]) -> tuple[str, ...]:
@@ -106,10 +84,25 @@ class Comparison:
         for name, totals in zip(self.names, self.totals, strict=True):
             for remark in totals.remarks:
                 models.setdefault(words(remark), []).append(name)
-        return tuple(
+        of_data = (
             remark if len(some) == len(self.names) else f"{', '.join(some)}: {remark}"
             for remark, some in models.items()
         )
+        return (*map(words, self._remarks_on_tests), *of_data)
+
+    @cached_property
+    def _remarks_on_tests(self) -> list[str]:
+        """Say why there are no p-values, and why other metrics than usual are the primary ones."""
+        remarks, first = [], self.totals[0]
+        if first.n_sequences < MIN_SEQUENCES:
+            remarks.append(
+                f"no p-values on {first.units()}, and no model is called better; expected at least {MIN_SEQUENCES}. "
+                "With fewer, one of two equal models is ahead in all of them in more than 5 % of cases."
+            )
+        lack = "" if self.chosen else unmeasured(PRIMARY[0], first.protocol, first.spec)
+        if lack and PRIMARY[0] not in self.metrics:
+            remarks.append(f"primary metrics: {', '.join(self.primary)}; {PRIMARY[0]} {lack}")
+        return remarks
 
     @property
     def _notes(self) -> list[str]:
@@ -121,6 +114,11 @@ class Comparison:
         known = [metrics_of(totals.protocol, totals.spec, own=totals.own_metrics) for totals in self.totals]
         names = [{name: metric.statistic.name for name, metric in some.items()} for some in known]  # of one density
         return {n: m for n, m in known[0].items() if all(other.get(n) == m.statistic.name for other in names)}
+
+    @cached_property
+    def primary(self) -> tuple[str, ...]:
+        """The metrics that the comparison rests on: the chosen ones, else the energy score and the ECE."""
+        return self.chosen or default_primary(self.metrics)
 
     def value(self, metric: str, model: str) -> float:
         """Give a model's number."""
@@ -214,8 +212,8 @@ class Comparison:
             for model in self.names
         ]
         differences = [{key: _plain(value) for key, value in asdict(d).items()} for d in self.differences]
-        about = {"signature": self.totals[0].signature, "models": self.names, "remarks": self.remarks_in(words)}
-        return json_lines({**about, "values": values, "differences": differences})
+        about = {"signature": self.totals[0].signature, "models": self.names, "primary": self.primary}
+        return json_lines({**about, "remarks": self.remarks_in(words), "values": values, "differences": differences})
 
     def _find(self, metric: str, model: str) -> tuple[Metric, Totals]:
         if metric not in self.metrics:
@@ -245,32 +243,33 @@ class Comparison:
             raise PoseDataError(f"test: {metric} is no calibration error or rank test. {did_you_mean(metric, tested)}")
         return self._once(("null", metric, model), lambda: null(totals, one))
 
-    def _compare(self, metric: str) -> list[Difference]:
-        direction, names = self._find(metric, self.names[0])[0].direction, self.names
-        values = [self.value(metric, name) for name in names]
-        without = [self._without(metric, name) for name in names]
-        if direction == "zero":  # nearer to 0 is better: the distances from it are compared
-            values, without = [abs(value) for value in values], [np.abs(some) for some in without]
-        pairs = list(combinations(range(len(names)), 2))
-        present = np.any([self._present(metric, name) for name in names], axis=0)
-        intervals = [jackknife(values[a] - values[b], without[a] - without[b], present) for a, b in pairs]
-        differences = []
-        for (a, b), interval, p in zip(pairs, intervals, holm([paired_p(each) for each in intervals]), strict=True):
-            better = None
-            if p < LEVEL and direction != "none":
-                better = names[a if (values[a] < values[b]) == (direction != "higher") else b]
-            difference = values[a] - values[b]
-            differences.append(
-                Difference(metric, names[a], names[b], difference, interval.low, interval.high, p, better)
-            )
-        return differences
+    def _compare(self, metric: str) -> Iterator[Difference]:
+        direction, primary = self._find(metric, self.names[0])[0].direction, metric in self.primary
+        for pair, adjusted in zip(self._paired(metric), self._adjusted(primary)[metric], strict=True):
+            yield pair.difference(metric, direction, adjusted, primary=primary)
+
+    def _adjusted(self, primary: bool) -> dict[str, list[float]]:
+        """Give the adjusted p-values of the primary metrics, or of all."""
+        names = self.primary if primary else tuple(self.metrics)
+        return self._once(
+            ("adjusted", names), lambda: adjust({name: [pair.p for pair in self._paired(name)] for name in names})
+        )
+
+    def _paired(self, metric: str) -> list[Pair]:
+        return self._once(("pairs", metric), lambda: [*self._pairs(metric)])
+
+    def _pairs(self, metric: str) -> Iterator[Pair]:
+        present = np.any([self._present(metric, name) for name in self.names], axis=0)
+        values = {name: self.value(metric, name) for name in self.names}
+        without = {name: self._without(metric, name) for name in self.names}
+        return pairs(self._find(metric, self.names[0])[0].direction, values, without, present)
 
 
 def _plain(value: object) -> object:
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
-def compare_totals(totals: Sequence[Totals], names: Sequence[str]) -> Comparison:
+def compare_totals(totals: Sequence[Totals], names: Sequence[str], primary: Sequence[str] = ()) -> Comparison:
     """Compare models on the same poses.
 
     Parameters
@@ -279,6 +278,8 @@ def compare_totals(totals: Sequence[Totals], names: Sequence[str]) -> Comparison
         Two or more, made alike.
     names : sequence of str
         What the models are called.
+    primary : sequence of str
+        Metrics that the comparison rests on; see :func:`posecal.compare`.
 
     Returns
     -------
@@ -288,7 +289,7 @@ def compare_totals(totals: Sequence[Totals], names: Sequence[str]) -> Comparison
     Raises
     ------
     PoseDataError
-        Where two were not made alike or not on the same poses.
+        Where two were not made alike or not on the same poses, and for primary metrics that they lack.
     """
     if len(totals) < 2:
         raise PoseDataError(f"compare: {len(totals)} model; expected at least 2.")
@@ -305,7 +306,9 @@ def compare_totals(totals: Sequence[Totals], names: Sequence[str]) -> Comparison
         if metrics := different_metrics(first, other):
             raise PoseDataError(f"{names[0]} and {name} define {metrics} differently; expected the same metrics.")
         _check_same_poses(first, other, names[0], name)
-    return Comparison(tuple(names), tuple(totals))
+    comparison = Comparison(tuple(names), tuple(totals), tuple(primary))
+    check_primary(primary, comparison.metrics, first)
+    return comparison
 
 
 def _check_same_poses(first: Totals, other: Totals, name: str, other_name: str) -> None:

@@ -45,6 +45,39 @@ def test_three_models_are_ranked() -> None:
     assert re.findall(r"\((\d)\)", row) == ["1", "2", "2"]
 
 
+def test_three_models_stand_with_the_p_and_interval_of_each_pair() -> None:
+    copied("narrow.npz", "same.npz")
+    text = done("compare", "right.npz", "narrow.npz", "same.npz", "true.npz", "--format=markdown")
+    rows = [line for line in text.splitlines() if line.startswith("| energy score ") and " − " in line]
+    assert [re.findall(r"\w+ − \w+", row)[0] for row in rows] == ["right − narrow", "right − same", "narrow − same"]
+    assert all(re.search(r"[+-][\d.]+ to [+-][\d.]+", row) for row in rows[:2])
+    assert [row.split("|")[-2].strip() for row in rows] == ["right", "right", ""]
+
+
+def test_primary_metrics_are_chosen_by_name() -> None:
+    found = json.loads(done(*COMPARE, "--primary=mahalanobis, crps", "--format=json"))
+    assert found["primary"] == ["mahalanobis", "crps"]
+    assert {d["metric"] for d in found["differences"] if d["primary"]} == {"mahalanobis", "crps"}
+    assert "primary: crp not known. Did you mean crps?" in refused(*COMPARE, "--primary=crp")
+    said = refused(*COMPARE, "--primary=crps", "--metrics=ece")
+    assert "primary: crps was not measured. Evaluate with --metrics 'ece, scores'." in said
+
+
+@pytest.mark.parametrize("words", [(), ("--where=all",), ("--rank-tests",)])
+def test_scores_are_compared_unless_metrics_are_chosen(words: tuple[str, ...]) -> None:
+    found = json.loads(done(*COMPARE, *words, "--format=json"))
+    assert found["primary"] == ["energy_score", "ece"]
+    assert json.loads(done(*COMPARE, *words, "--metrics=default", "--format=json"))["primary"] == ["min_mpjpe", "ece"]
+
+
+def test_results_without_scores_say_so_once() -> None:
+    for name in ("right", "narrow"):
+        done("evaluate", f"{name}.npz", "true.npz", "--save", f"{name}-result.npz")
+    text = done("compare", "right-result.npz", "narrow-result.npz")
+    words = "note: primary metrics: min_mpjpe, ece; energy_score was not measured. Evaluate with --metrics 'default, "
+    assert " ".join(text.split()).count(words) == 1
+
+
 def test_single_poses_are_compared_by_their_accuracy() -> None:
     for name in ("right", "narrow"):
         with np.load(f"{name}.npz") as file:

@@ -79,6 +79,25 @@ def test_models_are_compared_by_the_default_metrics_and_scores_unless_others_are
     assert "align=rigid" in both.totals[0].signature
 
 
+def test_primary_metrics_are_measured_and_checked_before_the_models_are() -> None:
+    found = posecal.compare(MODELS, Y, primary=["mahalanobis", "ece"], **HOW)
+    assert found.primary == ("mahalanobis", "ece")
+    assert "energy_score" in found.metrics
+    assert posecal.compare(MODELS, Y, metrics="mpjpe, pck", **HOW).primary == ("mpjpe", "pck")
+    counted: list[str] = []
+    for primary, words in (
+        ("crp", r"^primary: crp not known\. Did you mean crps\?"),
+        (5, r"^primary: 5; expected names of metrics\.$"),
+    ):
+        with pytest.raises(PoseDataError, match=words):
+            posecal.compare(MODELS, Y, primary=primary, progress=counted.append, **HOW)  # type: ignore[arg-type]
+    assert counted == []
+    reports = {name: evaluated(x, metrics=METRICS) for name, x in MODELS.items()}
+    assert posecal.compare(reports, primary="mpjpe").primary == ("mpjpe",)
+    with pytest.raises(PoseDataError, match=r"^primary: crps was not measured\. Evaluate with metrics="):
+        posecal.compare(reports, primary="crps")
+
+
 @pytest.mark.parametrize("n", [1, 2])
 def test_of_one_hypothesis_there_are_no_scores(n: int) -> None:
     found = posecal.compare({name: x[:n] for name, x in MODELS.items()}, Y, **HOW).metrics

@@ -1,4 +1,4 @@
-"""The sheets of reports, comparisons, recalibrations and presets: what stands on them, in every form."""
+"""The sheets of reports, recalibrations and presets: what stands on them, in every form."""
 
 import re
 from dataclasses import fields
@@ -16,10 +16,8 @@ from posecal.engine.protocol import Protocol
 from posecal.errors import for_command_line
 from posecal.report import text as text_module
 from posecal.report.report import Report
-from posecal.report.text import comparison_sheet, presets_sheet, radius_sheet, report_sheet, spread_sheet
-from posecal.stats.comparison import compare_totals
+from posecal.report.text import presets_sheet, radius_sheet, report_sheet, spread_sheet
 from tests.helpers.reports import grouped_report, report_of, unlabelled, world
-from tests.situations.people import JOINTS, about, people
 
 
 def squeezed(text: str) -> str:
@@ -250,89 +248,6 @@ def test_all_options_are_listed_with_their_defaults_and_values() -> None:
     (root,) = (row for row in options.rows if row[0] == "root")
     assert root[2] == "count | drop"
     assert not any(is_number for table in (presets, options) for _, is_number in table.columns)
-
-
-# --- comparisons ----------------------------------------------------------------------------------------------
-
-
-def test_two_models_stand_with_their_difference() -> None:
-    reports = [report_of(spread) for spread in (1.0, 0.5)]
-    comparison = compare_totals([report.totals for report in reports], ["right", "narrow"])
-    sheet = comparison_sheet(comparison)
-    assert sheet.title == "right against narrow · the same M = 36 poses, paired by 12 sequences"
-    (table,) = sheet.tables
-    headings = ["metric", "right", "narrow", "difference", "95 % interval", "p", "better"]
-    assert list(table.headings) == headings
-    (row,) = (row for row in table.rows if row[0] == "minMPJPE")
-    difference = next(d for d in comparison.differences if d.metric == "min_mpjpe")
-    assert row[1:4] == (*(f"{report['min_mpjpe']:.3f} mm" for report in reports), f"{difference.value:+.2f}")
-    assert row[4] == f"{difference.low:+.2f} to {difference.high:+.2f}"
-    assert row[5] == ("< 0.001" if difference.p < 0.001 else f"{difference.p:.3f}")
-    assert row[6] == (difference.better or "")
-    (row,) = (row for row in table.rows if row[0] == "ECE")
-    assert row[3].lstrip("+-").count("0") < len(row[3])
-    assert len(row[3].partition(".")[2]) == 4
-    assert "ECE: right is best beyond chance." in sheet.sentences
-    assert "Not miscalibrated beyond chance: right." in sheet.sentences
-    assert sheet.footer == f"signature: {reports[0].signature}"
-
-
-def test_a_comparison_has_the_remarks_of_its_models_and_no_word_on_calibration_where_frames_differ() -> None:
-    random = np.random.default_rng(0)
-    y = people(random, 40)
-    x = about(random, y, 8)
-    models: dict[str, Any] = {"right": x, "other": x + 1, "flipped": x * [1, -1, -1]}
-    about_data = {"unit": "mm", "joints": JOINTS, "labels": {"sequence": np.repeat(np.arange(10), 4)}}
-    found = posecal.compare(models, y, metrics="min_mpjpe,ece", **about_data)
-    sheet = comparison_sheet(found)
-    assert sheet.sentences == ["minMPJPE: none is best beyond chance."]
-    (remark,) = sheet.remarks
-    assert remark.startswith("flipped: coordinate frames differ: negating y and z in hypotheses turns")
-    assert sheet.markdown().splitlines()[4] == f"note: {remark}"
-    del models["flipped"]
-    sheet = comparison_sheet(posecal.compare(models, y, metrics="min_mpjpe,ece", **about_data))
-    assert sheet.remarks == []
-    assert [sentence.split(":")[0] for sentence in sheet.sentences] == [
-        "minMPJPE",
-        "ECE",
-        "Not miscalibrated beyond chance",
-    ]
-
-
-def test_more_models_stand_with_their_ranks() -> None:
-    names = ["right", "narrow", "wide"]
-    comparison = compare_totals([report_of(spread).totals for spread in (1.0, 0.5, 2.5)], names)
-    sheet = comparison_sheet(comparison)
-    (table,) = sheet.tables
-    assert list(table.headings) == ["metric", *(f"{name} (rank)" for name in names)]
-    (row,) = (row for row in table.rows if row[0] == "ECE")
-    assert row[1:] == tuple(f"{comparison.value('ece', n):.5f} ({comparison.rank('ece', n)})" for n in names)
-    (row,) = (row for row in table.rows if row[0] == "coverage at 90 %")
-    assert not any("(" in cell for cell in row)
-    assert "ECE: right is best beyond chance." in sheet.sentences
-
-
-def test_models_of_which_none_is_better_have_no_best() -> None:
-    totals = report_of(1.0).totals
-    sheet = comparison_sheet(compare_totals([totals, totals], ["a", "b"]))
-    assert "ECE: none is best beyond chance." in sheet.sentences
-    assert "Not miscalibrated beyond chance: a, b." in sheet.sentences
-    assert all(row[-1] == "" for row in sheet.tables[0].rows)
-
-
-def test_a_comparison_shows_headlines_scores_and_rank_tests() -> None:
-    totals = [report_of(spread, metrics="all").totals for spread in (1.0, 0.5)]
-    comparison = compare_totals(totals, ["right", "narrow"])
-    shown = [row[0] for row in comparison_sheet(comparison).tables[0].rows]
-    assert {"minMPJPE", "CRPS", "TARP about a random point"} <= set(shown)
-    assert comparison.metrics["ece_worst"].label not in shown
-    assert "energy score: right is best beyond chance." in comparison_sheet(comparison).sentences
-
-
-def test_models_without_calibration_or_sequences_are_not_called_calibrated() -> None:
-    for report in (report_of(metrics="mpjpe"), unlabelled()):
-        sheet = comparison_sheet(compare_totals([report.totals, report.totals], ["a", "b"]))
-        assert not any(sentence.startswith("Not miscalibrated") for sentence in sheet.sentences)
 
 
 # --- recalibration --------------------------------------------------------------------------------------------

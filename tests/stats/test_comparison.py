@@ -64,6 +64,7 @@ def test_intervals_of_differences_cover_the_truth_as_often_as_they_say() -> None
         labels = {"sequence": sequences(poses, S)}
         pair = [totals_of(x, y, "mpjpe", labels) for x in (one, other)]
         found = compare_totals(pair, ["one", "other"]).differences[0]
+        assert found.p_adjusted == found.p  # one metric, one pair
         held += found.low <= 0 <= found.high
         certain += found.p < 0.05
     low, high = stats.binom(times, 0.95).interval(0.9999)
@@ -101,14 +102,55 @@ def test_the_better_model_is_the_one_in_the_metric_s_direction(three: Comparison
     assert three.value("coverage_50", "right") != three.value("coverage_50", "narrow")
 
 
-def test_p_values_of_one_metric_are_adjusted_for_the_number_of_pairs(three: Comparison) -> None:
-    names = list(MODELS)
-    alone = []
-    for a, b in ((0, 1), (0, 2), (1, 2)):
-        pair = compare_totals([three.totals[a], three.totals[b]], [names[a], names[b]])
-        alone.append(next(d.p for d in pair.differences if d.metric == "crps"))
-    together = [d.p for d in three.differences if d.metric == "crps"]
-    np.testing.assert_allclose(together, holm(alone), rtol=1e-12)
+def test_primary_metrics_are_adjusted_for_themselves_and_others_for_all(three: Comparison) -> None:
+    assert three.primary == ("energy_score", "ece")
+    differences = three.differences
+    assert [d.primary for d in differences] == [d.metric in three.primary for d in differences]
+    every = dict(zip(differences, holm([d.p for d in differences]), strict=True))
+    primary = [d for d in differences if d.primary]
+    expected = every | dict(zip(primary, holm([d.p for d in primary]), strict=True))
+    assert len(primary) == 6
+    np.testing.assert_allclose([d.p_adjusted for d in differences], [expected[d] for d in differences], rtol=1e-12)
+    assert any(d.p < 0.05 <= d.p_adjusted for d in differences)
+    for d in differences:
+        assert (d.better is not None) == (d.p_adjusted < 0.05 and three.metrics[d.metric].direction != "none")
+
+
+def test_p_values_alone_are_those_of_each_pair(three: Comparison) -> None:
+    pair = compare_totals([three.totals[0], three.totals[2]], ["right", "off"])
+    for metric in ("crps", "ece"):
+        (alone,) = pair.differences_of(metric)
+        assert alone.p == three.differences_of(metric)[1].p
+
+
+def test_other_primary_metrics_may_be_chosen(three: Comparison) -> None:
+    chosen = compare_totals(three.totals, three.names, ["crps"])
+    assert chosen.primary == ("crps",)
+    own = chosen.differences_of("crps")
+    assert [d.p_adjusted for d in own] == holm([d.p for d in three.differences_of("crps")])
+    assert {d.metric for d in chosen.differences if d.primary} == {"crps"}
+    with pytest.raises(PoseDataError, match=r"^primary: crp is not in the comparison\. Did you mean crps\?"):
+        compare_totals(three.totals, three.names, ["crp"])
+
+
+def test_results_without_the_energy_score_say_what_is_primary_instead() -> None:
+    totals = [totals_of(x, Y, "default") for x in (X, X + 9)]
+    found = compare_totals(totals, ["a", "b"])
+    assert found.primary == ("min_mpjpe", "ece")
+    words = "primary metrics: min_mpjpe, ece; energy_score was not measured. Evaluate with "
+    assert found.remarks == (f'{words}metrics="default, scores".',)
+    assert found.remarks_in(for_command_line) == (f"{words}--metrics 'default, scores'.",)
+    assert compare_totals(totals, ["a", "b"], ["ece"]).remarks == ()
+
+
+def test_no_model_is_better_on_fewer_than_six_sequences() -> None:
+    labels = {"sequence": sequences(M, 5)}
+    found = compare_totals([totals_of(x, Y, labels=labels) for x in (X, X + 300)], ["a", "b"])
+    assert all(math.isnan(d.p) and math.isnan(d.p_adjusted) and d.better is None for d in found.differences)
+    assert found.differences_of("mpjpe")[0].high < 0
+    (remark,) = found.remarks
+    assert remark.startswith("no p-values on 5 sequences, and no model is called better; expected at least 6.")
+    assert found.rank("mpjpe", "b") == 1
 
 
 def test_the_rank_is_one_and_how_many_are_better_beyond_chance(three: Comparison) -> None:
@@ -161,16 +203,24 @@ def test_json_holds_values_ranks_and_differences(three: Comparison) -> None:
         "rank": three.rank("mpjpe", "off"),
     }
     assert len(found["differences"]) == 3 * len(three.metrics)
+    assert found["primary"] == ["energy_score", "ece"]
+    (area, *_) = (d for d in found["differences"] if d["metric"] == "signed_area")
+    assert area["compared"] == "distance from 0"
+    assert area["primary"] is False
 
 
 def test_the_table_has_a_row_for_each_metric_and_pair(three: Comparison) -> None:
     table = three.table
-    assert list(table) == ["metric", "first", "second", "value", "low", "high", "p", "better"]
+    numbers = ["value", "low", "high", "p", "p_adjusted"]
+    assert list(table) == ["metric", "first", "second", "compared", *numbers, "better", "primary"]
     assert len(table) == 3 * len(three.metrics)
     row = table[(table.metric == "mpjpe") & (table["first"] == "right") & (table.second == "off")].iloc[0]
     (expected,) = (d for d in three.differences_of("mpjpe") if (d.first, d.second) == ("right", "off"))
-    assert tuple(row)[3:7] == (expected.value, expected.low, expected.high, expected.p)
+    assert tuple(row[numbers]) == tuple(getattr(expected, number) for number in numbers)
     assert row.better == "right"
+    assert dict(zip(table.metric, table.compared, strict=True)) == {
+        name: "distance from 0" if metric.direction == "zero" else "value" for name, metric in three.metrics.items()
+    }
 
 
 def test_csv_holds_the_differences(three: Comparison) -> None:
@@ -183,10 +233,10 @@ def test_csv_holds_the_differences(three: Comparison) -> None:
 
 
 def test_markdown_and_latex_hold_a_line_for_each_difference() -> None:
-    pair = compare_totals([totals_of(X, Y, "mpjpe"), totals_of(X + 9, Y, "mpjpe")], ["a", "b_c"])
+    pair = compare_totals([totals_of(X, Y, "mpjpe"), totals_of(X + 9, Y, "mpjpe")], ["a", "b_c"], ["mpjpe"])
     (difference,) = pair.differences
     head, _, row = pair.render("markdown").splitlines()
-    assert [word.strip() for word in head.strip("|").split("|")][:4] == ["metric", "first", "second", "value"]
+    assert [word.strip() for word in head.strip("|").split("|")][:4] == ["metric", "first", "second", "compared"]
     assert [word.strip() for word in row.strip("|").split("|")][:3] == ["mpjpe", "a", "b_c"]
     (line,) = (line for line in pair.render("latex").splitlines() if line.startswith("mpjpe"))
     assert line.split(" & ")[:3] == ["mpjpe", "a", r"b\_c"]
@@ -202,7 +252,7 @@ OF_ALL = "the root Hip is taken."
 def with_remarks(**remarks: tuple[str, ...]) -> Comparison:
     """Compare models of which the data have remarks."""
     totals = [replace(totals_of(MODELS[name], Y, "min_mpjpe,ece"), remarks=some) for name, some in remarks.items()]
-    return compare_totals(totals, list(remarks))
+    return compare_totals(totals, list(remarks), ["ece"])
 
 
 def test_remarks_stand_after_the_names_of_their_models_and_once_where_they_are_of_all() -> None:
@@ -249,7 +299,8 @@ def test_each_metric_of_each_model_is_left_one_sequence_out_once(monkeypatch: py
         return leave_one_out(totals, metric)
 
     monkeypatch.setattr(comparison, "leave_one_out", counting)
-    three = compare_totals([totals_of(x, Y, "mpjpe, signed_area") for x in MODELS.values()], list(MODELS))
+    totals = [totals_of(x, Y, "mpjpe, signed_area") for x in MODELS.values()]
+    three = compare_totals(totals, list(MODELS), ["mpjpe"])
     assert asked == []
     assert three.rank("mpjpe", "off") == 3
     assert asked == ["mpjpe"] * 3

@@ -1,0 +1,139 @@
+"""What stands on the sheet of a comparison: values, ranks and differences, primary metrics first."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING
+
+from posecal.engine.metric import Metric
+from posecal.errors import for_python
+from posecal.report.format import MISSING, counted, number, short_p
+from posecal.report.sheet import Sheet, Table
+from posecal.report.summary import frames_differ
+from posecal.report.text import ARROWS
+from posecal.stats.resampling import LEVEL
+
+if TYPE_CHECKING:
+    from posecal.stats.comparison import Comparison
+    from posecal.stats.pairs import Difference
+
+MOST_PAIRS = 15
+"""Of more pairs than this, only those with the best model are shown; CSV and JSON hold all."""
+
+TESTED = ("difference", "95 % interval", "p", "adjusted p", "better")
+
+
+def comparison_sheet(comparison: Comparison, words: Callable[[str], str] = for_python) -> Sheet:
+    """Lay out a comparison: the primary metrics, then the others; of three and more models, values and ranks first.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        The models.
+    words : callable
+        How remarks name options.
+
+    Returns
+    -------
+    Sheet
+        To be written as text, Markdown or LaTeX.
+    """
+    names, first = comparison.names, comparison.totals[0]
+    shown = [m for m in comparison.metrics.values() if m.headline or m.family in {"scores", "rank_tests"}]
+    primary = [comparison.metrics[name] for name in comparison.primary]
+    others = [metric for metric in shown if metric not in primary]
+    parts = {"primary metric": primary, "other metric": others}
+    tables = [_values(comparison, heading, metrics) for heading, metrics in parts.items() if metrics]
+    if len(names) > 2:
+        tables.append(_pairs(comparison, primary))
+    return Sheet(
+        f"{' against '.join(names)} · the same M = {first.poses.sum():,} poses, paired by {first.units()}",
+        sentences=_sentences(comparison),
+        remarks=list(comparison.remarks_in(words)),
+        tables=tables,
+        definitions=_definitions(comparison, [*primary, *others]),
+        footer=f"signature: {first.signature}",
+    )
+
+
+def _values(comparison: Comparison, heading: str, metrics: Iterable[Metric]) -> Table:
+    """Lay out the numbers of all models: of two with their difference, of more with their ranks."""
+    names, rows, best = comparison.names, [], []
+    for row, metric in enumerate(metrics):
+        values = [number(comparison.value(metric.name, model), metric.unit) for model in names]
+        ranks = [comparison.rank(metric.name, model) for model in names]
+        if max(ranks) > 1:
+            best += [(row, 2 + column) for column, rank in enumerate(ranks) if rank == 1]
+        if len(names) == 2:
+            values += _tested(comparison.differences_of(metric.name)[0], metric)
+        elif metric.direction != "none":
+            values = [f"{value} ({rank})" for value, rank in zip(values, ranks, strict=True)]
+        rows.append((metric.label, ARROWS[metric.direction], *values))
+    columns = (*names, *TESTED) if len(names) == 2 else [f"{name} (rank)" for name in names]
+    title = f"{heading[0].upper()}{heading[1:]}s"
+    return Table(title, (heading, "", *columns), rows, ("", "better"), best=best)
+
+
+def _pairs(comparison: Comparison, metrics: Iterable[Metric]) -> Table:
+    """Lay out the differences of every pair of models, or of the pairs with the best one."""
+    rows = []
+    for metric in metrics:
+        differences = comparison.differences_of(metric.name)
+        if len(differences) > MOST_PAIRS:
+            best = _nearest(comparison, metric)
+            differences = tuple(one for one in differences if best in (one.first, one.second))
+        rows += [(metric.label, f"{one.first} − {one.second}", *_tested(one, metric)) for one in differences]
+    return Table("Pairs", ("pair", "models", *TESTED), rows, ("models", "better"))
+
+
+def _nearest(comparison: Comparison, metric: Metric) -> str:
+    """Name the model with the best number, beyond chance or not."""
+    sign = -1 if metric.direction == "higher" else 1
+    values = {name: sign * comparison.value(metric.name, name) for name in comparison.names}
+    if metric.direction == "zero":
+        values = {name: abs(value) for name, value in values.items()}
+    return min(values, key=lambda name: (math.isnan(values[name]), values[name]))
+
+
+def _tested(difference: Difference, metric: Metric) -> tuple[str, ...]:
+    digits = 2 if metric.unit else 4
+    low, high = difference.low, difference.high
+    interval = "" if math.isnan(low) else f"{low:+z.{digits}f} to {high:+z.{digits}f}"
+    p = (MISSING if math.isnan(p) else short_p(p) for p in (difference.p, difference.p_adjusted))
+    return f"{difference.value:+z.{digits}f}", interval, *p, difference.better or ""
+
+
+def _definitions(comparison: Comparison, metrics: Iterable[Metric]) -> list[tuple[str, str]]:
+    """Say what p-values are adjusted for, and of which metrics the distances from 0 are compared."""
+    n_pairs = math.comb(len(comparison.names), 2)
+    n_primary, n_all = (counted(len(some) * n_pairs, "test") for some in (comparison.primary, comparison.metrics))
+    others = f", others over all {n_all}" if n_primary != n_all else ""
+    rule = f"Holm's, primary metrics over {n_primary}{others} (metrics × pairs of models)"
+    definitions = [("adjusted p", f"{rule}. A model is called better where it is below {LEVEL}.")]
+    at_zero = [metric.label for metric in metrics if metric.direction == "zero"]
+    if at_zero:
+        definitions.append((", ".join(at_zero), "best at 0; differences are of the distances from 0."))
+    return definitions
+
+
+def _sentences(comparison: Comparison) -> list[str]:
+    """Name the best model by accuracy, calibration and score, and the models that are not miscalibrated.
+
+    Nothing is said about calibration where the coordinate frames of a model differ.
+    """
+    sentences, differ = [], any(map(frames_differ, comparison.totals))
+    for name in dict.fromkeys((*comparison.chosen, *("energy_score", "ece", "min_mpjpe"))):
+        metric = comparison.metrics.get(name)
+        if metric is not None and metric.direction != "none" and not (differ and metric.family == "calibration"):
+            best = [model for model in comparison.names if _beats_all(comparison, name, model)]
+            sentences.append(f"{metric.label}: {best[0] if best else 'none'} is best beyond chance.")
+    if not differ and "ece" in comparison.metrics and not math.isnan(comparison.feasible()):
+        models = ", ".join(comparison.calibrated()) or "none"
+        sentences.append(f"Not miscalibrated beyond chance: {models}.")
+    return sentences
+
+
+def _beats_all(comparison: Comparison, metric: str, model: str) -> bool:
+    own = (one for one in comparison.differences_of(metric) if model in (one.first, one.second))
+    return all(one.better == model for one in own)
