@@ -15,11 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.arrays import BoolArray, FloatArray, real_array, working_dtype
-from posecal.data.layout import HYPOTHESES, Layout, MemoryArray
-from posecal.data.root import AnyRoot
+from posecal.data.arguments import checked
+from posecal.data.arrays import BoolArray, FloatArray
 from posecal.engine.block import Block
-from posecal.engine.per_pose import iter_blocks
+from posecal.engine.per_pose import per_pose
 from posecal.errors import PoseDataError
 
 LEAST = 10
@@ -170,17 +169,29 @@ def summarize_modes(several: BoolArray, apart: FloatArray, counted: BoolArray, n
     return Modes(share, np.take_along_axis(ordered, middle[None], axis=0)[0], limit, share > limit + 3 * error)
 
 
-def joint_modes(hypotheses: npt.ArrayLike, /, *, root: AnyRoot = None, axes: str | None = None) -> Modes:
-    """Which joints of a pose have several modes among their hypotheses, such as depth flips.
+def joint_modes(
+    hypotheses: npt.ArrayLike,
+    truth: npt.ArrayLike,
+    /,
+    *,
+    where: npt.ArrayLike | None = None,
+    root: int | None = None,
+    axes: str | None = None,
+) -> Modes:
+    """Joints with several modes among their hypotheses, such as depth flips.
 
     Parameters
     ----------
     hypotheses : array (N, M, K, D)
         Hypotheses, any unit; positions or pixels, not angles.
+    truth : array (M, K, D)
+        True poses, which change nothing.
+    where : bool array (M, K) or (M,), optional
+        The joints that count.
     root : int, optional
         The joint to subtract from every pose first.
     axes : str, optional
-        The layout of the hypotheses, such as ``MNKD``; ``NMKD`` by default.
+        The layout of the hypotheses, such as ``MNKD``; needed where the shapes leave it open.
 
     Returns
     -------
@@ -190,13 +201,13 @@ def joint_modes(hypotheses: npt.ArrayLike, /, *, root: AnyRoot = None, axes: str
     Raises
     ------
     PoseDataError
-        For fewer than ten hypotheses, and arrays of another shape or with coordinates that are not finite.
+        For fewer than ten hypotheses, and shapes, dtypes or values that don't fit.
 
     Notes
     -----
     Modes are seen where they are some five standard deviations apart, and each holds at least 15 % of the hypotheses;
-    with 10 to 20 hypotheses, six. Two of more than two modes are told apart, along the first principal axis. Differs
-    from the published code: none; ours.
+    with 10 to 20 hypotheses, six. Of more than two modes two are found, along the first principal axis. Differs from
+    the published code: none; ours.
 
     See Also
     --------
@@ -206,22 +217,20 @@ def joint_modes(hypotheses: npt.ArrayLike, /, *, root: AnyRoot = None, axes: str
     --------
     One joint is 60 mm before or behind a point, the other within some 10 mm of it.
 
+    >>> import numpy as np
     >>> random = np.random.default_rng(0)
     >>> hypotheses = random.normal(0, 10, (50, 100, 2, 3))
     >>> hypotheses[:, :, 0, 2] += random.choice([-60, 60], (50, 100))
-    >>> modes = joint_modes(hypotheses)
+    >>> modes = joint_modes(hypotheses, np.zeros((100, 2, 3)))
     >>> modes.several.tolist(), modes.share.tolist(), bool(115 < modes.apart[0] < 125)
     ([True, False], [1.0, 0.0], True)
     """
-    x, layout = real_array(hypotheses, "hypotheses"), Layout(HYPOTHESES if axes is None else axes, HYPOTHESES)
-    if x.ndim != len(layout.groups) or 0 in x.shape:
-        raise PoseDataError(f"hypotheses: {x.shape}; expected (N, M, K, D), or the layout that axes names.")
-    rows = np.arange(layout.shape(x.shape)[1])
-    x = layout.read(MemoryArray(x), rows).astype(working_dtype(x.dtype), copy=False)
-    if len(x) < LEAST:
-        raise PoseDataError(f"hypotheses: N = {len(x)}; expected at least {LEAST}, to tell modes apart.")
-    if not np.isfinite(x).all():
-        raise PoseDataError("hypotheses: coordinates that are not finite; expected numbers. Leave those poses out.")
-    groups = [split_modes(lay_out().offsets) for lay_out in iter_blocks(x, np.zeros(x.shape[1:]), root=root)]
-    several, apart = (np.concatenate([getattr(each, name) for each in groups]) for name in ("several", "apart"))
-    return summarize_modes(several, apart, np.ones(several.shape, dtype=bool), len(x))
+
+    def measure(block: Block) -> FloatArray:
+        if block.n_hypotheses < LEAST:
+            raise PoseDataError(f"hypotheses: N = {block.n_hypotheses}; expected at least {LEAST}, to find modes.")
+        groups = split_modes(block.offsets)
+        return np.stack([groups.several, groups.apart, block.where], axis=1)
+
+    several, apart, counted = np.moveaxis(per_pose(measure, hypotheses, truth, where, root=root, axes=axes), 1, 0)
+    return summarize_modes(several > 0, apart, counted > 0, checked(hypotheses, truth, axes=axes)[0].shape[0])

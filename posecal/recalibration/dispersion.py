@@ -28,6 +28,7 @@ from posecal.evaluation.sources import Source, as_pose_data
 from posecal.recalibration import folds as parts
 from posecal.recalibration.effect import changes_between, report_of
 from posecal.recalibration.spread_map import SpreadMap
+from posecal.report.report import Report
 
 About = Literal["median", "modes"]
 ABOUT: tuple[About, ...] = ("median", "modes")
@@ -43,8 +44,33 @@ MOST_BEYOND = 0.1
 median: those all round the circle are calibrated too, and of no use."""
 
 
-def find_modes(data: PoseData, threads: int | None = None) -> Modes | None:
-    """Find the joints with several modes; None for angles, and for fewer than ten hypotheses."""
+def find_modes(
+    hypotheses: Source | PoseData,
+    truth: Source | None = None,
+    /,
+    *,
+    threads: int | None = None,
+    **described: Any,
+) -> Modes | None:
+    """Find the joints whose hypotheses have several modes; the truth does not count.
+
+    Parameters
+    ----------
+    hypotheses, truth, threads, **described
+        As for :func:`posecal.fit_spread`.
+
+    Returns
+    -------
+    Modes or None
+        As :func:`posecal.calibration.joint_modes` gives them of arrays; None for angles, and for fewer than ten
+        hypotheses.
+
+    Raises
+    ------
+    PoseDataError
+        For data that can't be recalibrated either.
+    """
+    data = parts.select_fitted(as_pose_data(hypotheses, truth, described))
     if data.shape[0] < LEAST or data.unit in PERIODS:
         return None
     mask = parts.movable_joints(data)
@@ -68,7 +94,7 @@ def joints_about_modes(data: PoseData, about: About, threads: int | None) -> Boo
     """
     if checked_choice(about, "about", ABOUT) == "median":
         return np.zeros(len(data.joints), dtype=bool)
-    modes = find_modes(data, threads)
+    modes = find_modes(data, threads=threads)
     if modes is None:
         what = f"N = {data.shape[0]}" if data.unit not in PERIODS else "angles"
         raise PoseDataError(f"about: 'modes' of {what}; expected at least {LEAST} hypotheses, of positions.")
@@ -219,9 +245,11 @@ def fit_spread(
     return finished_map(data, factors, modal, threads)
 
 
-def finished_map(data: PoseData, factors: FloatArray, modal: BoolArray, threads: int | None) -> SpreadMap:
-    """Make a map of the factors that were fitted on some data, with what it changes there."""
+def finished_map(
+    data: PoseData, factors: FloatArray, modal: BoolArray, threads: int | None, before: Report | None = None
+) -> SpreadMap:
+    """Make a map of the factors that were fitted on some data, with what it changes there; ``before`` saves time."""
     fitted = len(data.truth), parts.number_of_sequences(data), data.root, data.unit, parts.remarks_of(data)
     spread_map = SpreadMap(data.joints, factors, *fitted, modal=tuple(np.array(data.joints)[modal].tolist()))
-    reports = (report_of(each, threads) for each in (data, spread_map.rescale(data)))
-    return replace(spread_map, changes=changes_between(*reports))
+    before, after = before or report_of(data, threads), report_of(spread_map.rescale(data), threads)
+    return replace(spread_map, changes=changes_between(before, after))

@@ -36,6 +36,7 @@ from posecal.recalibration.dispersion import (
     finished_map,
     joints_about_modes,
 )
+from posecal.recalibration.effect import changes_between, objections
 from posecal.recalibration.spread_map import SpreadMap
 from posecal.report.report import Report
 from posecal.stats.comparison import Difference, compare_totals
@@ -65,8 +66,8 @@ class HeldOut:
         Of each part, fitted on the others.
     before, after : Report
         Over all poses: as they are, and each rescaled by the factor of the other parts. Its ECE is too small.
-    new_ece : tuple of two floats
-        Between them is the ECE of as many new sequences, rescaled by the fitted map, in nine of ten cases; NaN with
+    new_ece : float
+        In nine of ten cases the ECE of as many new sequences, rescaled by the fitted map, is at most this; NaN with
         fewer than six labelled sequences.
     """
 
@@ -75,7 +76,12 @@ class HeldOut:
     factors: list[FloatArray]
     before: Report
     after: Report
-    new_ece: tuple[float, float]
+    new_ece: float
+
+    @property
+    def objections(self) -> tuple[str, ...]:
+        """Why the map should not be used, by what it changes on held-out sequences; empty for none."""
+        return objections(changes_between(self.before, self.after), self.fitted.data_unit)
 
     def difference(self, metric: str) -> Difference:
         """Give after minus before of a metric on held-out sequences, paired by sequence."""
@@ -111,7 +117,7 @@ def judge_spread(
     Returns
     -------
     HeldOut
-        The map, reports of held-out sequences before and after, and the ECE to be expected of new ones.
+        The map, reports of held-out sequences before and after, and how large the ECE of new ones may be.
 
     Raises
     ------
@@ -120,8 +126,8 @@ def judge_spread(
 
     Notes
     -----
-    The docs show in simulations how often new sequences lie within the intervals. Differs from the published code:
-    none; ours.
+    The docs show in simulations how often new sequences keep within what is said of them. Differs from the published
+    code: none; ours.
     """
     data = parts.select_fitted(as_pose_data(hypotheses, truth, described))
     fold_of, frames = parts.folds_of(data, folds), frame_remark(data)
@@ -134,16 +140,16 @@ def judge_spread(
         of_some = sums[some].sum(axis=0), counts[some].sum(axis=0)
         return best_factors(*of_some, data.joints, per_joint=per_joint, frames=frames)
 
-    totals, factors, protocol = [], list[FloatArray](), DEFAULT if protocol is None else protocol
+    totals, factors, measured = [], list[FloatArray](), DEFAULT if protocol is None else protocol
     for fold in range(folds):
         factors.append(fit(fold_of_part != fold))
         held_out = data.select(np.flatnonzero(fold_of == fold))
         moved = SpreadMap(data.joints, factors[-1], 0, 0, data_unit=data.unit, modal=names).rescale(held_out)
-        totals.append(evaluate(moved, protocol=protocol, threads=threads).totals)
-    before = evaluate(data, protocol=protocol, threads=threads)
-    fitted = finished_map(data, fit(fold_of_part >= 0), modal, threads)
+        totals.append(evaluate(moved, protocol=measured, threads=threads).totals)
+    before = evaluate(data, protocol=measured, threads=threads)
+    fitted = finished_map(data, fit(fold_of_part >= 0), modal, threads, before if protocol is None else None)
     labelled = "sequence" in data.labels
-    new_ece = _ece_of_new(sums, counts, data.joints, per_joint=per_joint) if labelled else (math.nan, math.nan)
+    new_ece = _ece_of_new(sums, counts, data.joints, per_joint=per_joint) if labelled else math.nan
     return HeldOut(fitted, folds, factors, before, Report(merge_totals(totals)), new_ece)
 
 
@@ -181,7 +187,7 @@ def cross_fitted(
     Notes
     -----
     Scores, accuracy and coverage are those of new sequences. The ECE of ``after`` is smaller than theirs, because
-    deviations of the parts cancel; :func:`posecal.recalibration.judge_spread` gives an interval for it.
+    deviations of the parts cancel; :func:`posecal.recalibration.judge_spread` bounds it.
     """
     judged = judge_spread(
         hypotheses,
@@ -213,13 +219,11 @@ def _parts_within(data: PoseData, fold_of: Rows) -> tuple[Rows, Rows]:
     return part_of_sequence[sequence], parts_of // each
 
 
-def _ece_of_new(
-    sums: FloatArray, counts: Counts, joints: tuple[str, ...], *, per_joint: bool, seed: int = 0
-) -> tuple[float, float]:
-    """Interval that holds the ECE of as many new sequences in nine of ten cases, from curves (P, G, K, Q) of parts."""
+def _ece_of_new(sums: FloatArray, counts: Counts, joints: tuple[str, ...], *, per_joint: bool, seed: int = 0) -> float:
+    """Bound of the ECE of as many new sequences in nine of ten cases, from sums (P, G, K, Q) of the parts' curves."""
     number = len(sums)
     if number < MIN_SEQUENCES:
-        return math.nan, math.nan
+        return math.nan
     random, curves = np.random.default_rng(seed), list[FloatArray]()
     for _ in range(HALVES // 2):
         half = np.zeros(number, dtype=bool)
@@ -230,15 +234,15 @@ def _ece_of_new(
                     sums[fitted].sum(axis=0), counts[fitted].sum(axis=0), joints, per_joint=per_joint
                 )
             except PoseDataError:  # no factor calibrates this half
-                return math.nan, math.nan
+                return math.nan
             curves.append(_curve_at(factors, sums[~fitted].sum(axis=0), counts[~fitted].sum(axis=0)))
     deviations = np.stack(curves) - LEVELS  # (H, K, Q)
     mean = np.nanmean(deviations, axis=0)
-    drawn = mean + (deviations - mean) / math.sqrt(2) + LEVELS
+    few = math.sqrt(number / (number - 2))  # a heavier tail where few sequences show how much they differ
+    drawn = mean + few * (deviations - mean) / math.sqrt(2) + LEVELS
     pooled = np.zeros_like(drawn[:, :1])  # the last row of a table, which the median over joints does not read
     errors = ece_over_joints(np.concatenate([drawn, pooled], axis=1), "median")
-    low, high = np.quantile(errors, (0.05, 0.95))
-    return float(low), float(high)
+    return float(np.quantile(errors, 0.95))
 
 
 def _curve_at(factors: FloatArray, sums: FloatArray, counts: Counts) -> FloatArray:

@@ -216,9 +216,7 @@ def apply_map(
         members = {"joints": np.array(names), "unit": np.array(map_.data_unit or "none"), **poses.frame_members}
         with Archive(file) as archive:
             if isinstance(map_, SpreadMap):
-                pieces = (
-                    rescaled(part, values, root, period, about_modes).swapaxes(0, 1) for part in windows()
-                )
+                pieces = (rescaled(part, values, root, period, about_modes).swapaxes(0, 1) for part in windows())
                 archive.add_pieces("hypotheses", (m, n, k, d), first.dtype, pieces)
                 members["axes"] = np.array("MNKD")
             else:

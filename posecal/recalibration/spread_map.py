@@ -1,8 +1,8 @@
 """Spread maps: a factor of each joint, by which hypotheses are moved away from their centre, or towards it.
 
-The centre is the per-coordinate median of a pose's hypotheses, or, at joints with several modes, that of the mode which
-a hypothesis belongs to: x ← c + s (x - c). Of angles x - c is the shorter way round, and so is what it becomes: a spread
-of more than half a turn goes on round the circle.
+The centre is the per-coordinate median of a pose's hypotheses, or, at joints with several modes, that of the mode
+which a hypothesis belongs to: x ← c + s (x - c). Of angles x - c is the shorter way round, and so is what it becomes: a
+spread of more than half a turn goes on round the circle.
 """
 
 from __future__ import annotations
@@ -63,8 +63,9 @@ class SpreadMap:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What a careful reader should know: objections to the map, and on the data that it was fitted on."""
-        return (*self.objections, *map(for_python, self.data_remarks))
+        """What a careful reader should know about the data that it was fitted on, and what speaks against the map."""
+        against = [f"Not recommended: {' and '.join(self.objections)}."] if self.objections else []
+        return (*map(for_python, self.data_remarks), *against)
 
     @property
     def objections(self) -> tuple[str, ...]:

@@ -21,6 +21,7 @@ def test_a_spread_is_fitted_judged_on_held_out_sequences_and_applied() -> None:
     assert factor is not None
     assert 2 < float(factor[1]) < 3
     assert "held out, 3 parts" in text
+    assert "It helps held-out sequences: energy score -" in text
     applied = run("recalibrate", "apply", "narrow.npz", "map.json", "-o", "rescaled.npz")
     assert (applied.exit_code, applied.stdout, applied.stderr) == (0, "", "rescaled.npz: 48 poses.\n")
     map_ = read_map("map.json")
@@ -91,7 +92,7 @@ def test_an_impossible_alpha_is_refused_with_the_smallest() -> None:
 
 
 def test_a_broken_map_is_refused_and_nothing_is_written() -> None:
-    Path("bad.json").write_text('{"format": 3}')
+    Path("bad.json").write_text('{"format": 4}')
     said = refused("recalibrate", "apply", "narrow.npz", "bad.json", "-o", "out.npz")
     assert "bad.json: no map of posecal recalibrate fit" in said
     assert not Path("out.npz").exists()

@@ -16,7 +16,7 @@ from posecal.data.declarations import Declarations
 from posecal.data.read import read_poses
 from posecal.errors import PoseDataError, PoseFileError
 from posecal.recalibration import RadiusMap, SpreadMap, apply_map, maps, read_map, write_map
-from posecal.recalibration.dispersion import rescaled
+from posecal.recalibration.spread_map import rescaled
 from tests.helpers.random_worlds import skewed
 
 Array = np.ndarray
@@ -48,7 +48,7 @@ def test_a_person_can_read_it(tmp_path: Path) -> None:
     write_map(RADIUS, tmp_path / "map.json")
     found = json.loads((tmp_path / "map.json").read_text())
     assert found["kind"] == "radius"
-    assert found["format"] == 3
+    assert found["format"] == 4
     assert found["radii"] == {"Hip": None, "Head": 80.5, "LFoot": 120.25}
     assert (found["alpha"], found["unit"]) == (0.1, "mm")
     assert found["fitted_on"] == {"poses": 120, "sequences": 6}
@@ -60,7 +60,7 @@ def test_a_person_can_read_it(tmp_path: Path) -> None:
 
 def broken(kind: str, /, **changed: Any) -> str:
     """A map of which something is otherwise, with the digest of what it holds."""
-    about: dict[str, Any] = {"format": 3, "kind": kind, "root": None, "fitted_on": {"poses": 9, "sequences": 3}}
+    about: dict[str, Any] = {"format": 4, "kind": kind, "root": None, "fitted_on": {"poses": 9, "sequences": 3}}
     about["unit"] = "mm"
     if kind == "radius":
         about |= {"alpha": 0.1, "scaled": False, "radii": {"Head": 80.0}}
@@ -82,7 +82,7 @@ NO_MAP = r"map\.json: no map of posecal recalibrate fit, or not a whole one"
         ("[]", NO_MAP),
         ("3", NO_MAP),
         (broken("spread")[:40], NO_MAP),
-        (broken("spread", format=1), r"map\.json: format 1; expected 3\. Fit it again"),
+        (broken("spread", format=1), r"map\.json: format 1; expected 4\. Fit it again"),
         (broken("spread", format=...), NO_MAP),
         (broken("spread", kind=...), NO_MAP),
         (broken("radius", kind="square"), NO_MAP),

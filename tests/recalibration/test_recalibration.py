@@ -13,7 +13,7 @@ import posecal
 from posecal.calibration.ranks import LEVELS
 from posecal.data.pose_data import PoseData
 from posecal.engine.protocol import Protocol
-from posecal.errors import PoseDataError
+from posecal.errors import PoseDataError, for_python
 from posecal.recalibration import (
     RadiusMap,
     SpreadMap,
@@ -22,8 +22,9 @@ from posecal.recalibration import (
     fit_spread,
     held_out_coverage,
 )
-from posecal.recalibration.dispersion import FACTORS, _best_factors, rescaled
+from posecal.recalibration.dispersion import FACTORS, best_factors
 from posecal.recalibration.folds import folds_of
+from posecal.recalibration.spread_map import rescaled
 from tests.helpers.random_worlds import skewed
 from tests.helpers.samplers import gaussian, pairs_of, report_of, sequences
 from tests.situations.people import JOINTS as PEOPLE_JOINTS
@@ -113,11 +114,11 @@ def test_a_factor_between_those_that_are_tried_is_read_off_a_parabola() -> None:
     best = np.array([0.531, 1.0, 2.77])
     distance = np.abs(np.log(FACTORS[:, None] / best))
     sums = 7 * (LEVELS + distance[..., None])
-    factors = _best_factors(sums, np.array([7, 7, 7]), ("Hip", "Head", "LFoot"), per_joint=True)
+    factors = best_factors(sums, np.array([7, 7, 7]), ("Hip", "Head", "LFoot"), per_joint=True)
     np.testing.assert_allclose(factors, best, rtol=1e-9)
-    uncounted = _best_factors(sums, np.array([7, 0, 7]), ("Hip", "Head", "LFoot"), per_joint=True)
+    uncounted = best_factors(sums, np.array([7, 0, 7]), ("Hip", "Head", "LFoot"), per_joint=True)
     np.testing.assert_allclose(uncounted, [0.531, 1, 2.77], rtol=1e-9)
-    together = _best_factors(sums, np.array([7, 0, 7]), ("Hip", "Head", "LFoot"), per_joint=False)
+    together = best_factors(sums, np.array([7, 0, 7]), ("Hip", "Head", "LFoot"), per_joint=False)
     np.testing.assert_allclose(together, [math.sqrt(0.531 * 2.77), 1, math.sqrt(0.531 * 2.77)], rtol=1e-9)
 
 
@@ -359,10 +360,10 @@ def some_people(n: int = 8) -> tuple[Array, Array, dict[str, Any]]:
 @pytest.mark.parametrize("fit", [fit_spread, fit_radius])
 def test_a_map_has_the_remarks_of_an_evaluation_of_its_data(fit: Any) -> None:
     x, y, described = some_people()
-    assert fit(x, y, **described).remarks == ()
+    assert fit(x, y, **described).data_remarks == ()
     empty = x.copy()
     empty[:, [3, 9]] = 0
-    found = fit(empty, y, **described).remarks
+    found = tuple(map(for_python, fit(empty, y, **described).data_remarks))
     assert found == posecal.evaluate(empty, y, metrics="mpjpe", **described).remarks[: len(found)]
     assert found[0].startswith("hypotheses: in 2 of 40 frames (first: 3, 9) every hypothesis is one point.")
 
