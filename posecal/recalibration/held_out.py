@@ -84,10 +84,15 @@ class HeldOut:
         return objections(changes_between(self.before, self.after), self.fitted.data_unit)
 
     def difference(self, metric: str) -> Difference:
-        """Give after minus before of a metric on held-out sequences, paired by sequence."""
-        (difference,) = compare_totals([self.after.totals, self.before.totals], ["after", "before"]).differences_of(
-            metric
-        )
+        """Give after minus before of a metric on held-out sequences, paired by sequence.
+
+        Without labelled sequences it has neither an interval nor a p-value.
+        """
+        if not self.before.totals.has_sequences:
+            value, unknown = self.after[metric] - self.before[metric], math.nan
+            return Difference(metric, "after", "before", value, unknown, unknown, unknown, None)
+        both = compare_totals([self.after.totals, self.before.totals], ["after", "before"])
+        (difference,) = both.differences_of(metric)
         return difference
 
 

@@ -94,17 +94,17 @@ def _judgement(judged: HeldOut, unit: str) -> Iterator[str]:
         ]
         energy = differences["energy_score"]
         helps = energy.value < 0 and energy.p < LEVEL
-        yield (
-            ("It helps held-out sequences: " if helps else "Whether it helps is left open: ") + "; ".join(changes) + "."
-        )
+        if not judged.before.totals.has_sequences:
+            verdict = "No sequences are labelled: the parts are runs of frames, and chance can't be judged"
+        else:
+            verdict = "It helps held-out sequences" if helps else "Held-out sequences leave open whether it helps"
+        yield f"{verdict}: {'; '.join(changes)}."
     before = short_number(judged.before["ece"])
     if not math.isnan(judged.new_ece):
         yield (
             f"On as many new sequences the ECE is at most {short_number(judged.new_ece)} in nine of ten cases; "
             f"before, {before}."
         )
-    if not judged.before.totals.has_sequences:
-        yield "No sequences are labelled: the parts are runs of frames, and other videos may differ more than these do."
     cost = judged.after["min_mpjpe"] - judged.before["min_mpjpe"]
     if cost > 0 and not objections:
         costs = f"{short_number(cost, unit)} {unit}".rstrip()
