@@ -29,6 +29,7 @@ MAPS = {
     "spread": SPREAD,
     "mm": RADIUS,
     "deviations": replace(RADIUS, scaled=True),
+    "about modes": replace(SPREAD, modal=("Head", "LFoot"), changes={"crps": (18.0, 17.5), "signed_area": (-0.1, 0.0)}),
     "degrees": replace(SPREAD, data_unit="deg"),
     "pixels": replace(RADIUS, data_unit="px"),
     "no unit": replace(RADIUS, data_unit=""),
@@ -65,7 +66,7 @@ def broken(kind: str, /, **changed: Any) -> str:
     if kind == "radius":
         about |= {"alpha": 0.1, "scaled": False, "radii": {"Head": 80.0}}
     else:
-        about |= {"factors": {"Head": 1.5}}
+        about |= {"factors": {"Head": 1.5}, "about_modes": [], "changes": {}}
     about |= changed
     about = {key: value for key, value in about.items() if value is not ...}
     return json.dumps({**about, "digest": maps._digest(about)})
@@ -82,6 +83,7 @@ NO_MAP = r"map\.json: no map of posecal recalibrate fit, or not a whole one"
         ("[]", NO_MAP),
         ("3", NO_MAP),
         (broken("spread")[:40], NO_MAP),
+        (broken("spread", format=3), r"map\.json: format 3; expected 4\. Fit it again"),
         (broken("spread", format=1), r"map\.json: format 1; expected 4\. Fit it again"),
         (broken("spread", format=...), NO_MAP),
         (broken("spread", kind=...), NO_MAP),
@@ -94,6 +96,10 @@ NO_MAP = r"map\.json: no map of posecal recalibrate fit, or not a whole one"
         (broken("spread", factors={"Head": None}), r"a factor is not above 0"),
         (broken("spread", factors={"Head": math.inf}), r"a factor is not above 0"),
         (broken("spread", fitted_on=...), NO_MAP),
+        (broken("spread", about_modes=...), NO_MAP),
+        (broken("spread", about_modes=["Hip"]), r"about_modes names joints without a factor"),
+        (broken("spread", changes=...), NO_MAP),
+        (broken("spread", changes={"crps": 3}), NO_MAP),
         (broken("spread", root=...), NO_MAP),
         (broken("spread", root="Tail"), NO_MAP),
         (broken("radius", radii=...), NO_MAP),
