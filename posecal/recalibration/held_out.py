@@ -241,8 +241,8 @@ def _ece_of_new(sums: FloatArray, counts: Counts, joints: tuple[str, ...], *, pe
             except PoseDataError:  # no factor calibrates this half
                 return math.nan
             curves.append(_curve_at(factors, sums[~fitted].sum(axis=0), counts[~fitted].sum(axis=0)))
-    deviations = np.stack(curves) - LEVELS  # (H, K, Q)
-    mean = np.nanmean(deviations, axis=0)
+    deviations = np.stack(curves)[:, counts.any(axis=0)] - LEVELS  # (H, K, Q), of the joints that count
+    mean = deviations.mean(axis=0)
     few = math.sqrt(number / (number - 2))  # a heavier tail where few sequences show how much they differ
     drawn = mean + few * (deviations - mean) / math.sqrt(2) + LEVELS
     pooled = np.zeros_like(drawn[:, :1])  # the last row of a table, which the median over joints does not read
