@@ -171,7 +171,7 @@ TABLES = [
             "in sample",
             "new sequences",
             "perfect sampler",
-            "bound",
+            "bound on the sheet",
             "new within bound (right: 90 %)",
             "energy within interval (right: 95 %)",
         ),
