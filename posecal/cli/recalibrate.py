@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -29,6 +29,10 @@ def fit(
         float | None, opt.option("Fit radii that hold the truth but for this share, not a factor.", metavar="ALPHA")
     ] = None,
     scaled: Annotated[bool, opt.option("Radii in multiples of the predicted spread.", "--scaled")] = False,
+    about: Annotated[
+        Literal["median", "modes"], opt.option("What hypotheses are rescaled about: median, or modes where several.")
+    ] = "median",
+    anyway: Annotated[bool, opt.option("Write the map also where it makes scores worse.", "--anyway")] = False,
     split: Annotated[bool, opt.option("Judge it on held-out sequences, before and after.", "--split")] = False,
     folds: Annotated[int, opt.option("Parts that --split cuts the sequences into.", min=2)] = 5,
     threads: opt.Threads = None,
@@ -37,21 +41,29 @@ def fit(
     """Fit a recalibration on all poses; --split also says what it does to sequences it has not seen."""
     check_outputs(hypotheses, truth, output=output)
     from posecal import recalibration
-    from posecal.report.text import radius_sheet, spread_sheet
+    from posecal.recalibration.maps import refuse_objections
+    from posecal.recalibration.sheets import radius_sheet, spread_sheet
 
     if scaled and radius is None:
         raise typer.BadParameter("goes with --radius only.", param_hint="--scaled")
     if per_joint and radius is not None:
         raise typer.BadParameter("radii are per joint always.", param_hint="--per-joint")
+    for flag, given in (("--about", about != "median"), ("--anyway", anyway)):
+        if given and radius is not None:
+            raise typer.BadParameter("goes with a spread factor, not with --radius.", param_hint=flag)
     poses = data.read(hypotheses, truth)
     if radius is None:
-        spread = recalibration.fit_spread(poses, per_joint=per_joint, threads=threads)
-        judged = None
-        if split:
-            before, after, _ = recalibration.cross_fitted(poses, folds=folds, per_joint=per_joint, threads=threads)
-            judged = before, after, folds
-        sheet = spread_sheet(spread.by_joint, spread.poses, judged, map(for_command_line, spread.data_remarks))
-        recalibration.write_map(spread, output)
+        how: dict[str, Any] = {"per_joint": per_joint, "about": about, "threads": threads}
+        judged = recalibration.judge_spread(poses, folds=folds, **how) if split else None
+        spread = recalibration.fit_spread(poses, **how) if judged is None else judged.fitted
+        modes = None if spread.modal else recalibration.find_modes(poses, threads=threads)
+        sheet = spread_sheet(spread, judged, modes, spread.data_remarks, for_command_line)
+        if not anyway and (spread.objections or (judged is not None and judged.objections)):
+            show(sheet)
+            if judged is not None:
+                refuse_objections(judged.objections, "held-out sequences")
+            refuse_objections(spread.objections)
+        recalibration.write_map(spread, output, anyway=True)
         show(sheet)
         return
     radii = recalibration.fit_radius(poses, alpha=radius, scaled=scaled, threads=threads)

@@ -145,8 +145,16 @@ class Block:
         """
         return self if self._make_fit_block is None else self.share("fit_block", self._make_fit_block)
 
-    def scale_dispersion(self, factor: float) -> Block:
-        """Give the same poses with the distances of the hypotheses from their median multiplied."""
+    def scale_dispersion(self, factor: float, centres: FloatArray | None = None) -> Block:
+        """Give the same poses with the distances of the hypotheses from their median, or from centres, multiplied.
+
+        Parameters
+        ----------
+        factor : float
+            By which they are multiplied.
+        centres : array (B, K, D, N), optional
+            The centre of each hypothesis; of angles it is the median.
+        """
         centre, times = self.median[..., None], self.offsets.dtype.type(factor)
         other = Block.__new__(Block)
         other.__dict__ |= {name: value for name, value in vars(self).items() if not hasattr(Block, name)}
@@ -156,6 +164,9 @@ class Block:
         if self.period is not None:
             moved = centre + times * self.shortest(self.offsets - centre)
             other.offsets = unwrapped(moved, self.period)
+            return other
+        if centres is not None:
+            other.offsets = centres + times * (self.offsets - centres)
             return other
         other.offsets = centre + times * (self.offsets - centre)
         other.__dict__["sorted"] = centre + times * (self.sorted - centre)  # the order stays

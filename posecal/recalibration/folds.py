@@ -29,6 +29,7 @@ from posecal.engine.scope import DataSpec
 from posecal.errors import PoseDataError, first_few, option
 
 T = TypeVar("T")
+Value = TypeVar("Value", bound=np.generic)
 
 
 def folds_of(data: PoseData, folds: int) -> Rows:
@@ -154,7 +155,9 @@ def _measure(block: Block, measure: Callable[[Block], T]) -> tuple[int, Rows, T 
     return len(block.where), bad, None if len(bad) else measure(block)
 
 
-def values_for_joints(names: tuple[str, ...], values: FloatArray, joints: tuple[str, ...], whose: str) -> FloatArray:
+def values_for_joints(
+    names: tuple[str, ...], values: npt.NDArray[Value], joints: tuple[str, ...], whose: str
+) -> npt.NDArray[Value]:
     """Give a map's values, which it has by name, in the order of some joints.
 
     Raises

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -23,9 +23,8 @@ from posecal.data.weights import poses_last
 from posecal.data.write import Archive, write_file
 from posecal.engine.chunks import WINDOW_BYTES
 from posecal.engine.storage import digest_of
-from posecal.errors import PoseDataError, PoseFileError, refuse_unreadable
+from posecal.errors import PoseDataError, PoseFileError, option, refuse_unreadable
 from posecal.evaluation.sources import Source
-from posecal.recalibration.dispersion import SpreadMap, rescaled
 from posecal.recalibration.folds import (
     refuse_another_unit,
     refuse_exchanged,
@@ -34,14 +33,15 @@ from posecal.recalibration.folds import (
     values_for_joints,
 )
 from posecal.recalibration.radius import RadiusMap, balls
+from posecal.recalibration.spread_map import SpreadMap, rescaled
 
-FORMAT = 3
+FORMAT = 4
 """The version of the file format."""
 
 Map = SpreadMap | RadiusMap
 
 
-def write_map(map_: Map, path: str | os.PathLike[str]) -> None:
+def write_map(map_: Map, path: str | os.PathLike[str], *, anyway: bool = False) -> None:
     """Write a map as JSON, whole or not at all.
 
     Parameters
@@ -50,24 +50,44 @@ def write_map(map_: Map, path: str | os.PathLike[str]) -> None:
         The map.
     path : path
         The file; one that is there is replaced.
+    anyway : bool
+        Whether to write a map that makes proper scores worse, or exchanges one side for the other.
 
     Raises
     ------
     PoseDataError
-        For what is no map.
+        For what is no map, and for a map to which there are objections, unless ``anyway``.
     PoseFileError
         Where the file can't be written.
     """
+    if not anyway and isinstance(map_, SpreadMap):
+        refuse_objections(map_.objections)
     values = {joint: None if math.isnan(value) else value for joint, value in _checked(map_).by_joint.items()}
     about: dict[str, object] = {"posecal": posecal.__version__, "format": FORMAT, "unit": map_.data_unit or "none"}
     if isinstance(map_, SpreadMap):
-        about |= {"kind": "spread", "factors": values}
+        changes = {name: list(pair) for name, pair in map_.changes.items()}
+        about |= {"kind": "spread", "factors": values, "about_modes": list(map_.modal), "changes": changes}
     else:
         about |= {"kind": "radius", "alpha": map_.alpha, "scaled": map_.scaled, "radii": values}
     about["root"] = None if map_.root is None else root_name(map_.root, map_.joints)
     about["fitted_on"] = {"poses": map_.poses, "sequences": map_.sequences}
     about["digest"] = _digest(about)
     write_file(path, lambda file: file.write(f"{json_text(about, indent=1)}\n".encode()))
+
+
+def refuse_objections(objections: Sequence[str], where: str = "the poses that it was fitted on") -> None:
+    """Refuse a map to which there are objections.
+
+    Raises
+    ------
+    PoseDataError
+        With the objections.
+    """
+    if objections:
+        raise PoseDataError(
+            f"map: on {where}, {' and '.join(objections)}; expected a map that helps. Not written; to write it all "
+            f"the same, pass {option('anyway', True)}."
+        )
 
 
 def _digest(about: dict[str, Any]) -> str:
@@ -113,7 +133,11 @@ def read_map(path: str | os.PathLike[str]) -> Map:
         if about["kind"] == "spread":
             if not (np.isfinite(values) & (values > 0)).all():
                 raise PoseFileError(f"{name}: a factor is not above 0; expected positive numbers.")
-            return SpreadMap(tuple(numbers), values, *fitted)
+            modal = tuple(map(str, about["about_modes"]))
+            if not set(modal) <= set(numbers):
+                raise PoseFileError(f"{name}: about_modes names joints without a factor; expected joints of the map.")
+            changes = {str(metric): (float(a), float(b)) for metric, (a, b) in about["changes"].items()}
+            return SpreadMap(tuple(numbers), values, *fitted, modal=modal, changes=changes)
         alpha, scaled = float(about["alpha"]), {False: False, True: True}[about["scaled"]]
         if (values < 0).any() or np.isinf(values).any() or not 0 < alpha < 1:
             raise PoseFileError(f"{name}: a radius is below 0 or alpha is {alpha:g}; expected 0 < alpha < 1.")
@@ -176,6 +200,9 @@ def apply_map(
     source, names, root = resolve_hypotheses(poses, declared)
     refuse_another_unit(poses.name, quantity_of(poses, "unit", unit)[0], map_.data_unit)
     values = values_for_joints(map_.joints, values, names, poses.name)
+    about_modes = None
+    if isinstance(map_, SpreadMap):
+        about_modes = values_for_joints(map_.joints, map_.about_modes, names, poses.name)
     if axes is None is poses.axes:
         refuse_exchanged(poses.name, poses.array.shape, map_.poses)
     valid = poses.valid if poses.valid is None or poses.valid.ndim == 2 else poses.valid[:, None]
@@ -198,7 +225,7 @@ def apply_map(
         members = {"joints": np.array(names), "unit": np.array(map_.data_unit or "none"), **poses.frame_members}
         with Archive(file) as archive:
             if isinstance(map_, SpreadMap):
-                pieces = (rescaled(part, values, root, period).swapaxes(0, 1) for part in windows())
+                pieces = (rescaled(part, values, root, period, about_modes).swapaxes(0, 1) for part in windows())
                 archive.add_pieces("hypotheses", (m, n, k, d), first.dtype, pieces)
                 members["axes"] = np.array("MNKD")
             else:

@@ -199,7 +199,10 @@ def _of_rank_tests(report: Report) -> Iterator[str]:
     rejected = [report.metrics[name] for name, (_, p) in tests.items() if p < LEVEL]
     labels = ", ".join(metric.label for metric in rejected)
     if rejected and report.test("ece").p < LEVEL:
-        yield f"Rank tests reject as well: {labels}. Recalibrate the spread first, then rerun the rank tests."
+        yield (
+            f"Rank tests reject as well: {labels}. Where recalibrating the spread helps (recalibrate fit says so), do "
+            "that first, then rerun the rank tests."
+        )
     elif rejected:
         meanings = dict.fromkeys(metric.rejection for metric in rejected)
         yield f"Rank tests reject what the ECE can't see ({labels}): {'; '.join(meanings)}."

@@ -1,9 +1,9 @@
-"""What stands on the sheet of a report, a recalibration and the list of presets."""
+"""What stands on the sheet of a report and the list of presets."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable
 from dataclasses import fields
 from typing import TYPE_CHECKING
 
@@ -162,84 +162,3 @@ def presets_sheet() -> Sheet:
             Table("Options", headings[1], options, headings[1]),
         ],
     )
-
-
-def spread_sheet(
-    factors: Mapping[str, float],
-    poses: int,
-    judged: tuple[Report, Report, int] | None = None,
-    remarks: Iterable[str] = (),
-) -> Sheet:
-    """Lay out fitted spread factors, and what they do to held-out sequences.
-
-    Parameters
-    ----------
-    factors : mapping of float
-        The factor of each joint; 1 for joints that are not changed.
-    poses : int
-        The number of poses that they were fitted on.
-    judged : tuple of two Report and int, optional
-        Of held-out sequences: before, after, and the number of parts.
-    remarks : iterable of str
-        On the data.
-    """
-    moving = {joint: factor for joint, factor in factors.items() if factor != 1}
-    sentences, tables = [], []
-    if len({round(factor, 9) for factor in moving.values()}) == 1:
-        factor = next(iter(moving.values()))
-        sentences.append(f"Spread factor {factor:.4f} for all joints, fitted on {counted(poses, 'pose')}.")
-    else:
-        sentences.append(f"A spread factor for each of {len(moving)} joints, fitted on {counted(poses, 'pose')}.")
-        rows = [(joint, f"{factor:.4f}") for joint, factor in moving.items()]
-        tables.append(Table("Factors", ("joint", "factor"), rows))
-    if judged is None:
-        sentences.append("Not judged: --split says what it does to sequences that it was not fitted on.")
-    else:
-        before, after, parts = judged
-        names = ("ece", "signed_area", "coverage_50", "coverage_90", "radius_50", "min_mpjpe", "mpjpe")
-        metrics = [before.metrics[name] for name in names]
-        compared = [(m.label, *(number(report[m.name], m.unit) for report in (before, after))) for m in metrics]
-        tables.append(Table("Held-out sequences", (f"held out, {parts} parts", "before", "after"), compared))
-        cost = after["min_mpjpe"] - before["min_mpjpe"]
-        if cost > 0:
-            unit = before.metrics["min_mpjpe"].unit
-            costs = f"{short_number(cost, unit)} {unit}".rstrip()
-            sentences.append(f"It costs {costs} of minMPJPE, which rewards a spread that is too narrow.")
-    return Sheet("Recalibrated spread", sentences, list(remarks), tables)
-
-
-def radius_sheet(
-    radii: Mapping[str, float],
-    poses: int,
-    alpha: float,
-    unit: str,
-    coverage: Mapping[str, float] | None = None,
-    remarks: Iterable[str] = (),
-) -> Sheet:
-    """Lay out fitted radii, and the share of held-out truths within them.
-
-    Parameters
-    ----------
-    radii : mapping of float
-        The radius of each joint; NaN for joints without.
-    poses : int
-        The number of poses that they were fitted on.
-    alpha : float
-        The share of truths outside.
-    unit : str
-        Of the radii; empty where the data have none.
-    coverage : mapping of float, optional
-        Of held-out sequences: the share of truths within, by joint.
-    remarks : iterable of str
-        On the data.
-    """
-    known = {joint: radius for joint, radius in radii.items() if not math.isnan(radius)}
-    sentences = [f"Radii about the median that hold {1 - alpha:.0%} of the truths of {poses:,} poses."]
-    headings = ["joint", f"radius, {unit}" if unit else "radius"]
-    rows: list[tuple[str, ...]] = [(joint, f"{radius:.2f}") for joint, radius in known.items()]
-    if coverage is None:
-        sentences.append("Not judged: --split says how many truths they hold in sequences they were not fitted on.")
-    else:
-        headings.append("held-out coverage")
-        rows = [(joint, radius, f"{coverage[joint]:.3f}") for joint, radius in rows]
-    return Sheet("Conformal radii", sentences, list(remarks), [Table("Radii", headings, rows)])

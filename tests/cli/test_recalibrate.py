@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from posecal.recalibration import SpreadMap, read_map
+from tests.helpers.flips import depth_flips
+from tests.helpers.samplers import sequences
 from tests.helpers.shell import MODELS_JOINTS, MODELS_SHAPE, done, refused, run
 
 N, M, K = MODELS_SHAPE
@@ -21,6 +23,7 @@ def test_a_spread_is_fitted_judged_on_held_out_sequences_and_applied() -> None:
     assert factor is not None
     assert 2 < float(factor[1]) < 3
     assert "held out, 3 parts" in text
+    assert "It helps held-out sequences: energy score -" in text
     applied = run("recalibrate", "apply", "narrow.npz", "map.json", "-o", "rescaled.npz")
     assert (applied.exit_code, applied.stdout, applied.stderr) == (0, "", "rescaled.npz: 48 poses.\n")
     map_ = read_map("map.json")
@@ -84,6 +87,48 @@ def test_radii_may_be_in_standard_deviations() -> None:
     assert read_map("radii.json").unit == "standard deviations"  # type: ignore[union-attr]
 
 
+@pytest.fixture
+def flips() -> None:
+    x, y = depth_flips(0, 30, 60, 4)
+    np.savez("flips.npz", hypotheses=x, joints=MODELS_JOINTS, axes="NMKD", unit="mm")
+    np.savez("limbs.npz", truth=y, joints=MODELS_JOINTS, unit="mm", sequence=sequences(60, 12))
+
+
+@pytest.mark.usefixtures("flips")
+@pytest.mark.parametrize("split", [(), ("--split", "--folds=3")])
+def test_a_factor_that_makes_scores_worse_is_shown_and_written_only_anyway(split: tuple[str, ...]) -> None:
+    words = (*FIT, "flips.npz", "limbs.npz", "-o", "flips.json", "--root-joint=none", *split)
+    result = run(*words)
+    assert result.exit_code == 3
+    assert "Not recommended: " in result.stdout
+    assert "--about modes rescales each about its own centre" in " ".join(result.stdout.split())
+    where = "held-out sequences" if split else "the poses that it was fitted on"
+    assert result.stderr.startswith(f"posecal: map: on {where}, the energy score rises from ")
+    assert result.stderr.endswith(
+        "; expected a map that helps. Not written; to write it all the same, pass --anyway.\n"
+    )
+    assert not Path("flips.json").exists()
+    assert "Not recommended: " in done(*words, "--anyway")
+    map_ = read_map("flips.json")
+    assert isinstance(map_, SpreadMap)
+    assert map_.objections
+
+
+@pytest.mark.usefixtures("flips")
+def test_hypotheses_are_rescaled_about_their_modes() -> None:
+    fitted = (*FIT, "flips.npz", "limbs.npz", "-o", "modes.json", "--root-joint=none", "--about=modes")
+    text = " ".join(done(*fitted).split())
+    assert "for all joints, about the modes of Head, LWrist, RKnee and LFoot, fitted on 60 poses." in text
+    done("recalibrate", "apply", "flips.npz", "modes.json", "-o", "moved.npz", "--root-joint=none")
+    map_ = read_map("modes.json")
+    assert isinstance(map_, SpreadMap)
+    assert map_.modal == tuple(MODELS_JOINTS.tolist())
+    with np.load("moved.npz") as moved, np.load("flips.npz") as flips:
+        np.testing.assert_allclose(moved["hypotheses"].swapaxes(0, 1), map_.apply(flips["hypotheses"]), rtol=1e-12)
+    said = refused(*FIT, "narrow.npz", "true.npz", "-o", "none.json", "--about=modes")
+    assert "--about: 'modes'" in said or "about: 'modes'" in said
+
+
 def test_an_impossible_alpha_is_refused_with_the_smallest() -> None:
     said = refused(*FIT, "right.npz", "true.npz", "-o", "none.json", "--radius=0.001")
     assert "alpha: 0.001 needs more than 48 poses; the smallest possible with them is 0.02041" in said
@@ -91,7 +136,7 @@ def test_an_impossible_alpha_is_refused_with_the_smallest() -> None:
 
 
 def test_a_broken_map_is_refused_and_nothing_is_written() -> None:
-    Path("bad.json").write_text('{"format": 3}')
+    Path("bad.json").write_text('{"format": 4}')
     said = refused("recalibrate", "apply", "narrow.npz", "bad.json", "-o", "out.npz")
     assert "bad.json: no map of posecal recalibrate fit" in said
     assert not Path("out.npz").exists()
@@ -102,6 +147,9 @@ def test_a_broken_map_is_refused_and_nothing_is_written() -> None:
     [
         (["--scaled"], "goes with --radius only."),
         (["--radius=0.1", "--per-joint"], "radii are per joint always."),
+        (["--radius=0.1", "--about=modes"], "goes with a spread factor, not with --radius."),
+        (["--radius=0.1", "--anyway"], "goes with a spread factor, not with --radius."),
+        (["--about=mean"], "'--about'"),
         (["--split", "--folds=1"], "'--folds'"),
         (["--unit=inch"], "unit: 'inch'; expected mm, cm, m"),
     ],

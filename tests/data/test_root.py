@@ -14,8 +14,8 @@ from posecal.data.skeleton import JOINT_SETS
 from posecal.engine.coordinate_range import coordinate_range
 from posecal.engine.scope import DataSpec
 from posecal.errors import PoseDataError
-from posecal.recalibration.dispersion import SpreadMap
 from posecal.recalibration.maps import read_map, write_map
+from posecal.recalibration.spread_map import SpreadMap
 
 LSP = JOINT_SETS["lsp-14"]
 HANDS = tuple(f"{side}_{name}" for side in "rl" for name in ("wrist", "thumb1", "thumb_tip"))

@@ -16,7 +16,7 @@ from posecal.data.declarations import Declarations
 from posecal.data.read import read_poses
 from posecal.errors import PoseDataError, PoseFileError
 from posecal.recalibration import RadiusMap, SpreadMap, apply_map, maps, read_map, write_map
-from posecal.recalibration.dispersion import rescaled
+from posecal.recalibration.spread_map import rescaled
 from tests.helpers.random_worlds import skewed
 
 Array = np.ndarray
@@ -29,6 +29,7 @@ MAPS = {
     "spread": SPREAD,
     "mm": RADIUS,
     "deviations": replace(RADIUS, scaled=True),
+    "about modes": replace(SPREAD, modal=("Head", "LFoot"), changes={"crps": (18.0, 17.5), "signed_area": (-0.1, 0.0)}),
     "degrees": replace(SPREAD, data_unit="deg"),
     "pixels": replace(RADIUS, data_unit="px"),
     "no unit": replace(RADIUS, data_unit=""),
@@ -48,7 +49,7 @@ def test_a_person_can_read_it(tmp_path: Path) -> None:
     write_map(RADIUS, tmp_path / "map.json")
     found = json.loads((tmp_path / "map.json").read_text())
     assert found["kind"] == "radius"
-    assert found["format"] == 3
+    assert found["format"] == 4
     assert found["radii"] == {"Hip": None, "Head": 80.5, "LFoot": 120.25}
     assert (found["alpha"], found["unit"]) == (0.1, "mm")
     assert found["fitted_on"] == {"poses": 120, "sequences": 6}
@@ -60,12 +61,12 @@ def test_a_person_can_read_it(tmp_path: Path) -> None:
 
 def broken(kind: str, /, **changed: Any) -> str:
     """A map of which something is otherwise, with the digest of what it holds."""
-    about: dict[str, Any] = {"format": 3, "kind": kind, "root": None, "fitted_on": {"poses": 9, "sequences": 3}}
+    about: dict[str, Any] = {"format": 4, "kind": kind, "root": None, "fitted_on": {"poses": 9, "sequences": 3}}
     about["unit"] = "mm"
     if kind == "radius":
         about |= {"alpha": 0.1, "scaled": False, "radii": {"Head": 80.0}}
     else:
-        about |= {"factors": {"Head": 1.5}}
+        about |= {"factors": {"Head": 1.5}, "about_modes": [], "changes": {}}
     about |= changed
     about = {key: value for key, value in about.items() if value is not ...}
     return json.dumps({**about, "digest": maps._digest(about)})
@@ -82,7 +83,8 @@ NO_MAP = r"map\.json: no map of posecal recalibrate fit, or not a whole one"
         ("[]", NO_MAP),
         ("3", NO_MAP),
         (broken("spread")[:40], NO_MAP),
-        (broken("spread", format=1), r"map\.json: format 1; expected 3\. Fit it again"),
+        (broken("spread", format=3), r"map\.json: format 3; expected 4\. Fit it again"),
+        (broken("spread", format=1), r"map\.json: format 1; expected 4\. Fit it again"),
         (broken("spread", format=...), NO_MAP),
         (broken("spread", kind=...), NO_MAP),
         (broken("radius", kind="square"), NO_MAP),
@@ -94,6 +96,10 @@ NO_MAP = r"map\.json: no map of posecal recalibrate fit, or not a whole one"
         (broken("spread", factors={"Head": None}), r"a factor is not above 0"),
         (broken("spread", factors={"Head": math.inf}), r"a factor is not above 0"),
         (broken("spread", fitted_on=...), NO_MAP),
+        (broken("spread", about_modes=...), NO_MAP),
+        (broken("spread", about_modes=["Hip"]), r"about_modes names joints without a factor"),
+        (broken("spread", changes=...), NO_MAP),
+        (broken("spread", changes={"crps": 3}), NO_MAP),
         (broken("spread", root=...), NO_MAP),
         (broken("spread", root="Tail"), NO_MAP),
         (broken("radius", radii=...), NO_MAP),

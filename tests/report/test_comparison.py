@@ -188,7 +188,7 @@ def test_a_comparison_shows_headlines_scores_rank_tests_and_what_was_chosen() ->
     sheet = comparison_sheet(comparison)
     rows = {row[0] for table in sheet.tables for row in table.rows}
     worst = comparison.metrics["ece_worst"].label
-    assert {"minMPJPE", "CRPS", "TARP, box"} <= rows
+    assert {"minMPJPE", "CRPS", "TARP about a random point"} <= rows
     assert worst not in rows
     assert sheet.sentences[0] == "energy score: right is best beyond chance."
     chosen = comparison_sheet(comparison_of("right", "narrow", metrics="all", primary=("ece_worst",)))

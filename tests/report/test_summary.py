@@ -77,7 +77,7 @@ def test_what_only_rank_tests_reject_is_said_with_its_meaning() -> None:
 def test_where_the_spread_is_wrong_rank_tests_are_for_later() -> None:
     last = said(spread=0.5, metrics="default, rank_tests")[-1]
     assert last.startswith("Rank tests reject as well: coordinate PIT, ")
-    assert last.endswith("Recalibrate the spread first, then rerun the rank tests.")
+    assert last.endswith("helps (recalibrate fit says so), do that first, then rerun the rank tests.")
 
 
 def test_rank_tests_of_which_none_rejects_point_to_a_score() -> None:
@@ -249,7 +249,7 @@ NOTHING = "No rank test rejects. A model that ignores the image would pass them 
 @pytest.mark.parametrize(
     ("p", "ranks", "last"),
     [
-        (0.04, {"a": 0.049, "b": 0.5}, "Rank tests reject as well: a. Recalibrate the spread first, then rerun"),
+        (0.04, {"a": 0.049, "b": 0.5}, "Rank tests reject as well: a. Where recalibrating the spread helps (recalib"),
         (0.05, {"a": 0.049, "b": 0.01}, "Rank tests reject what the ECE can't see (a, b): why."),
         (0.5, {"a": 0.05, "b": 0.5}, NOTHING),
         (0.04, {"a": 0.05}, NOTHING),

@@ -2,8 +2,7 @@
 
 import re
 from dataclasses import fields
-from types import SimpleNamespace
-from typing import Any, ClassVar, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +15,7 @@ from posecal.engine.protocol import Protocol
 from posecal.errors import for_command_line
 from posecal.report import text as text_module
 from posecal.report.report import Report
-from posecal.report.text import presets_sheet, radius_sheet, report_sheet, spread_sheet
+from posecal.report.text import presets_sheet, report_sheet
 from tests.helpers.reports import grouped_report, report_of, unlabelled, world
 
 
@@ -248,62 +247,3 @@ def test_all_options_are_listed_with_their_defaults_and_values() -> None:
     (root,) = (row for row in options.rows if row[0] == "root")
     assert root[2] == "count | drop"
     assert not any(is_number for table in (presets, options) for _, is_number in table.columns)
-
-
-# --- recalibration --------------------------------------------------------------------------------------------
-
-
-def test_one_spread_factor_is_a_sentence_and_several_are_a_table() -> None:
-    one = spread_sheet({"Hip": 1.0, "Head": 1.25, "RKnee": 1.25}, 2000)
-    assert one.sentences[0] == "Spread factor 1.2500 for all joints, fitted on 2,000 poses."
-    assert one.tables == []
-    several = spread_sheet({"Hip": 1.0, "Head": 1.25, "RKnee": 0.5}, 1)
-    assert several.sentences[0] == "A spread factor for each of 2 joints, fitted on 1 pose."
-    assert several.tables[0].rows == [("Head", "1.2500"), ("RKnee", "0.5000")]
-    assert several.sentences[1].startswith("Not judged: ")
-
-
-def test_a_judged_factor_stands_with_the_numbers_before_and_after_and_its_cost() -> None:
-    before, after = report_of(0.5), report_of(1.0)
-    sheet = spread_sheet({"Head": 2.0}, 36, (before, after, 5))
-    (table,) = sheet.tables
-    assert list(table.headings) == ["held out, 5 parts", "before", "after"]
-    assert table.rows[0] == ("ECE", f"{before['ece']:.5f}", f"{after['ece']:.5f}")
-    assert table.rows[5] == ("minMPJPE", f"{before['min_mpjpe']:.3f} mm", f"{after['min_mpjpe']:.3f} mm")
-    cost = after["min_mpjpe"] - before["min_mpjpe"]
-    assert cost > 0
-    assert sheet.sentences[1] == f"It costs {cost:.1f} mm of minMPJPE, which rewards a spread that is too narrow."
-    assert len(spread_sheet({"Head": 2.0}, 36, (after, after, 5)).sentences) == 1
-
-
-class Numbers(dict[str, float]):
-    """A report of known numbers, 0.5 each but those that are given."""
-
-    metrics: ClassVar = {
-        name: SimpleNamespace(name=name, label=name, unit="mm" if "mpjpe" in name else "")
-        for name in ("ece", "signed_area", "coverage_50", "coverage_90", "radius_50", "min_mpjpe", "mpjpe")
-    }
-
-    def __missing__(self, name: str) -> float:
-        return 0.5
-
-
-def test_a_cost_below_a_millimetre_is_said() -> None:
-    one, other = Numbers(min_mpjpe=70.0), Numbers(min_mpjpe=70.5)
-    dearer, cheaper = (
-        spread_sheet({"Head": 2.0}, 36, cast(Any, (before, after, 5))) for before, after in ((one, other), (other, one))
-    )
-    assert dearer.sentences[1].startswith("It costs 0.5 mm of minMPJPE")
-    assert len(cheaper.sentences) == 1
-
-
-def test_radii_stand_with_the_coverage_of_held_out_truths() -> None:
-    radii = {"Hip": float("nan"), "Head": 12.345}
-    sheet = radius_sheet(radii, 2000, 0.1, "mm")
-    assert sheet.sentences[0] == "Radii about the median that hold 90% of the truths of 2,000 poses."
-    assert sheet.sentences[1].startswith("Not judged: ")
-    assert sheet.tables[0].rows == [("Head", "12.35")]
-    judged = radius_sheet(radii, 2000, 0.1, "mm", {"Hip": float("nan"), "Head": 0.91})
-    assert judged.tables[0].rows == [("Head", "12.35", "0.910")]
-    assert list(judged.tables[0].headings) == ["joint", "radius, mm", "held-out coverage"]
-    assert len(judged.sentences) == 1
