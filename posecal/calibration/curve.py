@@ -19,7 +19,7 @@ from typing import get_args
 import numpy as np
 import numpy.typing as npt
 
-from posecal.calibration.ranks import DEFINITIONS, LEVELS, Definition, inside
+from posecal.calibration.ranks import DEFINITIONS, LEVELS, Definition, coincide, inside
 from posecal.data.arguments import any_unit, checked
 from posecal.data.arrays import (
     BoolArray,
@@ -256,9 +256,11 @@ def inside_table(block: Block, definition: Definition, joints: BoolArray | None 
     Returns
     -------
     array (B, K + 1, Q)
-        Weights; NaN for joints that don't count.
+        Weights; NaN for joints that don't count, and where all hypotheses equal the truth.
     """
-    weights, counted = inside(block, definition), block.where if joints is None else block.where & joints
+    weights, counted = inside(block, definition), block.where & ~coincide(block)
+    if joints is not None:
+        counted &= joints
     number = counted.sum(axis=1, keepdims=True)
     weights[~counted] = 0
     mean = np.einsum("bk,bkq->bq", counted.astype(np.float64), weights) / np.where(number > 0, number, np.nan)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -19,6 +20,7 @@ from posecal.calibration.curve import (
 )
 from posecal.calibration.expected import expected_curve
 from posecal.calibration.ranks import DEFINITIONS, LEVELS, Definition
+from posecal.calibration.standardized import standardized_errors_of
 from posecal.data.arrays import FloatArray, checked_choice
 from posecal.engine.metric import Deviation, Metric, ReadOff, Statistic, entry, per_joint
 from posecal.engine.protocol import OverJoints
@@ -182,7 +184,7 @@ def _errors(scope: Scope, definition: Definition) -> Iterator[Metric]:
             headline=definition != "reference" and not ending,
             in_group_table=plain and not ending,
             in_joint_table=plain and not ending,
-            deviation=_OVER[how][2],
+            deviation=replace(_OVER[how][2], errors=standardized_errors_of(scope)),
             offset=None if plain else expected_curve(n, definition) - LEVELS,
         )
 

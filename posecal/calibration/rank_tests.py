@@ -28,6 +28,7 @@ import numpy.typing as npt
 
 from posecal.calibration.curve import joint_ece
 from posecal.calibration.ranks import rank_weights, shared_ranks
+from posecal.calibration.standardized import standardized_errors_of
 from posecal.data.arrays import BoolArray, FloatArray, squared_norms
 from posecal.engine.block import Block
 from posecal.engine.metric import Deviation, Metric, Statistic, mean_over_joints
@@ -81,24 +82,28 @@ def weights_of_ranks(prerank: FloatArray) -> FloatArray:
     Returns
     -------
     array (..., Q)
-        As :func:`posecal.calibration.ranks.rank_weights` gives them.
+        As :func:`posecal.calibration.ranks.rank_weights` gives them; NaN where all the numbers are equal, which says
+        nothing about the truth's.
     """
     others, truth = prerank[..., :-1], prerank[..., -1:]
     size = np.maximum(np.abs(others).max(axis=-1, keepdims=True), np.abs(truth))
     tie = 64 * np.finfo(prerank.dtype).eps * size  # sums of the same numbers in another order tie
     less, equal = (others < truth - tie).sum(axis=-1), (np.abs(others - truth) <= tie).sum(axis=-1)
-    return rank_weights(others.shape[-1], less, equal)
+    weights = rank_weights(others.shape[-1], less, equal)
+    weights[equal == others.shape[-1]] = np.nan
+    return weights
 
 
 def coordinate_weights(block: Block, joints: BoolArray) -> FloatArray:
     """Weights of the rank of each coordinate of each joint, (B, K, D, Q): the probability integral transform.
 
     Angles are in order from the point opposite the circular mean of hypotheses and truth. NaN for joints that don't
-    count.
+    count, and where all hypotheses equal the truth.
     """
     less, equal = (block.pooled < 0).sum(axis=-1), (block.pooled == 0).sum(axis=-1)
     weights = rank_weights(block.n_hypotheses, less, equal)
-    return np.where((block.where & joints)[:, :, None, None], weights, np.nan)
+    counted = block.where & joints & (equal < block.n_hypotheses).any(axis=-1)
+    return np.where(counted[..., None, None], weights, np.nan)
 
 
 def _ranks(points: FloatArray) -> FloatArray:
@@ -330,7 +335,7 @@ def _rank_metric(scope: Scope, test: Test, weights: Callable[[Block], FloatArray
         statistic=statistic,
         finish=(lambda means: mean_over_joints(by_joint(means))) if coordinates else _ece_of_poses,
         by_joint=(statistic, by_joint) if coordinates else None,
-        deviation=Deviation(),
+        deviation=Deviation(errors=standardized_errors_of(scope)),
         rejection=test.rejection,
         needs=("positions",) if test.name in _NEEDS_POSITIONS else (),
         range="0 (ranks uniform) to about 0.5",

@@ -50,7 +50,6 @@ LEVELS: FloatArray = np.arange(21) / 20
 TIE = 8
 """Squared distances that differ by less than so many units of rounding are equal: two points about their midpoint."""
 
-
 def known_definition(definition: str) -> Definition:
     """Check the name of a definition.
 
@@ -76,13 +75,14 @@ def inside(block: Block, definition: Definition = "exchangeable") -> FloatArray:
     -------
     array (B, K, Q)
         Weights W in [0, 1] for the levels of :data:`LEVELS`, rising with q; NaN for joints that don't count and
-        where there are fewer than two hypotheses. Their mean over poses is ω_k(q).
+        where there are fewer than two hypotheses, or all :func:`coincide`. Their mean over poses is ω_k(q).
     """
     if block.n_hypotheses < 2:
         return np.full((*block.where.shape, LEVELS.size), np.nan)
     weights = {"exchangeable": _exchangeable, "paper": _paper, "reference": _reference}[definition](block)
-    if not block.where.all():
-        weights[~block.where] = np.nan
+    out = ~block.where | coincide(block)
+    if out.any():
+        weights[out] = np.nan
     return weights
 
 
@@ -115,6 +115,24 @@ def nearness(block: Block) -> Nearness:
     where ‖e‖² < 2 e·c: in the ball about the centre that has the truth on its rim. One product for all three.
     """
     return block.share("nearness", lambda: _nearness(block))
+
+
+def coincide(block: Block) -> BoolArray:
+    """Find joints, (B, K), at which all hypotheses equal the truth: it has no rank among them.
+
+    No matter which of the N + 1 points is the truth, they are found alike, so that without them E ω(q) = q stays exact.
+    """
+    return block.share("coincide", lambda: _coincide(block))
+
+
+def _coincide(block: Block) -> BoolArray:
+    if block.n_hypotheses < 2:
+        return np.zeros_like(block.where)
+    near = nearness(block)
+    found = (near.less == 0) & (near.at_most[..., 0] == block.n_hypotheses)  # all are as far from the centre
+    if found.any():
+        found[found] = ~block.offsets[found].any(axis=(1, 2))
+    return np.asarray(found)
 
 
 def _nearness(block: Block) -> Nearness:

@@ -12,7 +12,8 @@ from functools import partial
 import numpy as np
 
 from posecal.calibration.curve import joint_ece, signed_area
-from posecal.calibration.ranks import LEVELS, inside
+from posecal.calibration.ranks import LEVELS, coincide, inside
+from posecal.calibration.standardized import standardized_errors_of
 from posecal.data.arrays import BoolArray, FloatArray
 from posecal.engine.block import Block
 from posecal.engine.metric import Deviation, Metric, Statistic, entry
@@ -54,8 +55,8 @@ def occlusion_metrics(scope: Scope, occlusion: str) -> Iterator[Metric]:
     row, n = OCCLUSION.index(occlusion), scope.spec.n_hypotheses
 
     def inside_both(block: Block) -> FloatArray:
-        weights = inside(block)
-        return np.stack([_mean_over(mask, weights) for mask in _masks(scope, block)], axis=1)
+        weights, apart = inside(block), ~coincide(block)
+        return np.stack([_mean_over(mask & apart, weights) for mask in _masks(scope, block)], axis=1)
 
     def errors_both(block: Block) -> FloatArray:
         errors = joint_errors(block)
@@ -87,7 +88,7 @@ def occlusion_metrics(scope: Scope, occlusion: str) -> Iterator[Metric]:
         direction="lower",
         definition=f"mean over q of |ω(q) − q|; ω: {inside_words}, exchangeable, N={n}",
         finish=lambda means: joint_ece(means[..., row, :]),
-        deviation=Deviation(row, row + 1),
+        deviation=Deviation(row, row + 1, errors=standardized_errors_of(scope)),
     )
     yield calibration(
         name="signed_area",
