@@ -50,6 +50,7 @@ LEVELS: FloatArray = np.arange(21) / 20
 TIE = 8
 """Squared distances that differ by less than so many units of rounding are equal: two points about their midpoint."""
 
+
 def known_definition(definition: str) -> Definition:
     """Check the name of a definition.
 

@@ -22,6 +22,7 @@ from posecal.stats.jackknife import (
 )
 from posecal.stats.resampling import LEVEL, Null, counting, n_patterns, sign_flips, sign_flips_of_each, thin
 
+
 def interval(totals: Totals, metric: Metric, cells: Cells = None, value: float | None = None) -> Interval:
     """Compute the 95 % interval of a metric over the sequences among some cells.
 

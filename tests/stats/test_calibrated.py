@@ -40,9 +40,7 @@ def naive(D: Array, counts: Array, expected: Array, drive: Array | None) -> Arra
             gap = odds(omega[high]) - odds(omega[low]) if known else 0.0
             share = (wanted - odds(omega[low])) / gap if gap > 0 else 0.0
             length = math.sqrt(share**2 + (1 - share) ** 2 + 2 * share * (1 - share) * math.exp(-gap / 2))
-            far = not known or (
-                drive is not None and max(odds(omega[low]) - wanted, wanted - odds(omega[high])) > FAR
-            )
+            far = not known or (drive is not None and max(odds(omega[low]) - wanted, wanted - odds(omega[high])) > FAR)
             for s in range(S):
                 z = math.sqrt(counts[s, j]) if drive is None else drive[s, j]
                 if not far:
