@@ -11,7 +11,8 @@ from functools import partial
 
 import numpy as np
 
-from posecal.calibration.curve import joint_ece, signed_area
+from posecal.calibration.curve import is_resolved, joint_ece, signed_area
+from posecal.calibration.error import unresolved
 from posecal.calibration.ranks import LEVELS, coincide, inside
 from posecal.calibration.standardized import standardized_errors_of
 from posecal.data.arrays import BoolArray, FloatArray
@@ -97,12 +98,15 @@ def occlusion_metrics(scope: Scope, occlusion: str) -> Iterator[Metric]:
         definition=f"∫ (ω(q) − q) dq; ω: {inside_words}, exchangeable, N={n}",
         finish=lambda means: signed_area(means[..., row, :]),
     )
+    known = is_resolved(0.9, n)
     yield calibration(
         name="coverage_90",
         label="coverage at 90 %",
         direction="none",
-        definition=f"{inside_words} the ball of 90 % of the hypotheses, exchangeable; best: 0.9",
-        finish=entry(row, 90 * (LEVELS.size - 1) // 100),
+        definition=f"{inside_words} the ball of 90 % of the hypotheses, exchangeable; best: 0.9"
+        + ("" if known else unresolved(n)),
+        finish=entry(row, 90 * (LEVELS.size - 1) // 100) if known else lambda m: np.full(m.shape[:-2], np.nan),
+        in_group_table=known,
     )
     yield metric(
         name="radius_50",

@@ -47,11 +47,15 @@ class Ranks:
             errors[:, frame] = self.correlation * errors[:, frame - 1] + fresh
         return errors
 
-    def sums(self, random: np.random.Generator, spread: float = 1.0, shift: float = 0.0) -> tuple[Array, Array]:
-        """Sums over each sequence for a model whose spread and centre are off: weights of the ranks, (S, K, Q), and
-        standardized errors, (S, K, 3)."""
+    def sums(
+        self, random: np.random.Generator, spread: float = 1.0, shift: float = 0.0, modes: float = 0.0
+    ) -> tuple[Array, Array]:
+        """Give the sums over each sequence of the ranks' weights, (S, K, Q), and of standardized errors, (S, K, 3).
+
+        The model's spread and centre are off, or it has one mode where there are two, alike at each joint of a frame.
+        """
         errors = self.errors(random)
-        errors[..., 0] += shift
+        errors[..., 0] += shift + modes * random.choice([-1, 1], size=(*errors.shape[:2], 1))
         distances = np.linalg.norm(errors, axis=-1) / spread
         less = random.binomial(self.hypotheses, stats.chi(self.coordinates).cdf(distances))
         logs = np.maximum(np.log(distances), -5)
