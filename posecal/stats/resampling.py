@@ -106,7 +106,7 @@ def _signs(sequences: int, draws: int, seed: int) -> npt.NDArray[np.int8]:
 
 def n_draws(draws: int, values: int) -> int:
     """How many random patterns to draw where each gives so many values."""
-    return min(draws, max(MIN_DRAWS, MAX_VALUES // values))
+    return min(draws, max(MIN_DRAWS, MAX_VALUES // max(1, values)))
 
 
 def n_patterns(sequences: int, values: int, draws: int = DRAWS) -> int:

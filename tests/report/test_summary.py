@@ -137,7 +137,9 @@ class Known:
 
     @property
     def metrics(self) -> dict[str, SimpleNamespace]:
-        return {name: SimpleNamespace(label=name, rejection="why") for name in (*self.numbers, *self.ranks)}
+        return {
+            name: SimpleNamespace(label=name, rejection="why", deviation=None) for name in (*self.numbers, *self.ranks)
+        }
 
     def test(self, name: str) -> SimpleNamespace:
         return SimpleNamespace(p=self.p[name], mean=0.01, high=0.02, sequences=40)

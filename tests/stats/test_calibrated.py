@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -12,6 +13,7 @@ from posecal.engine.metric import Deviation
 from posecal.stats.calibrated import FAR, FEWEST, calibrated_deviations
 from posecal.stats.resampling import sign_flips
 from tests.helpers.sequences import Ranks
+from tests.stats.test_resampling import OVER, flipped, furthest, some, statistic
 
 Array = np.ndarray
 Q = LEVELS.size
@@ -116,3 +118,26 @@ def test_the_same_sequences_show_nearly_the_same_whatever_the_spread(spread: flo
     assert found[0].p > 0.001
     for number in ("mean", "high"):
         assert 1 / 1.7 < getattr(found[1], number) / getattr(found[0], number) < 1.7
+
+
+@pytest.mark.parametrize("over", OVER)
+@pytest.mark.parametrize("offset", [None, 0.02 * np.sin(np.arange(Q))], ids=["unbiased", "biased definition"])
+def test_what_a_calibrated_sampler_shows_is_over_flips_of_its_deviations(over: str, offset: Array | None) -> None:
+    D, counts = some(3)
+    calibrated = calibrated_deviations(D, counts, offset)
+    plus = 0 if offset is None else offset
+    signs = [signs for signs in itertools.product((1, -1), repeat=7) if signs[-1] > 0]  # one of each two opposites
+    means = [flipped(calibrated, counts, pattern, plus) for pattern in signs]
+    errors, sup = ([of(mean, over) for mean in means] for of in (statistic, furthest))
+    found = sign_flips(D, counts, Deviation(over=over), offset=offset)  # type: ignore[arg-type]
+    np.testing.assert_allclose(found.mean, np.mean(errors), rtol=1e-5)
+    np.testing.assert_allclose(found.band, np.quantile(sup, 0.95), rtol=1e-5)
+    of_high = max if found.p >= 0.05 else min
+    np.testing.assert_allclose(found.high, of_high(np.quantile(errors, 0.95), found.observed), rtol=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_the_quantile_of_a_calibrated_sampler_never_contradicts_the_p_value(seed: int) -> None:
+    D, counts = some(seed, S=8, J=1)
+    found = sign_flips(D, counts, Deviation())
+    assert (found.observed <= found.high) == (found.p >= 0.05) or found.observed == found.high

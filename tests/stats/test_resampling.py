@@ -19,7 +19,6 @@ from scipy import stats
 from posecal.calibration import LEVELS
 from posecal.engine.metric import Deviation
 from posecal.stats import resampling
-from posecal.stats.calibrated import calibrated_deviations
 from posecal.stats.resampling import (
     DRAWS,
     MAX_VALUES,
@@ -99,29 +98,6 @@ def test_few_sequences_are_flipped_in_every_way(over: str, offset: Array | None,
     np.testing.assert_allclose(found.observed, observed, rtol=1e-5)
     np.testing.assert_allclose(found.p, (errors >= observed * (1 - 1e-6)).mean(), rtol=1e-9)
     assert found.sequences == 7
-
-
-@pytest.mark.parametrize("over", OVER)
-@pytest.mark.parametrize("offset", [None, 0.02 * np.sin(np.arange(Q))], ids=["unbiased", "biased definition"])
-def test_what_a_calibrated_sampler_shows_is_over_flips_of_its_deviations(over: str, offset: Array | None) -> None:
-    D, counts = some(3)
-    calibrated = calibrated_deviations(D, counts, offset)
-    plus = 0 if offset is None else offset
-    signs = [signs for signs in itertools.product((1, -1), repeat=7) if signs[-1] > 0]  # one of each two opposites
-    means = [flipped(calibrated, counts, pattern, plus) for pattern in signs]
-    errors, sup = ([of(mean, over) for mean in means] for of in (statistic, furthest))
-    found = sign_flips(D, counts, Deviation(over=over), offset=offset)  # type: ignore[arg-type]
-    np.testing.assert_allclose(found.mean, np.mean(errors), rtol=1e-5)
-    np.testing.assert_allclose(found.band, np.quantile(sup, 0.95), rtol=1e-5)
-    of_high = max if found.p >= 0.05 else min
-    np.testing.assert_allclose(found.high, of_high(np.quantile(errors, 0.95), found.observed), rtol=1e-5)
-
-
-@pytest.mark.parametrize("seed", range(30))
-def test_the_quantile_of_a_calibrated_sampler_never_contradicts_the_p_value(seed: int) -> None:
-    D, counts = some(seed, S=8, J=1)
-    found = sign_flips(D, counts, Deviation())
-    assert (found.observed <= found.high) == (found.p >= 0.05) or found.observed == found.high
 
 
 @pytest.mark.slow
