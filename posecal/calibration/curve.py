@@ -256,8 +256,8 @@ class CalibrationCurve:
         return np.full_like(coverage, np.nan)
 
 
-def curve_of(table: FloatArray, definition: Definition, n_hypotheses: int) -> CalibrationCurve:
-    """Read a table (K + 1, Q) as calibration curves."""
+def curve_of(table: FloatArray, definition: Definition, n_hypotheses: int | None = None) -> CalibrationCurve:
+    """Read a table (K + 1, Q) as calibration curves of N hypotheses."""
     return CalibrationCurve(definition, table[:-1], table[-1], n_hypotheses)
 
 

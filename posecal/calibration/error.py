@@ -117,8 +117,8 @@ COVERAGES = (50, 80, 90, 95)
 
 _CALIBRATION = partial(Metric, unit="", family="calibration")
 FEW_HYPOTHESES = 20
-"""Of fewer hypotheses than this a perfect sampler's ECE (paper) is above 0.018, however many poses there are, and the
-range that an ECE can have stands beside it."""
+"""Of fewer hypotheses than this a perfect sampler's ECE (paper) is above 0.018, however many poses there are, and a
+remark says which values an ECE can have."""
 
 _ERROR = partial(
     _CALIBRATION,
@@ -186,7 +186,7 @@ def _errors(scope: Scope, definition: Definition) -> Iterator[Metric]:
         yield _ERROR(
             name=name + ending,
             label=label + words,
-            brief=f"{definition}; {_OVER[how][1]} {scope.number(scope.moving)}" + f", {reach}" * few,
+            brief=f"{definition}; {_OVER[how][1]} {scope.number(scope.moving)}",
             definition=f"{meaning}; {definition} definition, N={n}, {LEVELS.size} levels" + f"; can be {reach}" * few,
             statistic=statistic,
             finish=partial(ece_over_joints, over=how) if how == "mean" else ReadOff(SUMMARIES[how], joint_ece),

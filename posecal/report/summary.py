@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from posecal.calibration.error import FEW_HYPOTHESES, unresolved_coverages
+from posecal.calibration.expected import ece_range
 from posecal.calibration.ranks import DEFINITIONS
 from posecal.calibration.standardized import NAME
 from posecal.data.frames import DIFFERENT_FRAMES
@@ -72,17 +73,25 @@ def _of_statistics(report: Report) -> Iterator[str]:
     if n < 2:
         yield "calibration and spread need at least 2 hypotheses; there is 1."
     elif n < FEW_HYPOTHESES and any(metric.family == "calibration" for metric in report.metrics.values()):
-        yield f"N = {n} hypotheses are few: look at what a perfect sampler would show before reading an ECE (paper)."
+        yield _of_few_hypotheses(report, n)
     yield from _of_what_is_unknown(report)
+
+
+def _of_few_hypotheses(report: Report, n: int) -> str:
+    """Say which values an ECE can have, and at which levels coverage is not known."""
+    low, high = ece_range(n)
+    hidden = [percent for percent in unresolved_coverages(n) if f"coverage_{percent}" in report.metrics]
+    levels = " or ".join(filter(None, [", ".join(map(str, hidden[:-1])), *(f"{p} %" for p in hidden[-1:])]))
+    unknown = f"; no ball holds {levels} of them, so that coverage is not known" if hidden else ""
+    return (
+        f"N = {n} hypotheses are few: an ECE lies between {low:.2g} and {high:.2g}; look at what a perfect sampler "
+        f"would show before reading an ECE (paper){unknown}."
+    )
 
 
 def _of_what_is_unknown(report: Report) -> Iterator[str]:
     """Give the reasons of calibration numbers that are NaN, or are of fewer joints."""
-    totals, n, metrics = report.totals, report.totals.spec.n_hypotheses, report.metrics
-    hidden = [percent for percent in unresolved_coverages(n) if f"coverage_{percent}" in metrics]
-    if hidden:
-        levels = " and ".join(filter(None, [", ".join(map(str, hidden[:-1])), f"{hidden[-1]} %"]))
-        yield f"coverage at {levels} is not known: no ball of N = {n} hypotheses holds so large a share of them."
+    totals, metrics = report.totals, report.metrics
     empty = _joints_without_a_rank(totals)
     if empty and len(empty) == totals.counts[NAME].any(axis=0).sum():
         yield "all hypotheses equal the truth at every joint that counts: no calibration can be measured."
