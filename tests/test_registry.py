@@ -267,7 +267,7 @@ def test_statistics_are_those_of_the_metrics_and_of_the_curves_of_a_whole_report
     assert len(names) == len(needed)
     by_occlusion = {statistic.name for statistic in statistics_of(protocol, person, ["action", "occlusion"])}
     others = set() if metrics == "ece" else {"occlusion_errors", "occlusion_radii"}
-    assert by_occlusion == needed | {"occlusion_inside", *others}
+    assert by_occlusion == needed | {"standardized_errors", "occlusion_inside", *others}
 
 
 def test_every_number_of_a_report_of_everything_has_a_reserved_name() -> None:

@@ -19,7 +19,7 @@ from typing import get_args
 import numpy as np
 import numpy.typing as npt
 
-from posecal.calibration.ranks import DEFINITIONS, LEVELS, Definition, inside
+from posecal.calibration.ranks import DEFINITIONS, LEVELS, Definition, coincide, inside
 from posecal.data.arguments import any_unit, checked
 from posecal.data.arrays import (
     BoolArray,
@@ -95,6 +95,17 @@ def signed_area(curves: npt.ArrayLike) -> FloatArray:
     return np.asarray(np.trapezoid(_checked_curves(curves) - LEVELS, LEVELS, axis=-1))
 
 
+def is_resolved(level: float, n_hypotheses: int) -> bool:
+    """Whether N hypotheses have a ball of a level: beyond q = N / (N + 1) its weight only nears 1, whatever the truth.
+
+    Examples
+    --------
+    >>> is_resolved(0.9, 9), is_resolved(0.9, 8)
+    (True, False)
+    """
+    return level * (n_hypotheses + 1) <= n_hypotheses + 1e-9
+
+
 def coverage_at(curves: FloatArray, level: float) -> FloatArray:
     """Curves (..., Q) read at one level from 0 to 1, (...), interpolated between two of :data:`LEVELS`."""
     level = checked_number(level, "level", lambda level: 0 <= level <= 1, "a share from 0 to 1")
@@ -163,6 +174,8 @@ class CalibrationCurve:
     pooled : array (Q,)
         The curve whose statistic is, per pose, the mean over the joints that count: the one that the paper's numbers
         of occluded joints come from.
+    n_hypotheses : int, optional
+        N, which the exchangeable definition needs to know which levels it resolves.
 
     Notes
     -----
@@ -174,6 +187,7 @@ class CalibrationCurve:
     definition: Definition
     joints: FloatArray
     pooled: FloatArray
+    n_hypotheses: int | None = None
 
     @property
     def levels(self) -> FloatArray:
@@ -222,23 +236,29 @@ class CalibrationCurve:
         Returns
         -------
         float
-            0 to 1; the level itself is best.
+            0 to 1; the level itself is best. NaN where (N + 1) q > N, of the exchangeable definition: so few hypotheses
+            have no ball that holds a share q of them.
 
         Raises
         ------
         PoseDataError
             For a level that is no share, or an unknown summary.
         """
-        return float(coverage_at(self.summary(over), level))
+        return float(self._resolved(coverage_at(self.summary(over), level), level))
 
     def joint_coverage(self, level: float) -> FloatArray:
-        """Give the coverage of each joint, (K,)."""
-        return coverage_at(self.joints, level)
+        """Give the coverage of each joint, (K,); NaN as that of the summary."""
+        return self._resolved(coverage_at(self.joints, level), level)
+
+    def _resolved(self, coverage: FloatArray, level: float) -> FloatArray:
+        if self.n_hypotheses is None or self.definition != "exchangeable" or is_resolved(level, self.n_hypotheses):
+            return coverage
+        return np.full_like(coverage, np.nan)
 
 
-def curve_of(table: FloatArray, definition: Definition = "exchangeable") -> CalibrationCurve:
-    """Read a table (K + 1, Q) as calibration curves."""
-    return CalibrationCurve(definition, table[:-1], table[-1])
+def curve_of(table: FloatArray, definition: Definition, n_hypotheses: int | None = None) -> CalibrationCurve:
+    """Read a table (K + 1, Q) as calibration curves of N hypotheses."""
+    return CalibrationCurve(definition, table[:-1], table[-1], n_hypotheses)
 
 
 def inside_table(block: Block, definition: Definition, joints: BoolArray | None = None) -> FloatArray:
@@ -256,9 +276,11 @@ def inside_table(block: Block, definition: Definition, joints: BoolArray | None 
     Returns
     -------
     array (B, K + 1, Q)
-        Weights; NaN for joints that don't count.
+        Weights; NaN for joints that don't count, and where all hypotheses equal the truth.
     """
-    weights, counted = inside(block, definition), block.where if joints is None else block.where & joints
+    weights, counted = inside(block, definition), block.where & ~coincide(block)
+    if joints is not None:
+        counted &= joints
     number = counted.sum(axis=1, keepdims=True)
     weights[~counted] = 0
     mean = np.einsum("bk,bkq->bq", counted.astype(np.float64), weights) / np.where(number > 0, number, np.nan)
@@ -337,11 +359,11 @@ def calibration_curve(
     """
     checked_choice(definition, "definition", DEFINITIONS)
     unit = any_unit(unit)
-    n_joints = checked(hypotheses, truth, axes=axes, unit=unit)[1].shape[1]
+    n_hypotheses, _, n_joints, _ = checked(hypotheses, truth, axes=axes, unit=unit)[0].shape
     root = checked_root(root, n_joints)
     joints = None if root is None else np.arange(n_joints) != root
     statistic = partial(inside_table, definition=definition, joints=joints)
     table = per_pose(statistic, hypotheses, truth, where, root=root, weights=weights, axes=axes, unit=unit)
     number = (~np.isnan(table[..., 0])).sum(axis=0)[:, None]
     mean = np.where(number > 0, np.nansum(table, axis=0) / np.maximum(number, 1), np.nan)
-    return curve_of(mean, definition)
+    return curve_of(mean, definition, n_hypotheses)

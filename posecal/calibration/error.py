@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -14,11 +15,13 @@ from posecal.calibration.curve import (
     calibration_curve,
     ece_over_joints,
     inside_table,
+    is_resolved,
     joint_ece,
     signed_area,
 )
-from posecal.calibration.expected import expected_curve
+from posecal.calibration.expected import ece_range, expected_curve
 from posecal.calibration.ranks import DEFINITIONS, LEVELS, Definition
+from posecal.calibration.standardized import standardized_errors_of
 from posecal.data.arrays import FloatArray, checked_choice
 from posecal.engine.metric import Deviation, Metric, ReadOff, Statistic, entry, per_joint
 from posecal.engine.protocol import OverJoints
@@ -114,7 +117,14 @@ _OVER: dict[OverJoints, tuple[str, str, Deviation]] = {
 }
 """Each summary over joints in words and in a few words, and how it is made of a table: K joints, and the pooled one."""
 
+COVERAGES = (50, 80, 90, 95)
+"""Levels at which coverage is reported, in percent."""
+
 _CALIBRATION = partial(Metric, unit="", family="calibration")
+FEW_HYPOTHESES = 20
+"""Of fewer hypotheses than this a perfect sampler's ECE (paper) is above 0.018, however many poses there are, and a
+remark says which values an ECE can have."""
+
 _ERROR = partial(
     _CALIBRATION,
     direction="lower",
@@ -169,6 +179,8 @@ def calibration_metrics(scope: Scope) -> Iterator[Metric]:
 def _errors(scope: Scope, definition: Definition) -> Iterator[Metric]:
     statistic, joints, n = _inside(scope, definition), scope.counted(scope.moving), scope.spec.n_hypotheses
     over, plain = scope.protocol.summary_over_joints, definition == "exchangeable"
+    low, high = ece_range(n, definition)
+    few, reach = n < FEW_HYPOTHESES, f"{low:.2g} to {high:.2g} at N={n}"
     name, whose = ("ece", "") if plain else (f"ece_{definition}", f" ({definition})")
     summaries: tuple[tuple[str, str, OverJoints, str], ...] = (
         ("", "ECE", over, f"mean over q of |ω(q) − q|, ω: {_OVER[over][0]} {joints}"),
@@ -180,14 +192,14 @@ def _errors(scope: Scope, definition: Definition) -> Iterator[Metric]:
             name=name + ending,
             label=label + whose,
             brief=f"{definition}; {_OVER[how][1]} {scope.number(scope.moving)}",
-            definition=f"{meaning}; {definition} definition, N={n}, {LEVELS.size} levels",
+            definition=f"{meaning}; {definition} definition, N={n}, {LEVELS.size} levels" + f"; can be {reach}" * few,
             statistic=statistic,
             finish=partial(ece_over_joints, over=how) if how == "mean" else ReadOff(SUMMARIES[how], joint_ece),
             by_joint=None if ending else (statistic, _of_joints(joint_ece)),
             headline=definition != "reference" and not ending,
             in_group_table=plain and not ending,
             in_joint_table=plain and not ending,
-            deviation=_OVER[how][2],
+            deviation=replace(_OVER[how][2], errors=standardized_errors_of(scope)),
             offset=None if plain else expected_curve(n, definition) - LEVELS,
         )
 
@@ -222,25 +234,40 @@ def _areas(scope: Scope) -> Iterator[Metric]:
         )
 
 
+def _no_number(curves: FloatArray) -> FloatArray:
+    """NaN for each curve (..., Q)."""
+    return np.full(curves.shape[:-1], np.nan)
+
+
+def unresolved(n_hypotheses: int) -> str:
+    """Say why coverage is not known at a level."""
+    return f"; NaN, since no ball of N={n_hypotheses} hypotheses holds this share of them"
+
+
+def unresolved_coverages(n_hypotheses: int) -> list[int]:
+    """Give the percentages at which coverage is not reported."""
+    return [percent for percent in COVERAGES if not is_resolved(percent / 100, n_hypotheses)]
+
+
 def _coverages(scope: Scope) -> Iterator[Metric]:
     statistic, joints, over = (
         _inside(scope, "exchangeable"),
         scope.counted(scope.moving),
         scope.protocol.summary_over_joints,
     )
-    several = scope.spec.n_coordinates > 1  # of one, intervals stand for balls
-    for percent in (50, 80, 90, 95):
-        index = percent * (LEVELS.size - 1) // 100
+    n, several = scope.spec.n_hypotheses, scope.spec.n_coordinates > 1  # of one, intervals stand for balls
+    for percent in COVERAGES:
+        index, known = percent * (LEVELS.size - 1) // 100, is_resolved(percent / 100, n)
         yield _COVERAGE(
             name=f"coverage_{percent}",
             label=f"coverage at {percent} %",
-            brief=f"best: {percent / 100:g}",
+            brief=f"best: {percent / 100:g}" if known else f"not known of N={n}",
             definition=f"share of truths inside the ball that holds {percent} % of the hypotheses, exchangeable, "
-            f"{_OVER[over][0]} {joints}; best: {percent / 100:g}",
+            f"{_OVER[over][0]} {joints}; best: {percent / 100:g}{'' if known else unresolved(n)}",
             statistic=statistic,
-            finish=ReadOff(SUMMARIES[over], entry(index)),
-            by_joint=(statistic, _of_joints(per_joint(index))),
-            headline=several,
-            in_group_table=several and percent == 90,
-            in_joint_table=several and percent in {50, 90},
+            finish=ReadOff(SUMMARIES[over], entry(index) if known else _no_number),
+            by_joint=(statistic, _of_joints(per_joint(index) if known else _no_number)),
+            headline=several and known,
+            in_group_table=several and known and percent == 90,
+            in_joint_table=several and known and percent in {50, 90},
         )

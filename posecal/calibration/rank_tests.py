@@ -28,6 +28,7 @@ import numpy.typing as npt
 
 from posecal.calibration.curve import joint_ece
 from posecal.calibration.ranks import LEVELS, rank_weights, shared_ranks
+from posecal.calibration.standardized import standardized_errors_of
 from posecal.data.arrays import BoolArray, FloatArray, squared_norms
 from posecal.engine.block import Block
 from posecal.engine.metric import Deviation, Metric, Need, Statistic, mean_over_joints
@@ -84,27 +85,34 @@ def weights_of_ranks(prerank: FloatArray, weights: FloatArray | None = None) -> 
     Returns
     -------
     array (..., Q)
-        As :func:`posecal.calibration.ranks.rank_weights` gives them.
+        As :func:`posecal.calibration.ranks.rank_weights` gives them; NaN where all the numbers are equal, which says
+        nothing about the truth's.
     """
     others, truth = prerank[..., :-1], prerank[..., -1:]
     size = np.maximum(np.abs(others).max(axis=-1, keepdims=True), np.abs(truth))
     tie = 64 * np.finfo(prerank.dtype).eps * size  # sums of the same numbers in another order tie
     before, beside = others < truth - tie, np.abs(others - truth) <= tie
     if weights is None:
-        return rank_weights(others.shape[-1], before.sum(axis=-1), beside.sum(axis=-1))
-    weights = weights[:, -others.shape[-1] :]  # one may be held out, the first
-    return rank_weights(effective_number(weights), *(effective_counts(some, weights) for some in (before, beside)))
+        ranks = rank_weights(others.shape[-1], before.sum(axis=-1), beside.sum(axis=-1))
+    else:
+        weights = weights[:, -others.shape[-1] :]  # one may be held out, the first
+        counts = (effective_counts(some, weights) for some in (before, beside))
+        ranks = rank_weights(effective_number(weights), *counts)
+    ranks[beside.all(axis=-1)] = np.nan
+    return ranks
 
 
 def coordinate_weights(block: Block, joints: BoolArray) -> FloatArray:
     """Weights of the rank of each coordinate of each joint, (B, K, D, Q): the probability integral transform.
 
     Angles are in order from the point opposite the circular mean of hypotheses and truth. NaN for joints that don't
-    count.
+    count, and where all hypotheses equal the truth.
     """
-    less, equal = block.count(block.pooled < 0), block.count(block.pooled == 0)
+    beside = block.pooled == 0
+    less, equal = block.count(block.pooled < 0), block.count(beside)
     weights = rank_weights(block.n_effective[:, None, None], less, equal)
-    return np.where((block.where & joints & (block.n_hypotheses > 1))[:, :, None, None], weights, np.nan)
+    counted = block.where & joints & (block.n_hypotheses > 1) & ~beside.all(axis=(-1, -2))
+    return np.where(counted[..., None, None], weights, np.nan)
 
 
 def _ranks(points: FloatArray) -> FloatArray:
@@ -340,7 +348,7 @@ def _rank_metric(scope: Scope, test: Test, weights: Callable[[Block], FloatArray
         statistic=statistic,
         finish=(lambda means: mean_over_joints(by_joint(means))) if coordinates else _ece_of_poses,
         by_joint=(statistic, by_joint) if coordinates else None,
-        deviation=Deviation(),
+        deviation=Deviation(errors=standardized_errors_of(scope)),
         rejection=test.rejection,
         needs=_NEEDS.get(test.name, ()),
         range="0 (ranks uniform) to about 0.5",

@@ -92,7 +92,7 @@ def inside(block: Block, definition: Definition = "exchangeable") -> FloatArray:
     -------
     array (B, K, Q)
         Weights W in [0, 1] for the levels of :data:`LEVELS`, rising with q; NaN for joints that don't count and
-        where there are fewer than two hypotheses. Their mean over poses is ω_k(q).
+        where there are fewer than two hypotheses, or all :func:`coincide`. Their mean over poses is ω_k(q).
 
     Raises
     ------
@@ -104,8 +104,9 @@ def inside(block: Block, definition: Definition = "exchangeable") -> FloatArray:
     if block.weights is not None and definition != "exchangeable":
         raise PoseDataError(f"definition: {definition}; expected exchangeable for hypotheses of unequal weights.")
     weights = {"exchangeable": _exchangeable, "paper": _paper, "reference": _reference}[definition](block)
-    if not block.where.all():
-        weights[~block.where] = np.nan
+    out = ~block.where | coincide(block)
+    if out.any():
+        weights[out] = np.nan
     return weights
 
 
@@ -138,6 +139,26 @@ def nearness(block: Block) -> Nearness:
     where ‖e‖² < 2 e·c: in the ball about the centre that has the truth on its rim. One product for all three.
     """
     return block.share("nearness", lambda: _nearness(block))
+
+
+def coincide(block: Block) -> BoolArray:
+    """Find joints, (B, K), at which all hypotheses equal the truth: it has no rank among them.
+
+    No matter which of the N + 1 points is the truth, they are found alike, so that without them E ω(q) = q stays exact.
+    """
+    return block.share("coincide", lambda: _coincide(block))
+
+
+def _coincide(block: Block) -> BoolArray:
+    if block.n_hypotheses < 2:
+        return np.zeros_like(block.where)
+    if block.weights is not None:
+        return np.asarray(~block.offsets.any(axis=(2, 3)))
+    near = nearness(block)
+    found = (near.less == 0) & (near.at_most[..., 0] == block.n_hypotheses)  # all are as far from the centre
+    if found.any():
+        found[found] = ~block.offsets[found].any(axis=(1, 2))
+    return np.asarray(found)
 
 
 def _nearness(block: Block) -> Nearness:

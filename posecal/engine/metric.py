@@ -75,11 +75,14 @@ class Deviation:
     over : str
         Of their mean deviations: ``median`` for the error of the median curve, ``mean`` or ``worst`` for the mean or
         the largest of the curves' own errors.
+    errors : Statistic or None
+        The standardized errors of the joints, from which one knows how much frames depend on each other.
     """
 
     first: int | None = None
     last: int | None = None
     over: Over = "mean"
+    errors: Statistic | None = None
 
     def __post_init__(self) -> None:
         _check_word("over", self.over, Over)
@@ -199,8 +202,10 @@ class Metric:
 
     @property
     def statistics(self) -> tuple[Statistic, ...]:
-        """Every statistic that the number and its joints' numbers need."""
-        return (self.statistic,) if self.by_joint is None else (self.statistic, self.by_joint[0])
+        """Every statistic that the number, its test and its joints' numbers need."""
+        errors = None if self.deviation is None else self.deviation.errors
+        by_joint = None if self.by_joint is None else self.by_joint[0]
+        return tuple(statistic for statistic in (errors, self.statistic, by_joint) if statistic is not None)
 
     @classmethod
     def from_function(

@@ -11,8 +11,10 @@ from functools import partial
 
 import numpy as np
 
-from posecal.calibration.curve import joint_ece, signed_area
-from posecal.calibration.ranks import LEVELS, inside
+from posecal.calibration.curve import is_resolved, joint_ece, signed_area
+from posecal.calibration.error import unresolved
+from posecal.calibration.ranks import LEVELS, coincide, inside
+from posecal.calibration.standardized import standardized_errors_of
 from posecal.data.arrays import BoolArray, FloatArray
 from posecal.engine.block import Block
 from posecal.engine.metric import Deviation, Metric, Statistic, entry
@@ -54,8 +56,8 @@ def occlusion_metrics(scope: Scope, occlusion: str) -> Iterator[Metric]:
     row, n = OCCLUSION.index(occlusion), scope.spec.n_hypotheses
 
     def inside_both(block: Block) -> FloatArray:
-        weights = inside(block)
-        return np.stack([_mean_over(mask, weights) for mask in _masks(scope, block)], axis=1)
+        weights, apart = inside(block), ~coincide(block)
+        return np.stack([_mean_over(mask & apart, weights) for mask in _masks(scope, block)], axis=1)
 
     def errors_both(block: Block) -> FloatArray:
         errors = joint_errors(block)
@@ -87,7 +89,7 @@ def occlusion_metrics(scope: Scope, occlusion: str) -> Iterator[Metric]:
         direction="lower",
         definition=f"mean over q of |ω(q) − q|; ω: {inside_words}, exchangeable, N={n}",
         finish=lambda means: joint_ece(means[..., row, :]),
-        deviation=Deviation(row, row + 1),
+        deviation=Deviation(row, row + 1, errors=standardized_errors_of(scope)),
     )
     yield calibration(
         name="signed_area",
@@ -96,12 +98,15 @@ def occlusion_metrics(scope: Scope, occlusion: str) -> Iterator[Metric]:
         definition=f"∫ (ω(q) − q) dq; ω: {inside_words}, exchangeable, N={n}",
         finish=lambda means: signed_area(means[..., row, :]),
     )
+    known = is_resolved(0.9, n)
     yield calibration(
         name="coverage_90",
         label="coverage at 90 %",
         direction="none",
-        definition=f"{inside_words} the ball of 90 % of the hypotheses, exchangeable; best: 0.9",
-        finish=entry(row, 90 * (LEVELS.size - 1) // 100),
+        definition=f"{inside_words} the ball of 90 % of the hypotheses, exchangeable; best: 0.9"
+        + ("" if known else unresolved(n)),
+        finish=entry(row, 90 * (LEVELS.size - 1) // 100) if known else lambda m: np.full(m.shape[:-2], np.nan),
+        in_group_table=known,
     )
     yield metric(
         name="radius_50",

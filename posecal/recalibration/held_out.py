@@ -91,7 +91,8 @@ class HeldOut:
         """
         if not self.before.totals.has_sequences:
             value, unknown = self.after[metric] - self.before[metric], math.nan
-            return Difference(metric, "after", "before", VALUE, value, *[unknown] * 4, better=None, primary=False)
+            ends, p = (unknown, unknown), (unknown, unknown)
+            return Difference(metric, "after", "before", VALUE, value, *ends, *p, None, False)
         both = compare_totals([self.after.totals, self.before.totals], ["after", "before"])
         (difference,) = both.differences_of(metric)
         return difference

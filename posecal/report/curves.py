@@ -46,7 +46,7 @@ def calibration(report: Report, definition: Definition = "exchangeable", group: 
     if name not in statistics:
         raise PoseDataError(f"calibration: the report has no {definition} curves of {group or 'its poses'}.")
     mean = report.once((name, group), lambda: report.totals.averaged(statistics[name], report.groups[group]))
-    return curve_of(mean, definition)
+    return curve_of(mean, definition, report.totals.spec.n_hypotheses)
 
 
 def summary_curve(report: Report, definition: Definition = "exchangeable", group: str | None = None) -> FloatArray:

@@ -6,6 +6,12 @@ import math
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from posecal.calibration.error import FEW_HYPOTHESES, unresolved_coverages
+from posecal.calibration.expected import ece_range
+from posecal.calibration.ranks import DEFINITIONS
+from posecal.calibration.standardized import NAME
 from posecal.data.frames import DIFFERENT_FRAMES
 from posecal.engine.scope import Scope
 from posecal.engine.totals import Totals
@@ -15,7 +21,7 @@ from posecal.metrics.occlusion import occlusion_words
 from posecal.registry import left_out
 from posecal.report.format import counted, p_value
 from posecal.stats.resampling import LEVEL, MIN_SEQUENCES
-from posecal.stats.uncertainty import effective_hypotheses
+from posecal.stats.uncertainty import are_points, effective_hypotheses
 
 if TYPE_CHECKING:
     from posecal.report.report import Report
@@ -23,9 +29,6 @@ if TYPE_CHECKING:
 ONE_SIDED = 0.5
 """Share of an ECE above which the signed area names a side: |∫ (ω − q) dq| ≤ ∫ |ω − q| dq, and where it is more than
 half of that, more than three quarters of the deviation lie on one side of the diagonal."""
-
-FEW_HYPOTHESES = 20
-"""With fewer hypotheses than this a perfect sampler's ECE (paper) is above 0.018, however many poses there are."""
 
 NEITHER = "miscalibrated, on neither side throughout"
 
@@ -84,7 +87,48 @@ def _of_statistics(report: Report) -> Iterator[str]:
     if n < 2:
         yield "calibration and spread need at least 2 hypotheses; there is 1."
     elif n < FEW_HYPOTHESES and "calibration" in families and not totals.spec.has_weights:
-        yield f"N = {n} hypotheses are few: look at what a perfect sampler would show before reading an ECE (paper)."
+        yield _of_few_hypotheses(report, n)
+    yield from _of_what_is_unknown(report)
+
+
+def _of_few_hypotheses(report: Report, n: int) -> str:
+    """Say which values an ECE can have, and at which levels coverage is not known."""
+    low, high = ece_range(n)
+    hidden = [percent for percent in unresolved_coverages(n) if f"coverage_{percent}" in report.metrics]
+    levels = " or ".join(filter(None, [", ".join(map(str, hidden[:-1])), *(f"{p} %" for p in hidden[-1:])]))
+    unknown = f"; no ball holds {levels} of them, so that coverage is not known" if hidden else ""
+    return (
+        f"N = {n} hypotheses are few: an ECE lies between {low:.2g} and {high:.2g}; look at what a perfect sampler "
+        f"would show before reading an ECE (paper){unknown}."
+    )
+
+
+def _of_what_is_unknown(report: Report) -> Iterator[str]:
+    """Give the reasons of calibration numbers that are NaN, or are of fewer joints."""
+    totals, metrics = report.totals, report.metrics
+    empty = _joints_without_a_rank(totals)
+    if empty and len(empty) == totals.counts[NAME].any(axis=0).sum():
+        yield "all hypotheses equal the truth at every joint that counts: no calibration can be measured."
+        return
+    if empty:
+        yield (
+            f"at {_several(empty)} all hypotheses equal the truth in every pose: no calibration can be measured there, "
+            "and its summaries over joints leave them out."
+        )
+    tested = next((metric for metric in metrics.values() if metric.deviation is not None), None)
+    if tested is not None and are_points(totals, tested):
+        yield "the hypotheses of each pose are all the same: they have no spread that could be tested."
+    if "tarp_box" in metrics and not report.count("tarp_box") and totals.poses.any():
+        yield "tarp_box: no value, because the true poses of the other sequences have no range; expected several."
+
+
+def _joints_without_a_rank(totals: Totals) -> list[str]:
+    """Name the joints at which the truth has no rank in any pose, because all hypotheses equal it."""
+    counts, ranks = totals.counts, f"inside_{DEFINITIONS[0]}"
+    if not {NAME, ranks} <= counts.keys():
+        return []
+    empty = np.asarray(counts[NAME].any(axis=0) & ~counts[ranks][:, :-1].any(axis=0))
+    return [totals.spec.joints[k] for k in np.flatnonzero(empty)]
 
 
 def _of_likelihood(totals: Totals) -> Iterator[str]:
@@ -118,8 +162,8 @@ def summarize(report: Report) -> list[str]:
     """
     if not {"ece", "signed_area"} <= report.metrics.keys() or math.isnan(report["ece"]):
         return []
-    if frames_differ(report.totals):
-        return []  # what a curve says then is about axes, not about the model
+    if frames_differ(report.totals) or are_points(report.totals, report.metrics["ece"]):
+        return []  # what a curve says then is about axes, or about a spread that is none, not about the model
     return [_of_curve(report), *_of_joints(report), *_of_rank_tests(report)]
 
 
@@ -157,7 +201,7 @@ def _of_curve(report: Report) -> str:
     error, area, test = report["ece"], report["signed_area"], report.test("ece")
     share, interval = "", report.metrics.get("interval_coverage_90")
     name, what = ("coverage_90", "balls") if interval is None or not interval.headline else (interval.name, "intervals")
-    if name in report.metrics:
+    if name in report.metrics and not math.isnan(report[name]):
         share = f"; the 90\u00a0% {what} hold {100 * report[name]:.0f}\u00a0% of the truths"
     if math.isnan(test.p):
         side = side_of(area, error)

@@ -104,8 +104,9 @@ class AuxiliaryRow:
 
 
 _NULL_READING = (
-    "Compare the error with it: sequences of a calibrated sampler deviate to either side alike, so their deviations "
-    "are given random signs. An error below the 95 % quantile (…_null_95) may be chance."
+    "Compare the error with it. The model is made calibrated by a map of its ranks, and what its sequences deviate by "
+    "then is given random signs, so that models on the same test set have nearly the same number. An error below the "
+    "95 % quantile (…_null_95) may be chance."
 )
 _P_READING = (
     "Small: a calibrated sampler would hardly ever show such an error on this data. Large: no miscalibration is shown, "
@@ -124,10 +125,16 @@ _PROBABILITY = "1 over the number of sign patterns (at most 2000, fewer of a mes
 _SIGNS = "random signs of entire sequences"
 
 AUXILIARY = {
-    "null": AuxiliaryRow("{} of a calibrated sampler", f"mean of {{}} over {_SIGNS}", _ERRORS, _NULL_READING, _FLIPS),
+    "null": AuxiliaryRow(
+        "{} of a calibrated sampler",
+        f"mean of {{}} over {_SIGNS}, of a model made calibrated",
+        _ERRORS,
+        _NULL_READING,
+        _FLIPS,
+    ),
     "null_95": AuxiliaryRow(
         "{} of a calibrated sampler (95 % quantile)",
-        f"95 % quantile of {{}} over {_SIGNS}",
+        f"95 % quantile of {{}} over {_SIGNS}, of a model made calibrated",
         _ERRORS,
         _NULL_READING,
         _FLIPS,

@@ -153,10 +153,10 @@ class Comparison:
     def feasible(self, metric: str = "ece") -> float:
         """Give the largest calibration error that a calibrated sampler would show here: its 95 % quantile.
 
-        Each model's own deviations give one; this is the smallest, a guide for the eye. Whether a model is beyond it by
-        chance says :meth:`calibrated`.
+        Each model's own deviations give nearly the same one; this is their median, a guide for the eye. Whether a model
+        is beyond it by chance says :meth:`calibrated`.
         """
-        return min(self._null(metric, name).high for name in self.names)
+        return float(np.median([self._null(metric, name).high for name in self.names]))
 
     def calibrated(self, metric: str = "ece") -> list[str]:
         """Name the models whose calibration error is not beyond what chance would show them.

@@ -4,9 +4,10 @@ Frames of a video resemble their neighbours, so a thousand frames may say as muc
 Everything here flips entire sequences and needs nothing but their sums.
 
 A calibration error is never negative, and never 0 even for a perfect sampler. Under calibration a sequence's summed
-deviation from the diagonal is as likely to be what it is as its opposite; multiplying sequences by random signs shows
-what a calibrated sampler would show on this data. From the same flips come the null ECE, a p-value and a band about the
-diagonal. With fewer than six sequences no such test can reject at 5 %, and none is made.
+deviation from the diagonal is as likely to be what it is as its opposite: multiplying sequences by random signs gives a
+p-value. These deviations grow with the model's error, so what a calibrated sampler would show (the null ECE and a band
+about the diagonal) comes from flips of the deviations that are left when the model is made calibrated
+(:mod:`posecal.stats.calibrated`). With fewer than six sequences no such test can reject at 5 %, and none is made.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from posecal.data.arrays import FloatArray
 from posecal.engine.metric import Deviation
 from posecal.engine.sums import Counts, split_by
 from posecal.engine.threads import run_in_order
+from posecal.stats.calibrated import calibrated_deviations
 
 MIN_SEQUENCES = 6
 """Fewer sequences than this allow no test: of 2⁵ sign patterns two are as extreme as any, and 2/32 is above 5 %."""
@@ -33,6 +35,9 @@ LEVEL = 0.05
 
 DRAWS = 2000
 """Random sign patterns; with so few sequences that there are fewer patterns, all of them."""
+
+NULL_DRAWS = 500
+"""As many of them for what a calibrated sampler would show, of which no small p-value is asked."""
 
 MIN_DRAWS = 199
 """For meshes of many thousand joints there are fewer random patterns, but at least so many."""
@@ -49,23 +54,28 @@ MESH = 400
 MAX_CURVES = 4096
 """So many curves are tested at a time."""
 
+ROUNDING = 1e-9
+"""Deviations from calibration of less than this a pose are rounding, and none."""
+
 Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
 class Null:
-    """What a calibrated sampler would show on the same data.
+    """A calibration error, what a calibrated sampler would show on the same data, and a test.
 
     Attributes
     ----------
     observed : float
         The statistic.
     mean, high : float
-        Its mean and 95 % quantile over sign patterns.
+        The mean and 95 % quantile of a calibrated sampler's.
     p : float
-        Share of patterns at which it is at least as large, the observed one included.
+        Share of sign patterns of the model's own deviations at which it is at least as large, the observed one
+        included.
     band : float
-        c of the simultaneous 95 % band q ± c √(q (1 - q)) about the diagonal.
+        c of the simultaneous 95 % band q ± c √(q (1 - q)) about the diagonal, in which a calibrated sampler's curve
+        would stay.
     sequences : int
         How many there are.
     """
@@ -96,7 +106,7 @@ def _signs(sequences: int, draws: int, seed: int) -> npt.NDArray[np.int8]:
 
 def n_draws(draws: int, values: int) -> int:
     """How many random patterns to draw where each gives so many values."""
-    return min(draws, max(MIN_DRAWS, MAX_VALUES // values))
+    return min(draws, max(MIN_DRAWS, MAX_VALUES // max(1, values)))
 
 
 def n_patterns(sequences: int, values: int, draws: int = DRAWS) -> int:
@@ -116,6 +126,11 @@ def counting(deviations: FloatArray, counts: Counts) -> tuple[FloatArray, Counts
     if rows.all() and columns.all():
         return deviations, counts
     return deviations[rows][:, columns], counts[rows][:, columns]
+
+
+def without_rounding(deviations: FloatArray, counts: Counts) -> FloatArray:
+    """Set deviations (S, J, Q) of less than :data:`ROUNDING` a pose to 0: sums of ties end beside the diagonal."""
+    return np.asarray(np.where(np.abs(deviations) <= ROUNDING * counts[..., None], 0, deviations))
 
 
 def _reduce_flips(
@@ -160,6 +175,7 @@ def sign_flips(
     deviation: Deviation,
     *,
     offset: FloatArray | None = None,
+    errors: FloatArray | None = None,
     draws: int = DRAWS,
     seed: int = 0,
 ) -> Null:
@@ -168,7 +184,8 @@ def sign_flips(
     .. math:: T_b = T\Big( \big( \textstyle\sum_s \sigma_{bs} D_s(k, q) \big) / n_k \Big), \qquad
               D_s(k, q) = \sum_{m \in s} \big( W_{mk}(q) - \operatorname{E} W(q) \big)
 
-    with random signs σ.
+    with random signs σ, for the p-value. The mean, the 95 % quantile and the band are over random signs of what these
+    deviations would be, were the model calibrated: :func:`posecal.stats.calibrated.calibrated_deviations`.
 
     Parameters
     ----------
@@ -180,6 +197,8 @@ def sign_flips(
         What T is.
     offset : array (Q,), optional
         What a perfect sampler's curve is off by at this N, for definitions that are biased.
+    errors : array (S, J, 3) or (S, K, 3), optional
+        Sums of standardized errors, of these curves or of the joints that they are all about.
     draws : int
         Sign patterns. Where 2\ :sup:`S - 1` is no more, all of them are tried. For more than some 52 curves there are
         fewer: as many as give :data:`MAX_VALUES` mean deviations, and at least :data:`MIN_DRAWS`.
@@ -195,6 +214,9 @@ def sign_flips(
     -----
     Of more than :data:`MESH` curves (the vertices of a mesh), so many evenly spaced ones are tested: the level is as
     exact, and ``observed`` is the error of those.
+
+    A deviation of less than :data:`ROUNDING` a pose is none. The 95 % quantile is not below an error that the test does
+    not reject, nor above one that it does: for errors near it the two ways of flipping differ a little.
 
     The band is the 95 % quantile of ``sup |ω(q) - q| / √(q (1 - q))`` over the levels and the judged curves, with fixed
     weights: estimated standard errors would inflate its level. Differs from the published code: none; ours.
@@ -212,34 +234,45 @@ def sign_flips(
     0.03125
     """
     judged = slice(deviation.first, deviation.last)
-    D, counts = counting(deviations[:, judged], counts[:, judged])
-    if D.shape[1] > MESH:
-        some = thin(counts)
-        D, counts = D[:, some], counts[:, some]
+    D, counts = deviations[:, judged], counts[:, judged]
+    rows, columns = np.flatnonzero(counts.any(axis=1)), thin(counts)
+    if errors is not None:
+        errors = (errors[:, columns] if errors.shape[:2] == counts.shape else errors)[rows]
+    D, counts = D[rows][:, columns], counts[rows][:, columns]
+    D = without_rounding(D, counts)
     sequences = len(D)
     if not sequences:
         return Null(np.nan, np.nan, np.nan, np.nan, np.nan, 0)
     inner = slice(1, LEVELS.size - 1)
     weights = np.sqrt(LEVELS[inner] * (1 - LEVELS[inner])).astype(np.float32)
 
-    def reduce(mean: FloatArray) -> FloatArray:
+    def distances_of(mean: FloatArray) -> FloatArray:
         curves = _median(mean)[..., None] if deviation.over == "median" else mean
-        distances = np.abs(curves, out=curves)
+        return np.abs(curves, out=curves)
+
+    def error_of(distances: FloatArray) -> FloatArray:
         each = distances.mean(axis=1)
-        error = each.max(axis=-1) if deviation.over == "worst" else each.mean(axis=-1)
-        return np.stack([error, (distances.max(axis=-1)[:, inner] / weights).max(axis=-1)])
+        return np.asarray(each.max(axis=-1) if deviation.over == "worst" else each.mean(axis=-1))
+
+    def error_and_sup(mean: FloatArray) -> FloatArray:
+        distances = distances_of(mean)
+        return np.stack([error_of(distances), (distances.max(axis=-1)[:, inner] / weights).max(axis=-1)])
 
     signs = _signs(sequences, n_draws(draws, D[0].size), seed)
     tested = sequences >= MIN_SEQUENCES
-    parts = _reduce_flips(reduce, D, counts, signs if tested else signs[:1], offset)
-    errors, sup = np.concatenate(parts, axis=1).astype(np.float64)
+    parts = _reduce_flips(lambda m: error_of(distances_of(m)), D, counts, signs if tested else signs[:1], offset)
+    own = np.concatenate(parts).astype(np.float64)
     if not tested:
-        return Null(float(errors[0]), np.nan, np.nan, np.nan, np.nan, sequences)
+        return Null(float(own[0]), np.nan, np.nan, np.nan, np.nan, sequences)
+    signs = _signs(sequences, n_draws(min(draws, NULL_DRAWS), D[0].size), seed)
+    calibrated = calibrated_deviations(D, counts, offset, errors)
+    null, sup = np.concatenate(_reduce_flips(error_and_sup, calibrated, counts, signs, offset), axis=1)
+    observed, high, p = float(own[0]), float(np.quantile(null, 0.95)), float(_share_as_large(own))
     return Null(
-        observed=float(errors[0]),
-        mean=float(errors.mean()),
-        high=float(np.quantile(errors, 0.95)),
-        p=float(_share_as_large(errors)),
+        observed=observed,
+        mean=float(null.mean(dtype=np.float64)),
+        high=max(high, observed) if p >= LEVEL else min(high, observed),
+        p=p,
         band=float(np.quantile(sup, 0.95)),
         sequences=sequences,
     )
@@ -260,7 +293,7 @@ def sign_flips_of_each(
     array (J,)
         p-values; NaN for curves that count in fewer than :data:`MIN_SEQUENCES` sequences.
     """
-    p = np.full(counts.shape[1], np.nan)
+    p, deviations = np.full(counts.shape[1], np.nan), without_rounding(deviations, counts)
     most = n_draws(draws, max(1, deviations[:1].size))
     sets, of_curve = np.unique(counts > 0, axis=1, return_inverse=True)
     for used, members in zip(sets.T, split_by(of_curve.ravel(), sets.shape[1]), strict=True):
@@ -280,7 +313,7 @@ def _error_of_each(mean: FloatArray) -> FloatArray:
 
 def _share_as_large(errors: FloatArray) -> FloatArray:
     """Share of sign patterns (patterns, …) at which an error is at least as large as at the first, but for rounding."""
-    return np.asarray((errors >= errors[0] * (1 - 1e-5)).mean(axis=0))
+    return np.asarray((errors >= errors[0] * (1 - 1e-5) - ROUNDING).mean(axis=0))
 
 
 # --- p-values -----------------------------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from posecal.calibration.ranks import LEVELS
 from posecal.data.arrays import FloatArray
 from posecal.engine.measure import EFFECTIVE_NUMBER
 from posecal.engine.metric import Metric, Statistic
-from posecal.engine.sums import Cells, Counts, slices
+from posecal.engine.sums import Cells, Counts, Indices, slices
 from posecal.engine.totals import Totals
 from posecal.stats.jackknife import (
     Interval,
@@ -81,8 +82,35 @@ def null(totals: Totals, metric: Metric, cells: Cells = None) -> Null:
     if metric.deviation is None:
         raise ValueError(f"{metric.name} is no calibration error")
     judged = slice(metric.deviation.first, metric.deviation.last)
-    deviations, counts = sequence_deviations(totals, metric.statistic, cells, metric.offset, judged)
-    return sign_flips(deviations, counts, replace(metric.deviation, first=None, last=None), offset=metric.offset)
+    deviations, counts, curves = _judged_deviations(totals, metric.statistic, cells, metric.offset, judged)
+    whole = replace(metric.deviation, first=None, last=None)
+    errors = _errors_of(totals, metric, cells, curves)
+    test = sign_flips(deviations, counts, whole, offset=metric.offset, errors=errors)
+    if are_points(totals, metric, cells):
+        return Null(test.observed, math.nan, math.nan, math.nan, math.nan, test.sequences)
+    return test
+
+
+def are_points(totals: Totals, metric: Metric, cells: Cells = None) -> bool:
+    """Whether the hypotheses of each pose are all the same, so that there is no spread to be calibrated."""
+    statistic = None if metric.deviation is None else metric.deviation.errors
+    if statistic is None or statistic.name not in totals.sums:
+        return False
+    sums, counts = totals.of_cells(statistic, cells)
+    return bool(counts.any() and not sums[..., 0].any())
+
+
+def _errors_of(totals: Totals, metric: Metric, cells: Cells, curves: Indices) -> FloatArray | None:
+    """Sum the standardized errors over each sequence, (S, J, 3), or of the joints that all curves are about."""
+    statistic = None if metric.deviation is None else metric.deviation.errors
+    if statistic is None or statistic.name not in totals.sums:
+        return None
+    errors = totals.by_sequence(statistic, cells)[0][..., 1:]
+    rows, *inner, _ = totals.sums[metric.statistic.name].shape[1:]
+    K = errors.shape[1]
+    if rows not in {K, K + 1} or K == 1 or (curves >= K * int(np.prod(inner, dtype=int))).any():
+        return errors
+    return errors[:, curves // int(np.prod(inner, dtype=int))]
 
 
 def joint_p_values(totals: Totals, metric: Metric, cells: Cells = None) -> FloatArray:
@@ -100,7 +128,8 @@ def joint_p_values(totals: Totals, metric: Metric, cells: Cells = None) -> Float
         so many joints for so few sign patterns that none could be significant after the adjustment (a mesh, say).
     """
     joints = int((totals.counts[metric.statistic.name][:, :-1] > 0).any(axis=0).sum())
-    if joints > LEVEL * n_patterns(totals.n_sequences, joints * LEVELS.size):
+    few = joints > LEVEL * n_patterns(totals.n_sequences, joints * LEVELS.size)
+    if few or are_points(totals, metric, cells):
         return np.full(len(totals.spec.joints), np.nan)
     deviations, counts = sequence_deviations(totals, metric.statistic, cells, metric.offset)
     return sign_flips_of_each(deviations[:, :-1], counts[:, :-1], offset=metric.offset)
@@ -135,15 +164,22 @@ def sequence_deviations(
 
     Of all curves, or of those that a test judges: at most :data:`posecal.stats.resampling.MESH` of a range of them.
     """
+    return _judged_deviations(totals, statistic, cells, offset, judged)[:2]
+
+
+def _judged_deviations(
+    totals: Totals, statistic: Statistic, cells: Cells, offset: FloatArray | None, judged: slice | None
+) -> tuple[FloatArray, Counts, Indices]:
     sums, counts = totals.by_sequence(statistic, cells)
     inner = int(np.prod(sums.shape[2:-1], dtype=int))  # axes of a joint, say
     counts = np.repeat(counts, inner, axis=1)
     sums = sums.reshape(len(sums), counts.shape[1], LEVELS.size)
+    curves = np.arange(counts.shape[1])
     if judged is not None:
-        some = np.arange(counts.shape[1])[judged][thin(counts[:, judged])]
-        sums, counts = sums[:, some], counts[:, some]
+        curves = curves[judged][thin(counts[:, judged])]
+        sums, counts = sums[:, curves], counts[:, curves]
     expected = LEVELS if offset is None else LEVELS + offset
-    return sums - counts[..., None] * expected, counts
+    return sums - counts[..., None] * expected, counts, curves
 
 
 # --- variance between sequences -----------------------------------------------------------------------------------

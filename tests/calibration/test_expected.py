@@ -17,10 +17,21 @@ from posecal.calibration import (
     Definition,
     OverJoints,
     calibration_curve,
+    ece,
     expected_curve,
     perfect_sampler,
 )
-from posecal.calibration.expected import MAX_VALUES, _bias, _floor, _table
+from posecal.calibration.expected import (
+    FEW_POSES,
+    FEWEST_DRAWS,
+    MANY_JOINTS,
+    MAX_VALUES,
+    _bias,
+    _floor,
+    _table,
+    ece_range,
+)
+from posecal.calibration.ranks import rank_weights
 from posecal.errors import PoseDataError
 
 Array = npt.NDArray[np.floating]
@@ -194,17 +205,51 @@ def test_with_endless_poses_only_the_bias_is_left() -> None:
     assert perfect_sampler(20, 10**9, 16).mean < 1e-5
 
 
-@pytest.mark.slow
-def test_of_thousands_of_joints_fewer_test_sets_are_drawn_but_at_least_twenty() -> None:
-    for joints, drawn in ((5000, 4_000_000 // (5000 * 21)), (20_000, 20)):
-        found, fewer, many = (perfect_sampler(2, 9, joints, "paper", "mean", draws=n) for n in (drawn, drawn - 1, 200))
-        assert many == found != fewer
+@pytest.mark.parametrize("M", [3, FEW_POSES])
+@pytest.mark.parametrize(("joints", "drawn"), [(600, MAX_VALUES // (600 * 21)), (4000, FEWEST_DRAWS)])
+def test_of_many_joints_fewer_test_sets_are_drawn_and_never_too_few(M: int, joints: int, drawn: int) -> None:
+    found, fewer = (perfect_sampler(2, M, joints, "paper", "mean", draws=n) for n in (drawn, drawn - 1))
+    assert perfect_sampler(2, M, joints, "paper", "mean") == found != fewer
 
 
-def test_of_a_mesh_fewer_test_sets_are_drawn_and_never_too_few() -> None:
-    for joints, draws in ((MAX_VALUES // (200 * 21) + 1, 199), (20_000, 20)):
-        assert perfect_sampler(3, 9, joints) == perfect_sampler(3, 9, joints, draws=draws)
-        assert perfect_sampler(3, 9, joints) != perfect_sampler(3, 9, joints, draws=draws - 1)
+@pytest.mark.parametrize("definition", DEFINITIONS)
+def test_of_many_joints_the_median_curve_is_drawn_by_itself(definition: Definition) -> None:
+    """A median of as many joints as are drawn one by one has nearly the floor of one joint more."""
+    one, other = (perfect_sampler(30, 2000, joints, definition) for joints in (MANY_JOINTS, MANY_JOINTS + 1))
+    np.testing.assert_allclose((other.mean, other.high), (one.mean, one.high), rtol=0.06)
+    assert one != other
+
+
+@pytest.mark.parametrize("over", OVER_JOINTS)
+def test_few_poses_have_the_floor_that_is_drawn_rank_by_rank(over: OverJoints) -> None:
+    """Two poses whose curve is the mean of two weights: all pairs of ranks of N = 4 and one joint."""
+    weights = rank_weights(4, np.arange(5))
+    eces = [np.abs((one + other) / 2 - LEVELS).mean() for one in weights for other in weights]
+    found = perfect_sampler(4, 2, 1, over=over)
+    np.testing.assert_allclose(found.mean, np.mean(eces), atol=5 * np.std(eces) / np.sqrt(5000))
+    assert min(abs(found.high - ece) for ece in eces) < 1e-6
+
+
+# --- the range at finite N --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("definition", DEFINITIONS)
+@pytest.mark.parametrize("N", [2, 3, 7, 19])
+def test_no_hypotheses_have_an_ece_out_of_range(definition: Definition, N: int) -> None:
+    random = np.random.default_rng(N)
+    y, x = np.zeros((40, 1, 3)), random.normal(size=(N, 40, 1, 3))
+    low, high = ece_range(N, definition)
+    far, near, spread = (ece(x, y + 1e6, definition=definition), ece(x, y, definition=definition), x * [[[0.5]]])
+    assert low <= near <= high
+    assert low <= ece(spread, y, definition=definition) <= high
+    assert far <= high + 1e-12
+    if definition == "exchangeable":
+        np.testing.assert_allclose(far, high, rtol=1e-9)
+
+
+def test_the_nearest_curve_of_the_papers_definition_is_the_middle_of_each_step() -> None:
+    """N = 2: ω is one number at q = 0 … 0.45, another at 0.5 … 0.95, and 1 at 1: twice 0.05 (1 + 3 + 5 + 7 + 9)."""
+    np.testing.assert_allclose(ece_range(2, "paper"), [2 * 0.05 * 25 / 21, 0.5])
 
 
 def test_the_floor_is_the_same_on_every_call() -> None:

@@ -268,17 +268,24 @@ def test_tarp_in_a_box_is_its_definition(N: int) -> None:
         np.testing.assert_allclose(found[m, 0], rank_inside(tarp_box(pool[:, where[m]], own, share)), atol=1e-9)
 
 
-def test_in_a_box_without_a_side_nothing_tells_the_truth_from_the_hypotheses() -> None:
+def test_in_a_box_without_a_side_the_truth_has_no_rank() -> None:
     x, y = skewed(3, 6, 1, 4)  # of one pose
-    weights = TESTS["tarp_box"].weights(Block(x, y), np.ones(4, dtype=bool))
-    np.testing.assert_allclose(weights, np.broadcast_to(LEVELS, weights.shape), atol=1e-12)
+    assert np.isnan(TESTS["tarp_box"].weights(Block(x, y), np.ones(4, dtype=bool))).all()
 
 
 @pytest.mark.parametrize("test", TESTS)
-def test_hypotheses_that_all_are_the_truth_are_calibrated(test: str) -> None:
+def test_among_hypotheses_that_all_are_the_truth_it_has_no_rank(test: str) -> None:
     y = skewed(5, 2, 6, 4)[1]
     weights = TESTS[test].weights(Block(np.repeat(y[None], 9, axis=0), y), np.ones(4, dtype=bool))
-    np.testing.assert_allclose(weights, np.broadcast_to(LEVELS, weights.shape), atol=1e-12)
+    assert np.isnan(weights).all()
+
+
+def test_an_axis_in_which_all_hypotheses_are_the_truth_has_its_ranks_shared() -> None:
+    x, y = skewed(5, 9, 6, 4)
+    x[..., 2] = y[..., 2]  # positions in a plane
+    weights = TESTS["coordinate_pit"].weights(Block(x, y), np.ones(4, dtype=bool))
+    np.testing.assert_allclose(weights[:, :, 2], np.broadcast_to(LEVELS, weights[:, :, 2].shape), atol=1e-12)
+    assert not np.isnan(weights).any()
 
 
 # --- a user's own pre-rank --------------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from posecal.calibration import DEFINITIONS, LEVELS, Definition, calibration_curve
-from posecal.calibration.ranks import inside, known_definition, nearness, rank_weights
+from posecal.calibration.ranks import coincide, inside, known_definition, nearness, rank_weights
 from posecal.engine.block import Block
 from posecal.errors import PoseDataError
 from tests.helpers import oracles
@@ -176,10 +176,14 @@ def test_points_on_a_lattice_tie_exactly(N: int, D: int, dtype: str) -> None:
 
 
 @pytest.mark.parametrize("N", [2, 3, 10, 11])
-def test_a_truth_on_all_its_hypotheses_shares_every_rank(N: int) -> None:
+def test_a_truth_on_all_its_hypotheses_has_no_rank(N: int) -> None:
     y = np.random.default_rng(0).normal(0, 300, (4, 2, 3))
     x = np.repeat(y[None], N, axis=0)
-    np.testing.assert_allclose(inside(Block(x, y)), np.broadcast_to(LEVELS, (4, 2, 21)), atol=1e-12)
+    x[0, 3, 1, 2] += 0.01
+    x[:, 2, 0] += 0.01  # hypotheses that agree on another place
+    coincides = np.array([[True, True], [True, True], [False, True], [True, False]])
+    np.testing.assert_array_equal(coincide(Block(x, y)), coincides)
+    np.testing.assert_array_equal(np.isnan(inside(Block(x, y))[..., 0]), coincides)
 
 
 @pytest.mark.parametrize("N", [2, 3, 10])

@@ -259,7 +259,7 @@ def test_only_statistics_that_are_asked_for_are_added_up(some: World) -> None:
 
 def test_a_name_with_all_in_it_does_not_ask_for_all(some: World) -> None:
     found = accumulate(some.pairs, Protocol(metrics="fall"), preranks={"fall": lambda pool: pool[:, 0, 2]})
-    assert set(found.sums) == {"truth", "fall"}
+    assert set(found.sums) == {"truth", "standardized_errors", "fall"}
 
 
 def test_poses_are_grouped_by_their_predicted_spread(some: World) -> None:

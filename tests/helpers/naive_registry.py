@@ -235,8 +235,11 @@ class Twin:
             [oracles.curve_area(curve) for curve in self.curves(weights, poses)]
         )
         for percent, level in ((50, 10), (80, 16), (90, 18), (95, 19)):
-            self.numbers[f"coverage_{percent}"] = lambda poses, level=level: float(summary(poses)[level])
-            self.by_joint[f"coverage_{percent}"] = lambda poses, level=level: self.curves(weights, poses)[:, level]
+            known = 1.0 if self.has_ball(percent) else math.nan
+            self.numbers[f"coverage_{percent}"] = lambda poses, at=level, known=known: known * summary(poses)[at]
+            self.by_joint[f"coverage_{percent}"] = lambda poses, at=level, known=known: (
+                known * self.curves(weights, poses)[:, at]
+            )
 
         for percent in (50, 90):
             held = oracles.over_axes(self.x, self.y, lambda x, y, c=percent: oracles.held(x, y, c))
@@ -244,6 +247,10 @@ class Twin:
             name = f"interval_coverage_{percent}"
             self.by_joint[name] = lambda poses, held=held: self.curves(held, poses)[:, 0]
             self.numbers[name] = lambda poses, name=name: mean_known(self.by_joint[name](poses))
+
+    def has_ball(self, percent: int) -> bool:
+        """Whether so few hypotheses have a ball that holds a share of them."""
+        return percent * (len(self.x) + 1) <= 100 * len(self.x)
 
     def define_spread(self, name: str, values: Array) -> None:
         self.over_joints(name, values, self.moving)
@@ -340,6 +347,6 @@ class Twin:
             "mpjpe": mean_known(e.mean(axis=0)),
             "ece": oracles.curve_ece(curve),
             "signed_area": oracles.curve_area(curve),
-            "coverage_90": float(curve[18]),
+            "coverage_90": float(curve[18]) if self.has_ball(90) else math.nan,
             "radius_50": mean_known(np.array([oracles.mean(list(row[w])) for row, w in zip(radii, mask, strict=True)])),
         }

@@ -87,11 +87,13 @@ def brier_parts(outcomes: Sequence[tuple[int, bool]], N: int) -> tuple[float, fl
 
 
 def rank_inside(prerank: Sequence[float]) -> list[float]:
-    """How far inside each level the rank of the last number among all of them lies."""
+    """How far inside each level the rank of the last number among all of them lies; NaN where all are equal."""
     *others, truth = (float(value) for value in prerank)
     size = max(abs(value) for value in prerank)
     equal = sum(math.isclose(value, truth, rel_tol=0, abs_tol=1e-12 * size) for value in others)
     less = sum(value < truth - 1e-12 * size for value in others)
+    if equal == len(others):
+        return [math.nan for _ in QUANTILES]
     return [min(max(((len(others) + 1) * float(q) - less) / (equal + 1), 0.0), 1.0) for q in QUANTILES]
 
 

@@ -131,6 +131,7 @@ def test_numbers_per_joint_are_what_the_naive_formulas_give(protocol: str) -> No
 def test_every_number_of_a_pose_world_is_a_number(protocol: str) -> None:
     numbers = measured(protocol)[0]
     lacking = [name for name, value in numbers.items() if math.isnan(value)]
+    lacking = [name for name in lacking if name not in {"coverage_90", "coverage_95"}]  # of few hypotheses
     if numbers["failure_rate"] in {0, 1} and not protocol.startswith("failures"):
         lacking.remove("failure_auroc")  # nothing to tell apart
     if PROTOCOLS[protocol].where != "all":  # a joint is seldom occluded, or visible, in three or four frames in a row
@@ -148,7 +149,8 @@ def test_a_number_that_an_option_changes_has_another_definition(protocol: str) -
     usual, changed = known_metrics(Protocol(), some.spec), known_metrics(PROTOCOLS[protocol], some.spec)
     before, after = measured("defaults")[0], some.values(PROTOCOLS[protocol])
     before = {name: value for name, value in before.items() if name in after}  # a hand has no limbs of a person
-    other = [name for name in before if not math.isclose(before[name], after[name], rel_tol=1e-9)]
+    known = [name for name in before if not math.isnan(before[name])]
+    other = [name for name in known if not math.isclose(before[name], after[name], rel_tol=1e-9)]
     assert not [name for name in other if usual[name].definition == changed[name].definition]
 
 

@@ -137,7 +137,9 @@ class Known:
 
     @property
     def metrics(self) -> dict[str, SimpleNamespace]:
-        return {name: SimpleNamespace(label=name, rejection="why") for name in (*self.numbers, *self.ranks)}
+        return {
+            name: SimpleNamespace(label=name, rejection="why", deviation=None) for name in (*self.numbers, *self.ranks)
+        }
 
     def test(self, name: str) -> SimpleNamespace:
         return SimpleNamespace(p=self.p[name], mean=0.01, high=0.02, sequences=40)
@@ -290,7 +292,10 @@ def test_one_hypothesis_is_accurate_but_has_no_spread() -> None:
 
 
 def test_few_hypotheses_are_remarked_on_up_to_twenty() -> None:
-    few = "N = 19 hypotheses are few: look at what a perfect sampler would show before reading an ECE (paper)."
+    few = (
+        "N = 19 hypotheses are few: an ECE lies between 0 and 0.45; look at what a perfect sampler would show before "
+        "reading an ECE (paper)."
+    )
     assert few in unlabelled(n=19).remarks
     assert not any("are few" in remark for remark in unlabelled(n=20).remarks)
 

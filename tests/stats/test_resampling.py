@@ -97,11 +97,6 @@ def test_few_sequences_are_flipped_in_every_way(over: str, offset: Array | None,
     found = sign_flips(D, counts, Deviation(over=over), offset=offset)  # type: ignore[arg-type]
     np.testing.assert_allclose(found.observed, observed, rtol=1e-5)
     np.testing.assert_allclose(found.p, (errors >= observed * (1 - 1e-6)).mean(), rtol=1e-9)
-    np.testing.assert_allclose(found.mean, errors.mean(), rtol=1e-5)
-    half = np.sort(errors)[:: 1 if offset is not None else 2]  # each size occurs twice, once per opposite
-    np.testing.assert_allclose(found.high, np.quantile(half, 0.95), rtol=1e-5)
-    sup = np.sort([furthest(mean, over) for mean in reference])[:: 1 if offset is not None else 2]
-    np.testing.assert_allclose(found.band, np.quantile(sup, 0.95), rtol=1e-5)
     assert found.sequences == 7
 
 
@@ -119,7 +114,6 @@ def test_many_sequences_are_flipped_at_random_as_if_in_every_way(over: str) -> N
     found = sign_flips(D, counts, Deviation(over=over), draws=draws)  # type: ignore[arg-type]
     assert 0.01 < p < 0.9
     assert abs(found.p - p) < 4 * math.sqrt(p * (1 - p) / draws) + 1 / draws
-    assert abs(found.mean - np.mean(errors)) < 4 * np.std(errors) / math.sqrt(draws)
 
 
 def test_a_slice_of_the_curves_is_judged_by_itself() -> None:
@@ -188,6 +182,18 @@ def test_curves_on_the_diagonal_are_as_calibrated_as_can_be() -> None:
     D, counts = np.zeros((8, 2, Q)), np.ones((8, 2), int)
     assert sign_flips(D, counts, Deviation()).p == 1
     assert sign_flips_of_each(D, counts).tolist() == [1, 1]
+    rounded = 1e-16 * np.random.default_rng(0).random(D.shape)
+    assert sign_flips(rounded, counts, Deviation()).p == 1
+    assert sign_flips(rounded, counts, Deviation()).observed == 0
+    assert sign_flips_of_each(rounded, counts).tolist() == [1, 1]
+
+
+def test_errors_that_differ_by_less_than_rounding_tie() -> None:
+    D = np.full((8, 1, Q), 1e-3)
+    D += 1e-10 * np.arange(8)[:, None, None]
+    one = np.concatenate([D, -D[:4], D[4:8] * 0])  # no pattern but all-plus of the first is much larger
+    assert sign_flips(D, np.ones((8, 1)), Deviation()).p == 1 / 2**7
+    assert sign_flips(one * 1e-6, np.ones((16, 1)), Deviation()).p > 0.9
 
 
 def test_nothing_that_counts_gives_no_number() -> None:

@@ -1,0 +1,143 @@
+"""Deviations of a calibrated sampler, against loops that follow the formula and a sampler that is calibrated."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from posecal.calibration import LEVELS
+from posecal.engine.metric import Deviation
+from posecal.stats.calibrated import FAR, FEWEST, calibrated_deviations
+from posecal.stats.resampling import sign_flips
+from tests.helpers.sequences import Ranks
+from tests.stats.test_resampling import OVER, flipped, furthest, some, statistic
+
+Array = np.ndarray
+Q = LEVELS.size
+
+
+def naive(D: Array, counts: Array, expected: Array, drive: Array | None) -> Array:
+    """The definition, number by number; ``drive`` is what a curve of unit variance deviates by."""
+    S, J, _ = D.shape
+    found = np.zeros(D.shape)
+    for j in range(J):
+        total = sum(counts[s, j] for s in range(S))
+        scale = 1 / math.sqrt(1 - sum((counts[s, j] / total) ** 2 for s in range(S)))
+        mean = [sum(D[s, j, q] for s in range(S)) / total for q in range(Q)]
+        omega = [min(max(expected[q] + mean[q], 0.0), 1.0) for q in range(Q)]
+        known = [q for q in range(1, Q - 1) if omega[q] * (1 - omega[q]) >= FEWEST]
+
+        def odds(share: float) -> float:
+            return math.log(share / (1 - share))
+
+        for q in range(1, Q - 1):
+            spread = math.sqrt(expected[q] * (1 - expected[q]))
+            wanted = odds(expected[q])
+            below = [level for level in known if odds(omega[level]) <= wanted]
+            above = [level for level in known if odds(omega[level]) > wanted]
+            low, high = (below or above or [0])[-1 if below else 0], (above or below or [0])[0 if above else -1]
+            gap = odds(omega[high]) - odds(omega[low]) if known else 0.0
+            share = (wanted - odds(omega[low])) / gap if gap > 0 else 0.0
+            length = math.sqrt(share**2 + (1 - share) ** 2 + 2 * share * (1 - share) * math.exp(-gap / 2))
+            far = not known or (drive is not None and max(odds(omega[low]) - wanted, wanted - odds(omega[high])) > FAR)
+            for s in range(S):
+                z = math.sqrt(counts[s, j]) if drive is None else drive[s, j]
+                if not far:
+                    two = [
+                        (D[s, j, level] - counts[s, j] * mean[level]) / math.sqrt(omega[level] * (1 - omega[level]))
+                        for level in (low, high)
+                    ]
+                    z = (two[0] * (1 - share) + two[1] * share) / length
+                found[s, j, q] = z * scale * spread
+    return found
+
+
+def sums(spread: float, offset: Array | float = 0.0) -> tuple[Array, Array, Array]:
+    """Deviations, counts and sums of standardized errors of a model, joints of unlike numbers of poses."""
+    ranks = Ranks(sequences=7, frames=30, joints=3, correlation=0.8)
+    inside, errors = ranks.sums(np.random.default_rng(3), spread)
+    counts = np.full((7, 3), 30)
+    inside[:2, 1], errors[:2, 1], counts[:2, 1] = 0, 0, 0
+    return inside - counts[..., None] * (LEVELS + offset), counts, errors
+
+
+@pytest.mark.parametrize("spread", [0.1, 0.6, 1.0, 3.0, 30.0])
+@pytest.mark.parametrize("offset", [0.0, 0.02 * np.sin(np.arange(Q) * np.pi / 10)], ids=["unbiased", "biased"])
+def test_they_follow_the_definition(spread: float, offset: Array | float) -> None:
+    D, counts, errors = sums(spread, offset)
+    expected = LEVELS + offset
+    given = None if isinstance(offset, float) else offset
+    np.testing.assert_allclose(calibrated_deviations(D, counts, given), naive(D, counts, expected, None), atol=1e-9)
+    number, logs, squares = np.moveaxis(errors, -1, 0)
+    mean = logs.sum(axis=0) / number.sum(axis=0)
+    drive = (logs - number * mean) / np.sqrt(squares.sum(axis=0) / number.sum(axis=0) - mean**2)
+    found = calibrated_deviations(D, counts, given, errors)
+    np.testing.assert_allclose(found, naive(D, counts, expected, drive), atol=1e-9)
+
+
+@pytest.mark.parametrize("spread", [0.3, 1.0, 4.0])
+def test_their_sum_is_0_at_every_level(spread: float) -> None:
+    D, counts, errors = sums(spread)
+    np.testing.assert_allclose(calibrated_deviations(D, counts, None, errors).sum(axis=0), 0, atol=1e-9)
+
+
+def test_of_poses_all_joints_together_say_how_much_frames_depend_on_each_other() -> None:
+    D, counts, errors = sums(0.02)
+    one = calibrated_deviations(D[:, :1], counts[:, :1], None, errors)
+    number, logs, squares = np.moveaxis(errors, -1, 0)
+    mean, total = logs.sum(axis=0) / number.sum(axis=0), number.sum(axis=0)
+    each = (logs - number * mean) / np.sqrt(squares.sum(axis=0) / total - mean**2)
+    design_effect = (each**2).sum(axis=0).mean() / total.mean()
+    expected = design_effect * 210 / (1 - 1 / 7) * LEVELS * (1 - LEVELS)
+    np.testing.assert_allclose((one[:, 0] ** 2).sum(axis=0), expected, rtol=1e-9)
+    np.testing.assert_allclose(one[:, 0, 5] / one[0, 0, 5], each.sum(axis=1) / each[0].sum(), rtol=1e-9)
+
+
+def test_errors_that_never_differ_say_nothing() -> None:
+    D, counts, errors = sums(0.02)
+    errors[..., 1] = 2 * errors[..., 0]
+    errors[..., 2] = 4 * errors[..., 0]
+    expected = calibrated_deviations(D, counts)
+    np.testing.assert_array_equal(calibrated_deviations(D, counts, None, errors), expected)
+    np.testing.assert_array_equal(
+        calibrated_deviations(D[:, :1], counts[:, :1], None, errors), calibrated_deviations(D[:, :1], counts[:, :1])
+    )
+
+
+@pytest.mark.parametrize("spread", [0.1, 0.5, 2.0, 10.0])
+def test_the_same_sequences_show_nearly_the_same_whatever_the_spread(spread: float) -> None:
+    ranks, found = Ranks(sequences=20, frames=50, joints=4, correlation=0.9), []
+    for factor in (1.0, spread):
+        inside, errors = ranks.sums(np.random.default_rng(5), factor)
+        counts = np.full((20, 4), 50)
+        found.append(sign_flips(inside - 50 * LEVELS, counts, Deviation(over="median"), errors=errors))
+    assert found[1].p <= 1 / 2000
+    assert found[0].p > 0.001
+    for number in ("mean", "high"):
+        assert 1 / 1.7 < getattr(found[1], number) / getattr(found[0], number) < 1.7
+
+
+@pytest.mark.parametrize("over", OVER)
+@pytest.mark.parametrize("offset", [None, 0.02 * np.sin(np.arange(Q))], ids=["unbiased", "biased definition"])
+def test_what_a_calibrated_sampler_shows_is_over_flips_of_its_deviations(over: str, offset: Array | None) -> None:
+    D, counts = some(3)
+    calibrated = calibrated_deviations(D, counts, offset)
+    plus = 0 if offset is None else offset
+    signs = [signs for signs in itertools.product((1, -1), repeat=7) if signs[-1] > 0]  # one of each two opposites
+    means = [flipped(calibrated, counts, pattern, plus) for pattern in signs]
+    errors, sup = ([of(mean, over) for mean in means] for of in (statistic, furthest))
+    found = sign_flips(D, counts, Deviation(over=over), offset=offset)  # type: ignore[arg-type]
+    np.testing.assert_allclose(found.mean, np.mean(errors), rtol=1e-5)
+    np.testing.assert_allclose(found.band, np.quantile(sup, 0.95), rtol=1e-5)
+    of_high = max if found.p >= 0.05 else min
+    np.testing.assert_allclose(found.high, of_high(np.quantile(errors, 0.95), found.observed), rtol=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_the_quantile_of_a_calibrated_sampler_never_contradicts_the_p_value(seed: int) -> None:
+    D, counts = some(seed, S=8, J=1)
+    found = sign_flips(D, counts, Deviation())
+    assert (found.observed <= found.high) == (found.p >= 0.05) or found.observed == found.high
