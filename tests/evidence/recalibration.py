@@ -181,7 +181,7 @@ TABLES = [
     Table("recalibration-modes", ("hypotheses", *(f"N = {N}" for N in SIZES)), modes_rows, 200),
     Table(
         "recalibration-flips",
-        ("hypotheses", "factor", "ECE", "energy score, mm", "CRPS, mm", "minMPJPE, mm", "the sheet says"),
+        ("hypotheses", "factor", "ECE", "energy score, mm", "CRPS, mm", "minMPJPE, mm", "the map"),
         flip_rows,
         3,
     ),
