@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import partial
 
 import numpy as np
 import pytest
@@ -11,9 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from posecal import Protocol, evaluate
-from posecal.errors import PoseDataError
 from posecal.metrics import aurc, ause, excess_aurc, failure_auroc, risk_coverage
-from posecal.metrics.failures import failure_auroc_without
 from posecal.metrics.risk_coverage import (
     MAX_PARTS,
     aurc_without,
@@ -25,11 +22,9 @@ from tests.stats.test_orders import lengths, recomputed
 
 Array = np.ndarray
 
-FAILING = partial(failure_auroc, threshold=3.0), partial(failure_auroc_without, threshold=3.0)
 PAIRS = {
     "AURC": (aurc, aurc_without),
     "excess AURC": (excess_aurc, excess_aurc_without),
-    "ROC AUC of failures": FAILING,
 }
 values = st.lists(st.tuples(st.integers(0, 6), st.integers(1, 9)), min_size=1, max_size=30)
 poses = st.lists(st.tuples(st.integers(0, 5), st.integers(1, 5), st.integers(0, 3)), min_size=1, max_size=25)
@@ -40,8 +35,6 @@ def test_the_numbers_are_those_of_loops(pairs: list[tuple[int, int]]) -> None:
     spread, error = np.array(pairs, dtype=float).T
     np.testing.assert_allclose(aurc(spread, error), score_oracles.aurc(spread, error))
     np.testing.assert_allclose(excess_aurc(spread, error), score_oracles.excess_aurc(spread, error), atol=1e-12)
-    found, expected = FAILING[0](spread, error), score_oracles.failure_auroc(spread, error, 3.0)
-    np.testing.assert_allclose(found, expected, equal_nan=True)
     coverage, by_spread, by_error = risk_coverage(spread, error)
     assert coverage.tolist() == [n / len(pairs) for n in range(1, len(pairs) + 1)]
     np.testing.assert_allclose([by_spread[-1], by_error[-1]], error.mean())
@@ -53,33 +46,14 @@ def test_equal_spreads_are_kept_in_random_order() -> None:
     error = np.array([1.0, 2, 3, 10])
     assert risk_coverage(np.ones(4), error)[1].tolist() == [4, 4, 4, 4]
     assert aurc(np.ones(4), error) == aurc(np.ones(4), error[::-1]) == 4
-    assert failure_auroc(np.ones(4), error, 5.0) == 0.5
-
-
-def test_a_pose_at_the_threshold_is_no_failure() -> None:
-    assert math.isnan(failure_auroc([1, 2], [150, 150]))
-    assert failure_auroc([1, 2], [150, 150.1]) == 1
-    assert failure_auroc([2, 1], [150, 150.1]) == 0
-
-
-@pytest.mark.parametrize("error", [[10, 20], [200, 300]])
-def test_without_failures_or_without_successes_nothing_is_told_apart(error: list[float]) -> None:
-    assert math.isnan(failure_auroc([1, 2], error))
 
 
 def test_poses_without_a_number_are_left_out() -> None:
     spread, error = [1.0, 2.0, math.nan, 4.0, 3.0], [2.0, 5.0, 900.0, 200.0, math.nan]
     assert aurc(spread, error) == aurc([1, 2, 4], [2, 5, 200])
-    assert failure_auroc(spread, error) == 1
     assert math.isnan(aurc([math.nan], [1.0]))
     assert math.isnan(excess_aurc([], []))
     assert [len(part) for part in risk_coverage([], [])] == [0, 0, 0]
-
-
-@pytest.mark.parametrize("threshold", [0, -1, math.nan, math.inf])
-def test_a_threshold_is_a_length(threshold: float) -> None:
-    with pytest.raises(PoseDataError, match=r"^threshold: .*; expected a length above 0"):
-        failure_auroc([1, 2], [10, 200], threshold)
 
 
 def test_ause_is_the_excess_area_in_mean_errors() -> None:
@@ -147,15 +121,6 @@ def test_a_report_has_the_numbers_of_its_single_pose() -> None:
         assert "aurc" not in report.scalars()
         low, high = report.interval("failure_auroc")
         assert low < report["failure_auroc"] < high
-
-
-def test_with_no_failure_the_report_says_so_by_the_rate() -> None:
-    random = np.random.default_rng(1)
-    y = random.normal(0, 300, (20, 4, 3))
-    report = evaluate(y + random.normal(0, 5, (6, 20, 4, 3)), y, unit="mm")
-    assert math.isnan(report["failure_auroc"])
-    assert np.isnan(report.interval("failure_auroc")).all()
-    assert report["failure_rate"] == 0
 
 
 def test_the_mode_is_the_hypothesis_of_the_highest_score_or_of_an_index() -> None:
