@@ -86,7 +86,7 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class Tested:
+class NullComparison:
     """A calibration error against those of a calibrated sampler.
 
     Attributes
@@ -129,7 +129,7 @@ class Evidence:
 
     Attributes
     ----------
-    ece : Tested
+    ece : NullComparison
         The ECE.
     area : Estimate
         The signed area.
@@ -147,13 +147,13 @@ class Evidence:
         None where there are no two sequences long enough.
     joints : dict of tuple
         By joint: ECE, signed area and p-value, adjusted for the number of joints.
-    mean_of_joints : Tested or None
+    mean_of_joints : NullComparison or None
         The mean of the joints' own ECEs; None where it is not needed.
     rank_tests : tuple of tuple
         Label, what a rejection means, and adjusted p-value of each.
     """
 
-    ece: Tested
+    ece: NullComparison
     area: Estimate
     units: str = "0 sequences"
     n_units: int = 0
@@ -162,7 +162,7 @@ class Evidence:
     balls: str = "balls"
     sequences: Sequences | None = None
     joints: dict[str, tuple[float, float, float]] = field(default_factory=dict)
-    mean_of_joints: Tested | None = None
+    mean_of_joints: NullComparison | None = None
     rank_tests: tuple[tuple[str, str, float], ...] = ()
 
     @cached_property
@@ -202,7 +202,7 @@ def evidence_of(report: Report) -> Evidence:
         What its sentences rest on.
     """
     totals, test = report.totals, report.test("ece")
-    ece = Tested(report["ece"], test.mean, test.high, test.p)
+    ece = NullComparison(report["ece"], test.mean, test.high, test.p)
     prefix = "interval_coverage_" if "interval_coverage_90" in report.headline_metrics else "coverage_"
     shown = [name for name in report.headline_metrics if name.startswith(prefix)]
     evidence = Evidence(
@@ -225,7 +225,7 @@ def evidence_of(report: Report) -> Evidence:
     if evidence.strong or math.isnan(test.p) or "ece_mean" not in report.metrics or len(totals.spec.joints) < 2:
         return evidence
     mean = report.test("ece_mean")
-    return replace(evidence, mean_of_joints=Tested(report["ece_mean"], mean.mean, mean.high, mean.p))
+    return replace(evidence, mean_of_joints=NullComparison(report["ece_mean"], mean.mean, mean.high, mean.p))
 
 
 def _estimate(report: Report, name: str, best: float) -> Estimate:

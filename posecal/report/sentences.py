@@ -86,13 +86,23 @@ def _more(e: Evidence) -> str:
 def _small(e: Evidence) -> str:
     return (
         f"No sign of miscalibration on average: ECE {e.ece.error:.3f} where a perfect sampler would show up to "
-        f"{e.floor:.3f} in as many independent frames{_share(e)}; {e.units} allow{'s' * (e.n_units == 1)} no test."
+        f"{e.floor:.3f} in as many independent frames{_share(e)}; {_no_test(e)}."
     )
 
 
 def _looks(e: Evidence) -> str:
-    looks = f"ECE {e.ece.error:.3f}, on neither side throughout" if e.side == NEITHER else f"Looks {e.side}"
-    return f"{looks} (signed area {e.area.value:+.3f}{_share(e)}); whether by chance can't be tested here."
+    return (
+        f"Looks {e.side}: signed area {e.area.value:+.3f} (95\u00a0% interval {span(e.area.low, e.area.high)})"
+        f"{_share(e)}; {_no_test(e)}."
+    )
+
+
+def _not_tested(e: Evidence) -> str:
+    return f"Not tested: ECE {e.ece.error:.3f}, signed area {e.area.value:+.3f}{_share(e)}; {_no_test(e)}."
+
+
+def _no_test(e: Evidence) -> str:
+    return f"{e.units} allow{'s' * (e.n_units == 1)} no test"
 
 
 def _beyond_chance(e: Evidence) -> str:
@@ -165,9 +175,9 @@ def _sequences_range(e: Evidence) -> str:
     assert e.sequences is not None
     (low, lowest), (high, highest), independent = e.sequences.lowest, e.sequences.highest, e.sequences.independent
     return (
-        f"Single sequences range from signed area {lowest:+.2f} ({low}) to {highest:+.2f} ({high}): chance alone "
-        f"shows that only where the {e.sequences.frames:.0f} frames of a sequence count as no more than "
-        f"{counted(max(1, math.ceil(independent)), 'independent one')}."
+        f"Single sequences range from signed area {lowest:+.2f} ({low}) to {highest:+.2f} ({high}), by chance only if the "
+        f"{e.sequences.frames:.0f} frames of a sequence say no more than "
+        f"{counted(max(1, math.ceil(independent)), 'independent one')} would."
     )
 
 
@@ -254,7 +264,14 @@ RULES = (
         lambda e: _untested(e) and e.ece.error <= e.floor,
         _small,
     ),
-    Rule("verdict", "no test", "fewer than 6 sequences", _untested, _looks),
+    Rule(
+        "verdict",
+        "no test, one side",
+        "fewer than 6 sequences; the 95 % interval of the signed area excludes 0, and the curve has a side",
+        lambda e: _untested(e) and e.side != NEITHER and e.area.excludes != 0,
+        _looks,
+    ),
+    Rule("verdict", "no test", "fewer than 6 sequences", _untested, _not_tested),
     Rule(
         "verdict",
         "beyond chance",

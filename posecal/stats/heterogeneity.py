@@ -30,9 +30,9 @@ MIN_FRAMES = 10
 DRAWS = 999
 """Random pairings of beginnings and ends."""
 
-FADING = 1.5
-"""Neighbouring thirds may covary so many times as much as the first and the last third do; where they do more, what the
-ends share fades within the sequence, and is no property of it."""
+RISING = 1.25
+"""Where the variogram within sequences at a third of their length is more than so many times that at a sixth, the
+likeness of frames reaches from end to end."""
 
 
 @dataclass(frozen=True)
@@ -140,9 +140,10 @@ def persistence_p(values: FloatArray, sequence: Indices, *, draws: int = DRAWS, 
     Returns
     -------
     float
-        One-sided p-value, at least 1 / (draws + 1); 1 where neighbouring thirds covary more than :data:`FADING` times
-        as much as the ends: then the likeness of frames reaches from end to end. NaN with fewer than six sequences of
-        at least :data:`MIN_FRAMES` frames.
+        One-sided p-value, at least 1 / (draws + 1); NaN with fewer than six sequences of at least :data:`MIN_FRAMES`
+        frames, and where the likeness of frames reaches from end to end: where half the mean squared difference of two
+        frames, which no property of their sequence changes, still rises by :data:`RISING` from a sixth to a third of
+        the length.
 
     Notes
     -----
@@ -155,26 +156,37 @@ def persistence_p(values: FloatArray, sequence: Indices, *, draws: int = DRAWS, 
     >>> persistence_p(values, np.repeat(np.arange(7), 12)) < 0.01
     True
     """
-    thirds = _thirds(values, sequence)
-    if len(thirds) < MIN_SEQUENCES:
+    order, place, n = _ordered(sequence)
+    values, sequence = values[order], sequence[order]
+    thirds = _thirds(values, sequence, place, n)
+    if len(thirds) < MIN_SEQUENCES or _rises(values, place, n):
         return float("nan")
-    first, middle, last = (thirds - thirds.mean(axis=0)).T
-    ends, neighbours = first @ last, (first @ middle + middle @ last) / 2
-    if ends <= 0 or neighbours > FADING * ends:
-        return 1.0
+    first, _, last = (thirds - thirds.mean(axis=0)).T
+    ends = first @ last
     random = np.random.default_rng(seed)
     paired = np.array([first @ random.permutation(last) for _ in range(draws)])
     return float((1 + (paired >= ends * (1 - 1e-9)).sum()) / (draws + 1))
 
 
-def _thirds(values: FloatArray, sequence: Indices) -> FloatArray:
-    """Means over each third of the frames of each sequence that is long enough, (S, 3)."""
+def _ordered(sequence: Indices) -> tuple[Indices, Indices, Indices]:
+    """Frames sorted by sequence, the place of each in its sequence, and the sequence's length beside it."""
     n = np.bincount(sequence)
     order = np.argsort(sequence, kind="stable")
-    place = np.arange(len(order)) - np.repeat(np.cumsum(n) - n, n)
-    third = np.minimum(3 * place // np.maximum(np.repeat(n, n), 1), 2)
-    cell = 3 * sequence[order] + third
-    sums = np.bincount(cell, values[order], 3 * len(n)).reshape(-1, 3)
-    number = np.bincount(cell, minlength=3 * len(n)).reshape(-1, 3)
+    length = np.repeat(n, n)
+    return order, np.arange(len(order)) - np.repeat(np.cumsum(n) - n, n), length
+
+
+def _thirds(values: FloatArray, sequence: Indices, place: Indices, n: Indices) -> FloatArray:
+    """Means over each third of the frames of each sequence that is long enough, (S, 3)."""
     long = n >= MIN_FRAMES
-    return np.asarray(sums[long] / number[long])
+    cell = 3 * np.unique(sequence[long], return_inverse=True)[1] + (3 * place // n)[long]
+    return np.asarray(np.bincount(cell, values[long]) / np.bincount(cell)).reshape(-1, 3)
+
+
+def _rises(values: FloatArray, place: Indices, n: Indices) -> bool:
+    """Whether the variogram within sequences rises from a sixth to a third of their length."""
+    squares = []
+    for lag in (n // 6, 2 * (n // 6)):
+        at = np.flatnonzero((n >= MIN_FRAMES) & (place + lag < n))
+        squares.append(float(((values[at + lag[at]] - values[at]) ** 2).mean()))
+    return squares[1] > RISING * squares[0]
