@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -102,6 +103,23 @@ class NullComparison:
 
 
 @dataclass(frozen=True)
+class Joint:
+    """The calibration curve of one joint.
+
+    Attributes
+    ----------
+    error, p : float
+        ECE, and its p-value, adjusted for the number of joints.
+    area : Estimate
+        Signed area.
+    """
+
+    error: float
+    p: float
+    area: Estimate
+
+
+@dataclass(frozen=True)
 class Sequences:
     """The sequences that deviate most to either side.
 
@@ -145,8 +163,8 @@ class Evidence:
         What the truths are covered by: ``balls`` or ``intervals``.
     sequences : Sequences or None
         None where there are no two sequences long enough.
-    joints : dict of tuple
-        By joint: ECE, signed area and p-value, adjusted for the number of joints.
+    joints : dict of Joint
+        Those that could be tested.
     mean_of_joints : NullComparison or None
         The mean of the joints' own ECEs; None where it is not needed.
     rank_tests : tuple of tuple
@@ -161,19 +179,22 @@ class Evidence:
     coverage: tuple[Estimate, ...] = ()
     balls: str = "balls"
     sequences: Sequences | None = None
-    joints: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+    joints: dict[str, Joint] = field(default_factory=dict)
     mean_of_joints: NullComparison | None = None
     rank_tests: tuple[tuple[str, str, float], ...] = ()
 
     @cached_property
     def strong(self) -> bool:
-        """Whether the ECE is beyond chance.
+        """Whether the ECE is beyond chance."""
+        return self.is_beyond_chance(self.ece.p, self.area)
 
-        That is p < 0.01; or, since fewer than eight sequences have no such p, p < 0.05 where the 99 % interval of the
-        signed area excludes 0.
+    def is_beyond_chance(self, p: float, area: Estimate) -> bool:
+        """Whether a curve is off beyond chance, by its p-value and its signed area.
+
+        That is p < 0.01; or, since few sequences have no such p, p < 0.05 where the 99 % interval of the signed area
+        excludes 0.
         """
-        p = self.ece.p
-        return p < STRONG or (p < LEVEL and self.area.excludes_at_99(self.n_units))
+        return p < STRONG or (p < LEVEL and area.excludes_at_99(self.n_units))
 
     @cached_property
     def side(self) -> str:
@@ -214,9 +235,7 @@ def evidence_of(report: Report) -> Evidence:
         coverage=tuple(_estimate(report, name, int(name.rpartition("_")[2]) / 100) for name in shown),
         balls="intervals" if prefix != "coverage_" else "balls",
         sequences=_sequences(report),
-        joints={
-            joint: (report.value("ece", joint=joint), area, p) for joint, (area, p) in report.joint_tests().items()
-        },
+        joints=dict(_joints(report)),
         rank_tests=tuple(
             (report.metrics[name].label, report.metrics[name].rejection, p)
             for name, (_, p) in report.rank_tests().items()
@@ -232,13 +251,20 @@ def _estimate(report: Report, name: str, best: float) -> Estimate:
     return Estimate(report.metrics[name].label, report[name], *report.interval(name), best)
 
 
+def _joints(report: Report) -> Iterator[tuple[str, Joint]]:
+    for joint, (area, p) in report.joint_tests().items():
+        ends = report.interval("signed_area", joint=joint) if p < LEVEL else (math.nan, math.nan)
+        yield joint, Joint(report.value("ece", joint=joint), p, Estimate("signed area", area, *ends, 0.0))
+
+
 def _sequences(report: Report) -> Sequences | None:
     found = sequence_areas(report.totals, report.metrics["ece"])
     if len(found.names) < 2:
         return None
     low, high = int(np.argmin(found.areas)), int(np.argmax(found.areas))
     kept = report.metrics.get("spread_error_correlation")
-    p = math.nan if kept is None else sequences_differ_p(report.totals, kept.statistic)
+    one_sided = found.areas[low] * found.areas[high] >= 0  # of which nothing is said
+    p = math.nan if kept is None or one_sided else sequences_differ_p(report.totals, kept.statistic)
     return Sequences(
         (found.names[low], float(found.areas[low])),
         (found.names[high], float(found.areas[high])),

@@ -66,7 +66,11 @@ def _untested(e: Evidence) -> bool:
 
 
 def _not_shown(e: Evidence) -> bool:
-    return e.ece.p >= LEVEL or (_untested(e) and e.ece.error <= e.floor)
+    return e.ece.p >= LEVEL or (_untested(e) and not _one_sided(e))
+
+
+def _one_sided(e: Evidence) -> bool:
+    return e.side != NEITHER and e.area.excludes != 0
 
 
 def _share(e: Evidence, before: str = "; ") -> str:
@@ -83,13 +87,6 @@ def _more(e: Evidence) -> str:
     return f"more {'over' if e.side == OVER else 'under'}- than {'under' if e.side == OVER else 'over'}confident"
 
 
-def _small(e: Evidence) -> str:
-    return (
-        f"No sign of miscalibration on average: ECE {e.ece.error:.3f} where a perfect sampler would show up to "
-        f"{e.floor:.3f} in as many independent frames{_share(e)}; {_no_test(e)}."
-    )
-
-
 def _looks(e: Evidence) -> str:
     return (
         f"Looks {e.side}: signed area {e.area.value:+.3f} (95\u00a0% interval {span(e.area.low, e.area.high)})"
@@ -98,7 +95,8 @@ def _looks(e: Evidence) -> str:
 
 
 def _not_tested(e: Evidence) -> str:
-    return f"Not tested: ECE {e.ece.error:.3f}, signed area {e.area.value:+.3f}{_share(e)}; {_no_test(e)}."
+    known = "" if math.isnan(e.floor) else f", a perfect sampler's up to {e.floor:.3f} in as many independent frames"
+    return f"Not tested: ECE {e.ece.error:.3f}{known}; signed area {e.area.value:+.3f}{_share(e)}; {_no_test(e)}."
 
 
 def _no_test(e: Evidence) -> str:
@@ -123,11 +121,10 @@ def _against(e: Evidence) -> str:
 
 
 def _nothing_shown(e: Evidence) -> str:
-    ece = e.ece
+    error, high = e.ece.error, e.ece.high
     return (
-        f"No miscalibration shown on average: ECE {ece.error:.3f} where a calibrated sampler would show up to "
-        f"{ece.high:.3f} on these {e.units} ({p_value(ece.p)}), so that a true ECE of up to {ece.error + ece.high:.3f} "
-        f"can't be excluded{_share(e)}."
+        f"No miscalibration shown on average: ECE {error:.3f} where a calibrated sampler would show up to {high:.3f} "
+        f"({p_value(e.ece.p)}); a true ECE of up to {error + high:.3f} can't be excluded{_share(e)}."
     )
 
 
@@ -175,8 +172,8 @@ def _sequences_range(e: Evidence) -> str:
     assert e.sequences is not None
     (low, lowest), (high, highest), independent = e.sequences.lowest, e.sequences.highest, e.sequences.independent
     return (
-        f"Single sequences range from signed area {lowest:+.2f} ({low}) to {highest:+.2f} ({high}), by chance only if the "
-        f"{e.sequences.frames:.0f} frames of a sequence say no more than "
+        f"Single sequences range from signed area {lowest:+.2f} ({low}) to {highest:+.2f} ({high}), by chance only if "
+        f"the {e.sequences.frames:.0f} frames of a sequence say no more than "
         f"{counted(max(1, math.ceil(independent)), 'independent one')} would."
     )
 
@@ -185,11 +182,11 @@ def _sequences_range(e: Evidence) -> str:
 
 
 def _named_joints(e: Evidence) -> dict[str, list[str]]:
-    """Joints whose own test rejects, by side, the largest signed area first."""
+    """Joints that are off beyond chance, by side, the largest signed area first."""
     sides: dict[str, list[str]] = {OVER: [], UNDER: [], NEITHER: []}
-    for joint, (error, area, p) in sorted(e.joints.items(), key=lambda entry: -abs(entry[1][1])):
-        if p < LEVEL:
-            sides[side_of(area, error)].append(joint)
+    for name, joint in sorted(e.joints.items(), key=lambda entry: -abs(entry[1].area.value)):
+        if e.is_beyond_chance(joint.p, joint.area):
+            sides[side_of(joint.area.value, joint.error)].append(name)
     return {side: joints for side, joints in sides.items() if joints}
 
 
@@ -259,16 +256,9 @@ def _none_rejects(e: Evidence) -> bool:
 RULES = (
     Rule(
         "verdict",
-        "no test, small",
-        "fewer than 6 sequences; ECE at most the 95 % quantile of a perfect sampler's in independent frames",
-        lambda e: _untested(e) and e.ece.error <= e.floor,
-        _small,
-    ),
-    Rule(
-        "verdict",
         "no test, one side",
         "fewer than 6 sequences; the 95 % interval of the signed area excludes 0, and the curve has a side",
-        lambda e: _untested(e) and e.side != NEITHER and e.area.excludes != 0,
+        lambda e: _untested(e) and _one_sided(e),
         _looks,
     ),
     Rule("verdict", "no test", "fewer than 6 sequences", _untested, _not_tested),
@@ -286,7 +276,7 @@ RULES = (
     Rule(
         "intervals",
         "interval excludes",
-        "nothing is shown, and the 95 % interval of the signed area or of a coverage excludes its best value",
+        "nothing is shown or tested, and the 95 % interval of the signed area or of a coverage excludes its best value",
         lambda e: _not_shown(e) and bool(e.excluded),
         _intervals,
     ),
@@ -309,8 +299,8 @@ RULES = (
     Rule(
         "joints",
         "joints",
-        "the ECE is beyond chance, or p < 0.01 of the mean of the joints' ECEs; p < 0.05 of a joint's own ECE, "
-        "adjusted for the number of joints",
+        "the ECE is beyond chance, or p < 0.01 of the mean of the joints' ECEs; beyond chance is then, by the same "
+        "rule, a joint with its own signed area and p, adjusted for the number of joints",
         _joints,
         _joint_by_joint,
     ),

@@ -147,8 +147,8 @@ def persistence_p(values: FloatArray, sequence: Indices, *, draws: int = DRAWS, 
 
     Notes
     -----
-    A calibrated sampler whose frames are correlated throughout a sequence can't be told from a model that is off in
-    single sequences, by any test. Differs from the published code: none; ours.
+    A calibrated sampler whose frames are correlated throughout a sequence can't be distinguished from a model that is
+    off in single sequences, by any test. Differs from the published code: none; ours.
 
     Examples
     --------

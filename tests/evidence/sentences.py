@@ -243,9 +243,6 @@ def judge(sentence: str, world: World, law: Law, report: Report) -> str:
         return RIGHT if not off else CAUTIOUS if law.error <= most else WRONG
     if sentence.startswith("Not tested"):
         return CAUTIOUS
-    if sentence.startswith("No sign"):
-        error, floor = map(float, re.findall(r"ECE ([\d.]+) .* up to ([\d.]+) in", sentence)[0])
-        return RIGHT if not off else CAUTIOUS if law.error <= error + floor else WRONG
     if sentence.startswith("Yet"):
         return RIGHT if off else CAUTIOUS
     if sentence.startswith("Some sequences"):
@@ -292,7 +289,7 @@ def contradictions(report: Report) -> Iterator[str]:
     for name, value in best.items():
         low, high = report.interval(name)
         below, above = high < value, low > value
-        if first.startswith("No ") and (below or above) and not any(report.metrics[name].label in s for s in rest):
+        if first.startswith("No") and (below or above) and not any(report.metrics[name].label in s for s in rest):
             yield f"{name}: not mentioned"
         if (first.startswith("Overconfident") and above) or (first.startswith("Underconfident") and below):
             yield f"{name}: on the other side"
