@@ -24,6 +24,9 @@ ONE_SIDED = 0.5
 """Share of an ECE above which the signed area names a side: |∫ (ω − q) dq| ≤ ∫ |ω − q| dq, and where it is more than
 half of that, more than three quarters of the deviation lie on one side of the diagonal."""
 
+ROUNDING = 1e-6
+"""A spread of no more than so much of the error is rounding of single precision."""
+
 OVER, UNDER, NEITHER = "overconfident", "underconfident", "miscalibrated, on neither side throughout"
 
 
@@ -169,6 +172,8 @@ class Evidence:
         The mean of the joints' own ECEs; None where it is not needed.
     rank_tests : tuple of tuple
         Label, what a rejection means, and adjusted p-value of each.
+    spreads : bool
+        Whether the hypotheses of a pose differ.
     """
 
     ece: NullComparison
@@ -182,6 +187,7 @@ class Evidence:
     joints: dict[str, Joint] = field(default_factory=dict)
     mean_of_joints: NullComparison | None = None
     rank_tests: tuple[tuple[str, str, float], ...] = ()
+    spreads: bool = True
 
     @cached_property
     def strong(self) -> bool:
@@ -240,6 +246,7 @@ def evidence_of(report: Report) -> Evidence:
             (report.metrics[name].label, report.metrics[name].rejection, p)
             for name, (_, p) in report.rank_tests().items()
         ),
+        spreads=not {"diversity", "mpjpe"} <= report.metrics.keys() or report["diversity"] > ROUNDING * report["mpjpe"],
     )
     if evidence.strong or math.isnan(test.p) or "ece_mean" not in report.metrics or len(totals.spec.joints) < 2:
         return evidence

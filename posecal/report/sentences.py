@@ -40,6 +40,8 @@ class Rule:
         The condition.
     say : callable
         The sentence.
+    alone : bool
+        Whether nothing else is said beside it.
     """
 
     group: str
@@ -47,6 +49,7 @@ class Rule:
     when: str
     holds: Callable[[Evidence], bool]
     say: Callable[[Evidence], str]
+    alone: bool = False
 
 
 def sentences(evidence: Evidence) -> Iterator[str]:
@@ -56,6 +59,8 @@ def sentences(evidence: Evidence) -> Iterator[str]:
         if rule.group not in spoken and rule.holds(evidence):
             spoken.add(rule.group)
             yield rule.say(evidence)
+            if rule.alone:
+                return
 
 
 # --- whether the model is miscalibrated -------------------------------------------------------------------------
@@ -254,6 +259,14 @@ def _none_rejects(e: Evidence) -> bool:
 
 
 RULES = (
+    Rule(
+        "verdict",
+        "no spread",
+        "the hypotheses of a pose are all the same; nothing else is said then",
+        lambda e: not e.spreads,
+        lambda _: "All hypotheses of a pose are the same: there is no predicted distribution to be calibrated.",
+        alone=True,
+    ),
     Rule(
         "verdict",
         "no test, one side",

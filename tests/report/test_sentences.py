@@ -12,14 +12,12 @@ import pytest
 
 from posecal.report.evidence import (
     NEITHER,
-    ONE_SIDED,
     STRONG,
     Estimate,
     Evidence,
     Joint,
     NullComparison,
     Sequences,
-    side_of,
 )
 from posecal.report.sentences import RULES, sentences
 
@@ -56,49 +54,16 @@ def spoken(e: Evidence) -> list[str]:
     return names
 
 
-# --- the side of a curve ------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("sign", "side"), [(-1, "overconfident"), (1, "underconfident")])
-def test_a_side_is_named_where_more_than_half_of_the_error_lies_on_it(sign: int, side: str) -> None:
-    error, edge = 0.04, 0.02
-    assert ONE_SIDED == 0.5
-    assert side_of(sign * edge * 1.000001, error) == side
-    assert side_of(sign * edge, error) == NEITHER
-    assert side_of(sign * edge * 0.999999, error) == NEITHER
-    assert side_of(sign * error, error) == side
-
-
-def test_a_coverage_on_the_other_side_takes_the_side_away() -> None:
-    over = evidence(0.001, area_of(-0.03))
-    assert over.side == "overconfident"
-    assert replace(over, coverage=(coverage_of(0.95, 0.899, 0.97),)).side == "overconfident"
-    assert replace(over, coverage=(coverage_of(0.95, 0.901, 0.97),)).side == NEITHER
-    under = evidence(0.001, area_of(0.03))
-    assert replace(under, coverage=(coverage_of(0.95, 0.901, 0.97),)).side == "underconfident"
-    assert replace(under, coverage=(coverage_of(0.8, 0.7, 0.899),)).side == NEITHER
-
-
-def test_an_interval_excludes_what_lies_beyond_its_ends() -> None:
-    assert [coverage_of(0.9, *ends).excludes for ends in ((0.8, 0.899), (0.8, 0.9), (0.9, 0.95), (0.901, 0.95))] == [
-        -1,
-        0,
-        0,
-        1,
-    ]
-    assert coverage_of(NAN).excludes == 0
-
-
-def test_the_99_percent_interval_is_wider_by_the_ratio_of_student_quantiles() -> None:
-    """With 6 sequences t is 2.571 and 4.032: a half-width of 0.02 becomes 0.03137."""
-    assert not area_of(-0.0313, -0.0513, -0.0113).excludes_at_99(6)
-    assert area_of(-0.0314, -0.0514, -0.0114).excludes_at_99(6)
-    assert area_of(0.0314, 0.0114, 0.0514).excludes_at_99(6)
-    assert not area_of(0.0314).excludes_at_99(6)
-    assert not area_of(0.0314, 0.0114, 0.0514).excludes_at_99(1)
-
-
 # --- verdicts -----------------------------------------------------------------------------------------------------
+
+
+def test_nothing_is_judged_of_hypotheses_that_are_all_the_same() -> None:
+    off = coverage_of(0.68, 0.47, 0.89)
+    same = evidence(0.5, coverage=(off,), rank_tests=ranks(a=0.001), spreads=False)
+    assert list(sentences(same)) == [
+        "All hypotheses of a pose are the same: there is no predicted distribution to be calibrated."
+    ]
+    assert len(list(sentences(replace(same, spreads=True)))) == 3
 
 
 def test_beyond_chance_is_below_one_percent() -> None:

@@ -12,7 +12,6 @@ import pytest
 import posecal
 from posecal.demo import sample
 from posecal.errors import for_command_line
-from posecal.report.evidence import NullComparison, evidence_of
 from posecal.report.report import Report
 from posecal.report.summary import remarks, summarize
 from tests.helpers.reports import FRAMES, report_of, unlabelled, world
@@ -128,33 +127,6 @@ def test_sequences_that_cancel_are_said_with_the_intervals_that_exclude_what_is_
     assert low[0] < "s006" <= high[0]
     assert float(low[1]) < -0.2
     assert float(high[1]) > 0.2
-
-
-def test_joints_and_rank_tests_of_many_joints_are_tested_once() -> None:
-    found = report(*gaussian(4, N, M, K))
-    assert evidence_of(found).joints.keys() == set(JOINTS)
-    assert evidence_of(found).mean_of_joints is not None
-    assert evidence_of(report(*gaussian(4, N, M, K, spread=0.5))).mean_of_joints is None  # nothing is hidden
-
-
-def test_evidence_is_what_the_rows_of_the_report_say() -> None:
-    found = report(*gaussian(4, N, M, K, spread=[0.5, 1.0, 1.0, 1.0]), "default, rank_tests")
-    evidence = evidence_of(found)
-    assert evidence.ece == NullComparison(found["ece"], found["ece_null"], found["ece_null_95"], found["ece_p"])
-    assert (evidence.area.value, evidence.area.low, evidence.area.high) == (
-        found["signed_area"],
-        *found.interval("signed_area"),
-    )
-    assert [(row.label, row.value, row.best) for row in evidence.coverage] == [
-        (f"coverage at {n} %", found[f"coverage_{n}"], n / 100) for n in (50, 80, 90, 95)
-    ]
-    assert (evidence.units, evidence.n_units) == ("40 sequences", 40)
-    assert evidence.joints["Head"].area.low == found.interval("signed_area", joint="Head")[0]
-    assert evidence.joints["Head"].error == found.value("ece", joint="Head")
-    assert math.isnan(evidence.joints["RKnee"].area.low)  # not beyond chance: not needed
-    assert [p for _, _, p in evidence.rank_tests] == [p for _, p in found.rank_tests().values()]
-    assert math.isnan(evidence.floor)
-    assert evidence_of(report(*gaussian(4, N, 24, K), S=4)).floor > 0
 
 
 # --- remarks --------------------------------------------------------------------------------------------------
