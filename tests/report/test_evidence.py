@@ -53,6 +53,12 @@ def test_the_99_percent_interval_is_wider_by_the_ratio_of_student_quantiles() ->
     assert not area_of(0.0314, 0.0114, 0.0514).excludes_at_99(1)
 
 
+def test_beyond_chance_takes_a_small_p_or_two_that_agree() -> None:
+    clear, unclear = area_of(-0.03, -0.04, -0.02), area_of(-0.03, -0.05, 0.01)
+    assert [evidence(p, unclear).strong for p in (0.0099, 0.01)] == [True, False]
+    assert [evidence(p, clear).strong for p in (0.0499, 0.05)] == [True, False]
+
+
 # --- from a report ------------------------------------------------------------------------------------------------
 
 
@@ -90,3 +96,16 @@ def test_hypotheses_that_are_all_the_same_have_no_spread() -> None:
     assert not evidence_of(report(one, y, S=12)).spreads
     assert not evidence_of(report(np.broadcast_to(y, x.shape), y, S=12)).spreads
     assert evidence_of(report(one, y, "ece,signed_area", S=12)).spreads  # not known
+
+
+def test_sequences_are_tested_where_they_lie_on_both_sides() -> None:
+    S, F = 9, 12
+    x, y = gaussian(4, N, S * F, K)
+    centre = x.mean(axis=0)
+    for factors, both in (([0.4, 0.6], False), ([0.5, 2.5], True)):
+        spread = np.resize(factors, S).repeat(F)[:, None, None]
+        found = evidence_of(report(centre + spread * (x - centre), y, S=S)).sequences
+        assert found is not None
+        assert found.lowest[1] < found.highest[1]
+        assert (found.highest[1] > 0) is both
+        assert math.isnan(found.p) is not both

@@ -132,6 +132,14 @@ def test_likeness_that_reaches_from_end_to_end_allows_no_test() -> None:
     assert persistence_p(flat.ravel(), np.repeat(np.arange(7), 24)) < 0.01
 
 
+@pytest.mark.parametrize("period", [3, 4])
+def test_likeness_is_compared_at_a_sixth_and_a_third_of_the_length(period: int) -> None:
+    """Of 24 frames: 4 and 8. With a period of 3 differences at both are alike, with 4 there are none."""
+    values = np.arange(7)[:, None] + (np.arange(24) % period == 0)
+    p = persistence_p(values.ravel(), np.repeat(np.arange(7), 24), draws=99)
+    assert p == 1 / 100  # one of 5,040 orders is as extreme
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("likeness", [0.0, 0.5, 0.9])
 def test_likeness_of_neighbouring_frames_is_no_difference_of_sequences(likeness: float) -> None:
