@@ -12,8 +12,9 @@ from posecal.data.skeleton import JOINT_SET_TABLE, Skeleton
 from posecal.engine.metric import Family
 from posecal.engine.protocol import CHOICES, Protocol
 from posecal.report.explain import metrics_table
+from posecal.report.sentences import RULES
 
-PAGES = tuple(Path(__file__).with_name(f"{name}.md") for name in ("metrics", "joints"))
+PAGES = tuple(Path(__file__).with_name(f"{name}.md") for name in ("metrics", "joints", "report"))
 
 
 def table(*rows: Iterable[str]) -> str:
@@ -58,15 +59,25 @@ def joint_sets(_: str) -> str:
     return table(("set", "root", "joints in order, with the number of their parent", "source"), *rows)
 
 
+def rules(_: str) -> str:
+    """Write the decision table of the summary."""
+    return table(("about", "rule", "holds where"), *((rule.group, rule.name, rule.when) for rule in RULES))
+
+
 def _values(option: str, form: str) -> str:
     return ", ".join(f"`{choice}`" for choice in CHOICES[option]) if option in CHOICES else form
 
 
 def generated(text: str) -> str:
     """Replace what stands between markers such as ``<!-- metrics: family -->`` and ``<!-- end -->``."""
-    tables = {"metrics": lambda family: metrics(cast(Family, family)), "options": options, "joint_sets": joint_sets}
+    tables = {
+        "metrics": lambda family: metrics(cast(Family, family)),
+        "options": options,
+        "joint_sets": joint_sets,
+        "rules": rules,
+    }
     return re.sub(
-        r"(<!-- (metrics|options|joint_sets): (\w+) -->\n).*?(<!-- end -->)",
+        r"(<!-- (metrics|options|joint_sets|rules): (\w+) -->\n).*?(<!-- end -->)",
         lambda marked: f"{marked[1]}\n{tables[marked[2]](marked[3])}\n\n{marked[4]}",
         text,
         flags=re.DOTALL,

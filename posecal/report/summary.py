@@ -19,18 +19,13 @@ from posecal.errors import first_few, for_python
 from posecal.metrics.likelihood import LIKELIHOODS, likelihood_remarks, moments_statistic
 from posecal.metrics.occlusion import occlusion_words
 from posecal.registry import left_out
-from posecal.report.format import counted, p_value
-from posecal.stats.resampling import LEVEL, MIN_SEQUENCES
+from posecal.report.evidence import evidence_of
+from posecal.report.sentences import sentences
+from posecal.stats.resampling import MIN_SEQUENCES
 from posecal.stats.uncertainty import are_points, effective_hypotheses
 
 if TYPE_CHECKING:
     from posecal.report.report import Report
-
-ONE_SIDED = 0.5
-"""Share of an ECE above which the signed area names a side: |∫ (ω − q) dq| ≤ ∫ |ω − q| dq, and where it is more than
-half of that, more than three quarters of the deviation lie on one side of the diagonal."""
-
-NEITHER = "miscalibrated, on neither side throughout"
 
 
 def remarks(report: Report, words: Callable[[str], str] = for_python) -> tuple[str, ...]:
@@ -112,7 +107,7 @@ def _of_what_is_unknown(report: Report) -> Iterator[str]:
         return
     if empty:
         yield (
-            f"at {_several(empty)} all hypotheses equal the truth in every pose: no calibration can be measured there, "
+            f"at {first_few(empty, 6)} all hypotheses equal the truth in every pose: no calibration can be measured there, "
             "and its summaries over joints leave them out."
         )
     tested = next((metric for metric in metrics.values() if metric.deviation is not None), None)
@@ -141,7 +136,7 @@ def _of_likelihood(totals: Totals) -> Iterator[str]:
 
 
 def summarize(report: Report) -> list[str]:
-    """Say in sentences whether the model is calibrated, at which joints it is not, and what the ECE can't see.
+    """Say in sentences what is shown about calibration, by :data:`posecal.report.sentences.RULES`.
 
     Parameters
     ----------
@@ -164,91 +159,9 @@ def summarize(report: Report) -> list[str]:
         return []
     if frames_differ(report.totals) or are_points(report.totals, report.metrics["ece"]):
         return []  # what a curve says then is about axes, or about a spread that is none, not about the model
-    return [_of_curve(report), *_of_joints(report), *_of_rank_tests(report)]
+    return list(sentences(evidence_of(report)))
 
 
 def frames_differ(totals: Totals) -> bool:
     """Whether a remark says that the coordinate frames of hypotheses and truth differ."""
     return any(remark.startswith(DIFFERENT_FRAMES) for remark in totals.remarks)
-
-
-def side_of(area: float, error: float) -> str:
-    """Name the side on which a curve lies: of the signed area, where it is more than half of the error, else neither.
-
-    Parameters
-    ----------
-    area, error : float
-        Signed area and ECE of the same curve.
-
-    Returns
-    -------
-    str
-        ``overconfident``, ``underconfident`` or :data:`NEITHER`.
-
-    Examples
-    --------
-    >>> side_of(-0.03, 0.04), side_of(0.01, 0.04)
-    ('overconfident', 'miscalibrated, on neither side throughout')
-    """
-    return NEITHER if abs(area) <= ONE_SIDED * error else _sign_of(area)
-
-
-def _sign_of(area: float) -> str:
-    return "overconfident" if area < 0 else "underconfident"
-
-
-def _of_curve(report: Report) -> str:
-    error, area, test = report["ece"], report["signed_area"], report.test("ece")
-    share, interval = "", report.metrics.get("interval_coverage_90")
-    name, what = ("coverage_90", "balls") if interval is None or not interval.headline else (interval.name, "intervals")
-    if name in report.metrics and not math.isnan(report[name]):
-        share = f"; the 90\u00a0% {what} hold {100 * report[name]:.0f}\u00a0% of the truths"
-    if math.isnan(test.p):
-        side = side_of(area, error)
-        looks = f"ECE {error:.3f}, on neither side throughout" if side == NEITHER else f"Looks {side}"
-        return f"{looks} (signed area {area:+.3f}{share}); whether by chance can't be tested here."
-    if test.p < LEVEL:
-        return (
-            f"{side_of(area, error).capitalize()}, beyond chance: ECE {error:.3f} where a calibrated sampler would "
-            f"show {test.mean:.3f} ({p_value(test.p)}){share}."
-        )
-    return (
-        f"Not miscalibrated beyond chance: ECE {error:.3f}, and a calibrated sampler would show up to {test.high:.3f} "
-        f"on these {report.totals.units(test.sequences)} ({p_value(test.p)}){share}."
-    )
-
-
-def _of_joints(report: Report) -> Iterator[str]:
-    tests = report.joint_tests()
-    sides: dict[str, list[str]] = {"overconfident": [], "underconfident": [], NEITHER: []}
-    for joint, (area, p) in sorted(tests.items(), key=lambda entry: -abs(entry[1][0])):
-        if p < LEVEL:
-            sides[side_of(area, report.value("ece", joint=joint))].append(joint)
-    named = [f"{side}{',' * (side == NEITHER)} at {_several(joints)}" for side, joints in sides.items() if joints]
-    if named and len(tests) > 1:
-        yield f"Joint by joint: {', '.join(named)} (adjusted for {counted(len(tests), 'joint')})."
-    if "ece_mean" in report.metrics and report.test("ece").p >= LEVEL > (p := report.test("ece_mean").p):
-        mean = report["ece_mean"]
-        yield f"The median over joints hides it: the joints' own errors average {mean:.3f} ({p_value(p)})."
-
-
-def _several(joints: list[str], most: int = 6) -> str:
-    if len(joints) > most:
-        return f"{', '.join(joints[:most])} and {len(joints) - most} more"
-    return ", ".join(joints[:-1]) + (" and " if len(joints) > 1 else "") + joints[-1]
-
-
-def _of_rank_tests(report: Report) -> Iterator[str]:
-    tests = report.rank_tests()
-    rejected = [report.metrics[name] for name, (_, p) in tests.items() if p < LEVEL]
-    labels = ", ".join(metric.label for metric in rejected)
-    if rejected and report.test("ece").p < LEVEL:
-        yield (
-            f"Rank tests reject as well: {labels}. Where recalibrating the spread helps (recalibrate fit says so), do "
-            "that first, then rerun the rank tests."
-        )
-    elif rejected:
-        meanings = dict.fromkeys(metric.rejection for metric in rejected)
-        yield f"Rank tests reject what the ECE can't see ({labels}): {'; '.join(meanings)}."
-    elif tests and not any(math.isnan(p) for _, p in tests.values()):
-        yield "No rank test rejects. A model that ignores the image would pass them too: look at a proper score."

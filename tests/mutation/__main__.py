@@ -44,7 +44,8 @@ ALSO = {
 
 DEFAULT = (
     *("posecal/metrics", "posecal/calibration", "posecal/geometry", "posecal/stats", "posecal/engine"),
-    *("posecal/registry.py", "posecal/report/summary.py", "posecal/report/table.py", "posecal/report/explain.py"),
+    *("posecal/registry.py", "posecal/report/summary.py", "posecal/report/sentences.py", "posecal/report/evidence.py"),
+    *("posecal/report/table.py", "posecal/report/explain.py"),
     *("posecal/data/checks.py", "posecal/data/units.py", "posecal/data/match.py", "posecal/data/declarations.py"),
 )
 """What computes, says, checks and matches: the modules of a run that names none."""

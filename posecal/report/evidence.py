@@ -1,0 +1,281 @@
+"""What a report knows about calibration, gathered once, for the sentences that may be said about it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from posecal.stats.heterogeneity import sequence_areas, sequences_differ_p
+from posecal.stats.resampling import LEVEL
+
+if TYPE_CHECKING:
+    from posecal.report.report import Report
+
+STRONG = 0.01
+"""What is said without reserve is shown at this level: of several tests of one report some falls below 0.05 by chance
+much more often than in one report of twenty."""
+
+ONE_SIDED = 0.5
+"""Share of an ECE above which the signed area names a side: |∫ (ω − q) dq| ≤ ∫ |ω − q| dq, and where it is more than
+half of that, more than three quarters of the deviation lie on one side of the diagonal."""
+
+ROUNDING = 1e-6
+"""A spread of no more than so much of the error is rounding of single precision."""
+
+OVER, UNDER, NEITHER = "overconfident", "underconfident", "miscalibrated, on neither side throughout"
+
+
+def side_of(area: float, error: float) -> str:
+    """Name the side on which a curve lies: of the signed area, where it is more than half of the error, else neither.
+
+    Parameters
+    ----------
+    area, error : float
+        Signed area and ECE of the same curve.
+
+    Returns
+    -------
+    str
+        ``overconfident``, ``underconfident`` or :data:`NEITHER`.
+
+    Examples
+    --------
+    >>> side_of(-0.03, 0.04), side_of(0.01, 0.04)
+    ('overconfident', 'miscalibrated, on neither side throughout')
+    """
+    if abs(area) <= ONE_SIDED * error:
+        return NEITHER
+    return OVER if area < 0 else UNDER
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number with its 95 % interval, and what it is for a calibrated model.
+
+    Attributes
+    ----------
+    label : str
+        Its name in tables.
+    value, low, high : float
+        The number and the ends of its interval; NaN where there is none.
+    best : float
+        What a calibrated model has.
+    """
+
+    label: str
+    value: float
+    low: float
+    high: float
+    best: float
+
+    @property
+    def excludes(self) -> int:
+        """Give -1 where the whole interval lies below what is best, 1 where above, and 0 where neither is known."""
+        return int(self.low > self.best) - int(self.high < self.best)
+
+    def excludes_at_99(self, sequences: int) -> bool:
+        """Whether its 99 % interval, by Student's t with one degree of freedom less than sequences, does as well."""
+        from scipy.special import stdtrit
+
+        near = self.low if self.value > self.best else self.high
+        if sequences < 2 or math.isnan(near):
+            return False
+        wider = float(stdtrit(sequences - 1, 0.995) / stdtrit(sequences - 1, 0.975))
+        return abs(self.value - near) * wider < abs(self.value - self.best)
+
+
+@dataclass(frozen=True)
+class NullComparison:
+    """A calibration error against those of a calibrated sampler.
+
+    Attributes
+    ----------
+    error, mean, high, p : float
+        The error; mean and 95 % quantile of a calibrated sampler's; p-value, NaN without a test.
+    """
+
+    error: float
+    mean: float = math.nan
+    high: float = math.nan
+    p: float = math.nan
+
+
+@dataclass(frozen=True)
+class Joint:
+    """The calibration curve of one joint.
+
+    Attributes
+    ----------
+    error, p : float
+        ECE, and its p-value, adjusted for the number of joints.
+    area : Estimate
+        Signed area.
+    """
+
+    error: float
+    p: float
+    area: Estimate
+
+
+@dataclass(frozen=True)
+class Sequences:
+    """The sequences that deviate most to either side.
+
+    Attributes
+    ----------
+    lowest, highest : tuple of str and float
+        Name and signed area.
+    independent, frames : float
+        As how many independent frames a sequence counts at most if the model is calibrated in each, and how many it
+        has, on average.
+    p : float
+        Of the test that sequences differ from beginning to end; NaN without one.
+    """
+
+    lowest: tuple[str, float]
+    highest: tuple[str, float]
+    independent: float
+    frames: float
+    p: float = math.nan
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """All that the sentences of a summary rest on.
+
+    Attributes
+    ----------
+    ece : NullComparison
+        The ECE.
+    area : Estimate
+        The signed area.
+    units : str
+        What is treated as independent, with its number: ``16 sequences``.
+    n_units : int
+        That number.
+    floor : float
+        The 95 % quantile of a perfect sampler's ECE over as many independent poses.
+    coverage : tuple of Estimate
+        The coverages that the report shows.
+    balls : str
+        What the truths are covered by: ``balls`` or ``intervals``.
+    sequences : Sequences or None
+        None where there are no two sequences long enough.
+    joints : dict of Joint
+        Those that could be tested.
+    mean_of_joints : NullComparison or None
+        The mean of the joints' own ECEs; None where it is not needed.
+    rank_tests : tuple of tuple
+        Label, what a rejection means, and adjusted p-value of each.
+    spreads : bool
+        Whether the hypotheses of a pose differ.
+    """
+
+    ece: NullComparison
+    area: Estimate
+    units: str = "0 sequences"
+    n_units: int = 0
+    floor: float = math.nan
+    coverage: tuple[Estimate, ...] = ()
+    balls: str = "balls"
+    sequences: Sequences | None = None
+    joints: dict[str, Joint] = field(default_factory=dict)
+    mean_of_joints: NullComparison | None = None
+    rank_tests: tuple[tuple[str, str, float], ...] = ()
+    spreads: bool = True
+
+    @cached_property
+    def strong(self) -> bool:
+        """Whether the ECE is beyond chance."""
+        return self.is_beyond_chance(self.ece.p, self.area)
+
+    def is_beyond_chance(self, p: float, area: Estimate) -> bool:
+        """Whether a curve is off beyond chance, by its p-value and its signed area.
+
+        That is p < 0.01; or, since few sequences have no such p, p < 0.05 where the 99 % interval of the signed area
+        excludes 0.
+        """
+        return p < STRONG or (p < LEVEL and area.excludes_at_99(self.n_units))
+
+    @cached_property
+    def side(self) -> str:
+        """The side of the curve; neither, too, where a coverage lies on the other side with its whole interval."""
+        side = side_of(self.area.value, self.ece.error)
+        sign = {OVER: -1, UNDER: 1}.get(side, 0)
+        return NEITHER if any(row.excludes == -sign != 0 for row in self.coverage) else side
+
+    @property
+    def excluded(self) -> tuple[Estimate, ...]:
+        """The numbers whose intervals exclude what a calibrated model has."""
+        return tuple(row for row in (self.area, *self.coverage) if row.excludes)
+
+
+def evidence_of(report: Report) -> Evidence:
+    """Gather what a report knows about calibration.
+
+    Parameters
+    ----------
+    report : Report
+        With ``ece`` and ``signed_area``.
+
+    Returns
+    -------
+    Evidence
+        What its sentences rest on.
+    """
+    totals, test = report.totals, report.test("ece")
+    ece = NullComparison(report["ece"], test.mean, test.high, test.p)
+    prefix = "interval_coverage_" if "interval_coverage_90" in report.headline_metrics else "coverage_"
+    shown = [name for name in report.headline_metrics if name.startswith(prefix)]
+    evidence = Evidence(
+        ece=ece,
+        area=_estimate(report, "signed_area", 0.0),
+        units=totals.units(test.sequences),
+        n_units=test.sequences,
+        floor=report["ece_floor_95"] if math.isnan(test.p) else math.nan,
+        coverage=tuple(_estimate(report, name, int(name.rpartition("_")[2]) / 100) for name in shown),
+        balls="intervals" if prefix != "coverage_" else "balls",
+        sequences=_sequences(report),
+        joints=dict(_joints(report)),
+        rank_tests=tuple(
+            (report.metrics[name].label, report.metrics[name].rejection, p)
+            for name, (_, p) in report.rank_tests().items()
+        ),
+        spreads=not {"diversity", "mpjpe"} <= report.metrics.keys() or report["diversity"] > ROUNDING * report["mpjpe"],
+    )
+    if evidence.strong or math.isnan(test.p) or "ece_mean" not in report.metrics or len(totals.spec.joints) < 2:
+        return evidence
+    mean = report.test("ece_mean")
+    return replace(evidence, mean_of_joints=NullComparison(report["ece_mean"], mean.mean, mean.high, mean.p))
+
+
+def _estimate(report: Report, name: str, best: float) -> Estimate:
+    return Estimate(report.metrics[name].label, report[name], *report.interval(name), best)
+
+
+def _joints(report: Report) -> Iterator[tuple[str, Joint]]:
+    for joint, (area, p) in report.joint_tests().items():
+        ends = report.interval("signed_area", joint=joint) if p < LEVEL else (math.nan, math.nan)
+        yield joint, Joint(report.value("ece", joint=joint), p, Estimate("signed area", area, *ends, 0.0))
+
+
+def _sequences(report: Report) -> Sequences | None:
+    found = sequence_areas(report.totals, report.metrics["ece"])
+    if len(found.names) < 2:
+        return None
+    low, high = int(np.argmin(found.areas)), int(np.argmax(found.areas))
+    kept = report.metrics.get("spread_error_correlation")
+    one_sided = found.areas[low] * found.areas[high] >= 0  # of which nothing is said
+    p = math.nan if kept is None or one_sided else sequences_differ_p(report.totals, kept.statistic)
+    return Sequences(
+        (found.names[low], float(found.areas[low])),
+        (found.names[high], float(found.areas[high])),
+        found.independent_frames,
+        found.frames,
+        p,
+    )

@@ -1,0 +1,111 @@
+"""What the sentences of a summary rest on."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from posecal.report.evidence import NEITHER, ONE_SIDED, NullComparison, evidence_of, side_of
+from tests.helpers.samplers import gaussian
+from tests.report.test_sentences import area_of, coverage_of, evidence
+from tests.report.test_summary import JOINTS, K, M, N, report
+
+
+@pytest.mark.parametrize(("sign", "side"), [(-1, "overconfident"), (1, "underconfident")])
+def test_a_side_is_named_where_more_than_half_of_the_error_lies_on_it(sign: int, side: str) -> None:
+    error, edge = 0.04, 0.02
+    assert ONE_SIDED == 0.5
+    assert side_of(sign * edge * 1.000001, error) == side
+    assert side_of(sign * edge, error) == NEITHER
+    assert side_of(sign * edge * 0.999999, error) == NEITHER
+    assert side_of(sign * error, error) == side
+
+
+def test_a_coverage_on_the_other_side_takes_the_side_away() -> None:
+    over = evidence(0.001, area_of(-0.03))
+    assert over.side == "overconfident"
+    assert replace(over, coverage=(coverage_of(0.95, 0.899, 0.97),)).side == "overconfident"
+    assert replace(over, coverage=(coverage_of(0.95, 0.901, 0.97),)).side == NEITHER
+    under = evidence(0.001, area_of(0.03))
+    assert replace(under, coverage=(coverage_of(0.95, 0.901, 0.97),)).side == "underconfident"
+    assert replace(under, coverage=(coverage_of(0.8, 0.7, 0.899),)).side == NEITHER
+
+
+def test_an_interval_excludes_what_lies_beyond_its_ends() -> None:
+    assert [coverage_of(0.9, *ends).excludes for ends in ((0.8, 0.899), (0.8, 0.9), (0.9, 0.95), (0.901, 0.95))] == [
+        -1,
+        0,
+        0,
+        1,
+    ]
+    assert coverage_of(math.nan).excludes == 0
+
+
+def test_the_99_percent_interval_is_wider_by_the_ratio_of_student_quantiles() -> None:
+    """With 6 sequences t is 2.571 and 4.032: a half-width of 0.02 becomes 0.03137."""
+    assert not area_of(-0.0313, -0.0513, -0.0113).excludes_at_99(6)
+    assert area_of(-0.0314, -0.0514, -0.0114).excludes_at_99(6)
+    assert area_of(0.0314, 0.0114, 0.0514).excludes_at_99(6)
+    assert not area_of(0.0314).excludes_at_99(6)
+    assert not area_of(0.0314, 0.0114, 0.0514).excludes_at_99(1)
+
+
+def test_beyond_chance_takes_a_small_p_or_two_that_agree() -> None:
+    clear, unclear = area_of(-0.03, -0.04, -0.02), area_of(-0.03, -0.05, 0.01)
+    assert [evidence(p, unclear).strong for p in (0.0099, 0.01)] == [True, False]
+    assert [evidence(p, clear).strong for p in (0.0499, 0.05)] == [True, False]
+
+
+# --- from a report ------------------------------------------------------------------------------------------------
+
+
+def test_joints_and_rank_tests_of_many_joints_are_tested_once() -> None:
+    found = report(*gaussian(4, N, M, K))
+    assert evidence_of(found).joints.keys() == set(JOINTS)
+    assert evidence_of(found).mean_of_joints is not None
+    assert evidence_of(report(*gaussian(4, N, M, K, spread=0.5))).mean_of_joints is None  # nothing is hidden
+
+
+def test_evidence_is_what_the_rows_of_the_report_say() -> None:
+    found = report(*gaussian(4, N, M, K, spread=[0.5, 1.0, 1.0, 1.0]), "default, rank_tests")
+    evidence = evidence_of(found)
+    assert evidence.ece == NullComparison(found["ece"], found["ece_null"], found["ece_null_95"], found["ece_p"])
+    assert (evidence.area.value, evidence.area.low, evidence.area.high) == (
+        found["signed_area"],
+        *found.interval("signed_area"),
+    )
+    assert [(row.label, row.value, row.best) for row in evidence.coverage] == [
+        (f"coverage at {n} %", found[f"coverage_{n}"], n / 100) for n in (50, 80, 90, 95)
+    ]
+    assert (evidence.units, evidence.n_units) == ("40 sequences", 40)
+    assert evidence.joints["Head"].area.low == found.interval("signed_area", joint="Head")[0]
+    assert evidence.joints["Head"].error == found.value("ece", joint="Head")
+    assert math.isnan(evidence.joints["RKnee"].area.low)  # not beyond chance: not needed
+    assert [p for _, _, p in evidence.rank_tests] == [p for _, p in found.rank_tests().values()]
+    assert math.isnan(evidence.floor)
+    assert evidence_of(report(*gaussian(4, N, 24, K), S=4)).floor > 0
+
+
+def test_hypotheses_that_are_all_the_same_have_no_spread() -> None:
+    x, y = gaussian(4, N, 48, K)
+    assert evidence_of(report(x, y, S=12)).spreads
+    one = np.broadcast_to(x[:1], x.shape)
+    assert not evidence_of(report(one, y, S=12)).spreads
+    assert not evidence_of(report(np.broadcast_to(y, x.shape), y, S=12)).spreads
+    assert evidence_of(report(one, y, "ece,signed_area", S=12)).spreads  # not known
+
+
+def test_sequences_are_tested_where_they_lie_on_both_sides() -> None:
+    S, F = 9, 12
+    x, y = gaussian(4, N, S * F, K)
+    centre = x.mean(axis=0)
+    for factors, both in (([0.4, 0.6], False), ([0.5, 2.5], True)):
+        spread = np.resize(factors, S).repeat(F)[:, None, None]
+        found = evidence_of(report(centre + spread * (x - centre), y, S=S)).sequences
+        assert found is not None
+        assert found.lowest[1] < found.highest[1]
+        assert (found.highest[1] > 0) is both
+        assert math.isnan(found.p) is not both

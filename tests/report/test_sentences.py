@@ -1,0 +1,340 @@
+"""Each rule of the summary at its edges, from evidence without data."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from runpy import run_path
+
+import pytest
+
+from posecal.report.evidence import (
+    NEITHER,
+    STRONG,
+    Estimate,
+    Evidence,
+    Joint,
+    NullComparison,
+    Sequences,
+)
+from posecal.report.sentences import RULES, sentences
+
+NAN = math.nan
+NOTHING = "No rank test rejects. A model that ignores the image would pass them too: look at a proper score."
+
+
+def area_of(value: float, low: float = NAN, high: float = NAN) -> Estimate:
+    return Estimate("signed area", value, low, high, 0.0)
+
+
+def coverage_of(value: float, low: float = NAN, high: float = NAN, level: int = 90) -> Estimate:
+    return Estimate(f"coverage at {level} %", value, low, high, level / 100)
+
+
+def evidence(
+    p: float = 0.5, area: Estimate | None = None, *, error: float = 0.04, units: int = 40, **others: object
+) -> Evidence:
+    ece = NullComparison(error, 0.01, 0.02, p)
+    area = area_of(0.03) if area is None else area
+    return Evidence(ece, area, f"{units} sequences", units, **others)  # type: ignore[arg-type]
+
+
+def first(e: Evidence) -> str:
+    return next(sentences(e))
+
+
+def spoken(e: Evidence) -> list[str]:
+    """Names of the rules whose sentences are given."""
+    given, groups = list(sentences(e)), dict.fromkeys(rule.group for rule in RULES)
+    firsts = [next((r for r in RULES if r.group == group and r.holds(e)), None) for group in groups]
+    names = [rule.name for rule in firsts if rule is not None]
+    assert len(names) == len(given)
+    return names
+
+
+# --- verdicts -----------------------------------------------------------------------------------------------------
+
+
+def test_nothing_is_judged_of_hypotheses_that_are_all_the_same() -> None:
+    off = coverage_of(0.68, 0.47, 0.89)
+    same = evidence(0.5, coverage=(off,), rank_tests=ranks(a=0.001), spreads=False)
+    assert list(sentences(same)) == [
+        "All hypotheses of a pose are the same: there is no predicted distribution to be calibrated."
+    ]
+    assert len(list(sentences(replace(same, spreads=True)))) == 3
+
+
+def test_beyond_chance_is_below_one_percent() -> None:
+    assert STRONG == 0.01
+    assert first(evidence(0.0099, area_of(-0.03))) == (
+        "Overconfident, beyond chance: ECE 0.040 where a calibrated sampler would show 0.010 (p = 0.010)."
+    )
+    assert first(evidence(0.01, area_of(-0.03))) == (
+        "Weak evidence of miscalibration, more over- than underconfident: ECE 0.040 where a calibrated sampler would "
+        "show 0.010 (p = 0.010)."
+    )
+
+
+def test_few_sequences_are_beyond_chance_where_the_signed_area_agrees() -> None:
+    """Of six sequences no p is below 1/32."""
+    assert first(evidence(0.031, area_of(-0.03, -0.04, -0.02), units=6)).startswith("Overconfident, beyond chance")
+    assert first(evidence(0.031, area_of(-0.03, -0.055, -0.005), units=6)).startswith("Weak evidence")
+    assert first(evidence(0.05, area_of(-0.03, -0.04, -0.02), units=6)).startswith("No miscalibration shown")
+
+
+@pytest.mark.parametrize(
+    ("area", "words"),
+    [
+        (area_of(-0.021), "Overconfident, beyond chance"),
+        (area_of(0.021), "Underconfident, beyond chance"),
+        (area_of(0.021, 0.001, 0.041), "Underconfident, beyond chance"),
+        (area_of(0.021, -0.001, 0.043), "Miscalibrated beyond chance, more under- than overconfident"),
+        (area_of(-0.021, -0.043, 0.001), "Miscalibrated beyond chance, more over- than underconfident"),
+        (area_of(0.019, 0.001, 0.037), "Miscalibrated beyond chance, on neither side throughout"),
+    ],
+)
+def test_a_side_is_named_where_its_interval_excludes_zero(area: Estimate, words: str) -> None:
+    assert first(evidence(0.001, area)).startswith(f"{words}: ECE 0.040")
+
+
+def test_weak_evidence_is_below_five_percent() -> None:
+    assert first(evidence(0.049, area_of(0.0))).startswith(
+        "Weak evidence of miscalibration, on neither side throughout: ECE 0.040"
+    )
+    assert first(evidence(0.05)) == (
+        "No miscalibration shown on average: ECE 0.040 where a calibrated sampler would show up to 0.020 (p = 0.050); "
+        "a true ECE of up to 0.060 can't be excluded."
+    )
+
+
+def test_without_a_test_the_error_stands_beside_a_perfect_sampler() -> None:
+    few = evidence(NAN, units=3)
+    assert first(replace(few, floor=0.05)) == (
+        "Not tested: ECE 0.040, a perfect sampler's up to 0.050 in as many independent frames; signed area +0.030; "
+        "3 sequences allow no test."
+    )
+    assert first(few) == "Not tested: ECE 0.040; signed area +0.030; 3 sequences allow no test."
+    assert first(replace(few, units="1 sequence", n_units=1)).endswith("; 1 sequence allows no test.")
+
+
+def test_without_a_test_a_side_is_named_where_the_signed_area_excludes_zero() -> None:
+    few = evidence(NAN, area_of(-0.03, -0.05, -0.01), units=4)
+    assert first(few) == (
+        "Looks overconfident: signed area -0.030 (95\u00a0% interval -0.050 to -0.010); 4 sequences allow no test."
+    )
+    assert spoken(replace(few, area=area_of(-0.03, -0.07, 0.01))) == ["no test"]
+    neither = replace(few, area=area_of(-0.019, -0.03, -0.01))
+    assert spoken(neither) == ["no test", "interval excludes"]
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        ((coverage_of(0.916),), "; the 90\u00a0% balls hold 92\u00a0% of the truths."),
+        ((coverage_of(0.0),), "; the 90\u00a0% balls hold 0\u00a0% of the truths."),
+        ((coverage_of(0.5, level=50), coverage_of(1.0), coverage_of(0.9, level=95)), "; the 90\u00a0% balls hold 100"),
+        ((coverage_of(0.4, level=50), coverage_of(0.7, level=80), coverage_of(NAN)), "; the 80\u00a0% balls hold 70"),
+        ((coverage_of(NAN),), "can't be excluded."),
+    ],
+)
+def test_what_the_balls_hold_is_said_of_90_percent_or_of_the_largest_known(
+    rows: Sequence[Estimate], words: str
+) -> None:
+    assert words in first(evidence(coverage=tuple(rows)))
+
+
+def test_coordinates_have_intervals() -> None:
+    assert "the 90\u00a0% intervals hold 92\u00a0%" in first(
+        evidence(coverage=(coverage_of(0.916),), balls="intervals")
+    )
+
+
+# --- intervals that exclude what is best -----------------------------------------------------------------------
+
+
+def test_an_interval_that_excludes_what_is_best_is_said_where_nothing_is_shown() -> None:
+    off, around = coverage_of(0.68, 0.47, 0.89), coverage_of(0.5, 0.4, 0.6, level=50)
+    (_, second) = sentences(evidence(0.05, area_of(0.03, -0.01, 0.07), coverage=(around, off)))
+    assert second == (
+        "Yet the 95\u00a0% interval of coverage at 90 % (0.470 to 0.890; best: 0.9) excludes what is best; of 3 "
+        "intervals one may do so by chance."
+    )
+    (_, second) = sentences(evidence(0.05, area_of(-0.03, -0.05, -0.01), coverage=(off,)))
+    assert second == (
+        "Yet the 95\u00a0% intervals of signed area (-0.050 to -0.010; best: 0) and coverage at 90 % (0.470 to 0.890; "
+        "best: 0.9) exclude what is best."
+    )
+    (_, second) = sentences(evidence(0.05, area_of(-0.03), coverage=(off,)))
+    assert second.endswith("excludes what is best.")  # the only one that is known
+    assert spoken(evidence(NAN, area_of(0.03), coverage=(off,))) == ["no test", "interval excludes"]
+    assert spoken(evidence(NAN, area_of(-0.03, -0.05, -0.01), coverage=(off,))) == ["no test, one side"]
+
+
+def test_no_interval_is_said_where_it_adds_nothing() -> None:
+    off = coverage_of(0.68, 0.47, 0.89)
+    assert spoken(evidence(0.049, coverage=(off,))) == ["weak evidence"]
+    assert spoken(evidence(0.05, coverage=(coverage_of(0.68, 0.47, 0.9),))) == ["not shown"]
+
+
+# --- sequences ----------------------------------------------------------------------------------------------------
+
+
+def of_sequences(low: float, high: float, p: float = NAN, *, frames: float = 50, independent: float = 2) -> Sequences:
+    return Sequences(("A", low), ("B", high), independent, frames, p)
+
+
+def test_sequences_differ_where_both_sides_and_a_test_show_it() -> None:
+    shown = evidence(sequences=of_sequences(-0.05, 0.05, 0.009))
+    assert list(sentences(shown))[1] == (
+        "Some sequences are off throughout (p = 0.009): most overconfident A (signed area -0.05), most "
+        "underconfident B (+0.05)."
+    )
+    assert spoken(replace(shown, sequences=of_sequences(-0.05, 0.05, 0.01))) == ["not shown"]
+    assert spoken(replace(shown, sequences=of_sequences(-0.049, 0.05, 0.009))) == ["not shown"]
+    assert spoken(replace(shown, sequences=of_sequences(-0.05, 0.049, 0.009))) == ["not shown"]
+    beyond = evidence(0.001, sequences=of_sequences(-0.05, 0.05, 0.009))
+    assert spoken(beyond) == ["beyond chance", "sequences differ"]
+
+
+def test_sequences_that_range_widely_are_said_with_what_chance_would_take() -> None:
+    wide = evidence(sequences=of_sequences(-0.1, 0.1, independent=2.1))
+    assert list(sentences(wide))[1] == (
+        "Single sequences range from signed area -0.10 (A) to +0.10 (B), by chance only if the 50 frames of a sequence "
+        "say no more than 3 independent ones would."
+    )
+    assert spoken(replace(wide, sequences=of_sequences(-0.1, 0.099))) == ["not shown"]
+    assert spoken(replace(wide, sequences=of_sequences(-0.099, 0.1))) == ["not shown"]
+    assert spoken(replace(wide, sequences=of_sequences(-0.1, 0.1, frames=6, independent=2))) == ["not shown"]
+    assert spoken(replace(wide, sequences=of_sequences(-0.1, 0.1, frames=6.1, independent=2)))[1] == "sequences range"
+    assert spoken(evidence(0.001, sequences=wide.sequences)) == ["beyond chance"]
+    assert spoken(evidence(0.02, sequences=wide.sequences)) == ["weak evidence", "sequences range"]
+    few = replace(wide, sequences=of_sequences(-0.4, 0.4, independent=0.5))
+    assert list(sentences(few))[1].endswith("say no more than 1 independent one would.")
+
+
+# --- joints -------------------------------------------------------------------------------------------------------
+
+
+def mean_of_joints(p: float) -> NullComparison:
+    return NullComparison(0.06, 0.03, 0.05, p)
+
+
+def joint_of(area: float, p: float, half_width: float = 0.02) -> Joint:
+    return Joint(0.04, p, area_of(area, area - half_width, area + half_width))
+
+
+TWO = {"Head": joint_of(-0.03, 0.049), "Hip": joint_of(0.03, 0.05)}
+
+
+def test_joints_are_named_where_the_ece_or_the_mean_of_joints_is_beyond_chance() -> None:
+    joints = "Joint by joint: overconfident at Head (adjusted for 2 joints)"
+    assert list(sentences(evidence(0.009, joints=TWO)))[1] == f"{joints}."
+    hidden = evidence(0.05, joints=TWO, mean_of_joints=mean_of_joints(0.009))
+    assert list(sentences(hidden))[1] == f"{joints}; the median over joints hides it."
+    weak = replace(hidden, ece=replace(hidden.ece, p=0.049))
+    assert list(sentences(weak))[1] == f"{joints}."
+    assert spoken(replace(hidden, mean_of_joints=mean_of_joints(0.01))) == ["not shown", "mean of joints, weak"]
+
+
+def test_nothing_is_said_of_the_only_joint_beside_what_is_said_of_all() -> None:
+    assert spoken(evidence(0.001, joints={"Head": joint_of(0.03, 0.001)})) == ["beyond chance"]
+
+
+def test_joints_of_weak_p_are_named_where_the_signed_area_agrees() -> None:
+    """With 40 sequences t is 2.023 and 2.708: a half-width of 0.0224 becomes 0.02998, and 0.0225 becomes 0.03012."""
+    for half_width, p, named in ((0.0224, 0.049, True), (0.0225, 0.049, False), (0.0225, 0.009, True)):
+        joints = {"Head": joint_of(-0.03, p, half_width), "Hip": joint_of(0.03, 0.5)}
+        assert ("joints" in spoken(evidence(0.001, joints=joints))) is named
+
+
+def test_joints_are_sorted_to_their_sides_by_the_same_rule_the_largest_area_first() -> None:
+    joints = {
+        "Hip": joint_of(-0.021, 0.009),
+        "Head": joint_of(-0.03, 0.009),
+        "Neck": joint_of(0.021, 0.009),
+        "Foot": joint_of(0.019, 0.009),
+        "Knee": joint_of(-0.019, 0.009),
+        "Hand": joint_of(0.04, 0.2),
+    }
+    assert list(sentences(evidence(0.001, joints=joints)))[1] == (
+        "Joint by joint: overconfident at Head and Hip, underconfident at Neck, "
+        f"{NEITHER}, at Foot and Knee (adjusted for 6 joints)."
+    )
+
+
+@pytest.mark.parametrize(
+    ("number", "words"),
+    [(2, "j0 and j1"), (6, "j0, j1, j2, j3, j4 and j5"), (9, "j0, j1, j2, j3, j4, j5 and 3 more")],
+)
+def test_up_to_six_joints_are_named(number: int, words: str) -> None:
+    joints = {f"j{k}": joint_of(0.03, 0.009) for k in range(number)}
+    assert list(sentences(evidence(0.001, joints=joints)))[1] == (
+        f"Joint by joint: underconfident at {words} (adjusted for {number} joints)."
+    )
+
+
+def test_the_median_hides_what_the_mean_of_the_joints_shows() -> None:
+    known = evidence(0.05, mean_of_joints=mean_of_joints(0.009))
+    errors = "the joints' own errors average 0.060, a calibrated sampler's 0.030"
+    assert list(sentences(known))[1] == f"The median over joints hides it: {errors} (p = 0.009)."
+    weak = replace(known, mean_of_joints=mean_of_joints(0.01))
+    assert list(sentences(weak))[1] == (
+        f"Weak evidence of what the median over joints would hide: {errors} (p = 0.010)."
+    )
+    assert spoken(replace(known, mean_of_joints=mean_of_joints(0.049))) == ["not shown", "mean of joints, weak"]
+    assert spoken(replace(known, mean_of_joints=mean_of_joints(0.05))) == ["not shown"]
+    assert spoken(evidence(0.049, mean_of_joints=mean_of_joints(0.009))) == ["weak evidence"]
+
+
+# --- rank tests ---------------------------------------------------------------------------------------------------
+
+
+def ranks(**p: float) -> tuple[tuple[str, str, float], ...]:
+    return tuple((name, f"why {name}", value) for name, value in p.items())
+
+
+@pytest.mark.parametrize(
+    ("p", "tests", "last"),
+    [
+        (0.5, ranks(a=0.009, b=0.02), "Rank tests reject what the ECE can't see (a): why a."),
+        (0.5, ranks(a=0.009, b=0.009), "Rank tests reject what the ECE can't see (a, b): why a; why b."),
+        (0.02, ranks(a=0.009), "Rank tests reject what the ECE can't see (a): why a."),
+        (0.5, ranks(a=0.01, b=0.02, c=0.05), "Weak evidence from rank tests: a, b (adjusted p = 0.010)."),
+        (0.5, ranks(a=0.05, b=0.5), NOTHING),
+        (0.001, ranks(a=0.05), NOTHING),
+    ],
+)
+def test_what_rank_tests_add(p: float, tests: tuple[tuple[str, str, float], ...], last: str) -> None:
+    assert list(sentences(evidence(p, rank_tests=tests)))[-1] == last
+
+
+def test_rank_tests_beside_a_wrong_spread_are_for_later() -> None:
+    beyond = evidence(0.001, area_of(-0.03), rank_tests=ranks(a=0.009))
+    assert list(sentences(beyond))[-1] == (
+        "Rank tests reject as well: a. A wrong spread alone can cause that: rerun them once it is recalibrated."
+    )
+    neither = replace(beyond, area=area_of(0.0))
+    assert list(sentences(neither))[-1] == "Rank tests reject as well: a."
+
+
+def test_rank_tests_that_can_reject_nothing_are_not_said_to_pass() -> None:
+    """Of 8 sequences the smallest p is 1/128; six times that is 0.047, seven times 0.055."""
+    six = evidence(units=8, rank_tests=ranks(**{f"t{n}": 0.5 for n in range(6)}))
+    assert list(sentences(six))[-1] == NOTHING
+    seven = replace(six, rank_tests=ranks(**{f"t{n}": 0.5 for n in range(7)}))
+    assert list(sentences(seven))[-1] == "8 sequences are too few for 7 rank tests to reject."
+    assert spoken(evidence(rank_tests=ranks(a=0.5, b=NAN))) == ["not shown"]
+
+
+# --- the table ----------------------------------------------------------------------------------------------------
+
+
+def test_the_table_of_the_documentation_is_that_of_the_rules() -> None:
+    page = Path(__file__).parents[2] / "docs" / "report.md"
+    text, generated = page.read_text(encoding="utf-8"), run_path(str(page.with_name("generate.py")))["generated"]
+    assert text == generated(text), "run python docs/generate.py"
+    for rule in RULES:
+        assert f"| {rule.group} | {rule.name} | {rule.when}" in text
+    assert len({rule.name for rule in RULES}) == len(RULES)
