@@ -107,11 +107,11 @@ def _of_what_is_unknown(report: Report) -> Iterator[str]:
         return
     if empty:
         yield (
-            f"at {first_few(empty, 6)} all hypotheses equal the truth in every pose: no calibration can be measured there, "
-            "and its summaries over joints leave them out."
+            f"at {first_few(empty, 6)} all hypotheses equal the truth in every pose: no calibration can be measured "
+            "there, and its summaries over joints leave them out."
         )
     tested = next((metric for metric in metrics.values() if metric.deviation is not None), None)
-    if tested is not None and are_points(totals, tested):
+    if tested is not None and not _is_summarized(report) and are_points(totals, tested):
         yield "the hypotheses of each pose are all the same: they have no spread that could be tested."
     if "tarp_box" in metrics and not report.count("tarp_box") and totals.poses.any():
         yield "tarp_box: no value, because the true poses of the other sequences have no range; expected several."
@@ -155,11 +155,15 @@ def summarize(report: Report) -> list[str]:
     >>> summarize(evaluate(np.zeros((1, 8, 2, 3)), np.zeros((8, 2, 3)), unit="mm"))
     []
     """
-    if not {"ece", "signed_area"} <= report.metrics.keys() or math.isnan(report["ece"]):
+    if not _is_summarized(report):
         return []
-    if frames_differ(report.totals) or are_points(report.totals, report.metrics["ece"]):
-        return []  # what a curve says then is about axes, or about a spread that is none, not about the model
+    if frames_differ(report.totals):
+        return []  # what a curve says then is about axes, not about the model
     return list(sentences(evidence_of(report)))
+
+
+def _is_summarized(report: Report) -> bool:
+    return {"ece", "signed_area"} <= report.metrics.keys() and not math.isnan(report["ece"])
 
 
 def frames_differ(totals: Totals) -> bool:
