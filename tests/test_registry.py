@@ -324,7 +324,8 @@ def test_a_stack_of_means_is_finished_as_each_of_them_is(protocol: str) -> None:
         numbers = np.asarray(metric.finish(means))
         assert numbers.shape == (2, 4), metric.name
         assert np.isnan(numbers[1, 0]), metric.name
-        assert not np.isnan(np.delete(numbers.ravel(), 4)).any(), metric.name
+        known = "NaN, since" not in metric.definition  # coverage of few hypotheses
+        assert (np.isnan(np.delete(numbers.ravel(), 4)) != known).all(), metric.name
         for index in np.ndindex(2, 4):
             np.testing.assert_allclose(numbers[index], metric.finish(means[index]), rtol=1e-12, err_msg=metric.name)
 
