@@ -329,7 +329,8 @@ def test_a_stack_of_means_is_finished_as_each_of_them_is(protocol: str) -> None:
         numbers = np.asarray(metric.finish(means))
         assert numbers.shape == (2, 4), metric.name
         assert np.isnan(numbers[1, 0]), metric.name
-        assert not np.isnan(np.delete(numbers.ravel(), 4)).any(), metric.name
+        known = "NaN, since" not in metric.definition  # coverage of few hypotheses
+        assert (np.isnan(np.delete(numbers.ravel(), 4)) != known).all(), metric.name
         for index in np.ndindex(2, 4):
             np.testing.assert_allclose(numbers[index], metric.finish(means[index]), rtol=1e-12, err_msg=metric.name)
 
@@ -344,7 +345,8 @@ def test_a_stack_of_means_gives_each_joint_s_number_as_each_of_them_does(protoco
             numbers = np.asarray(of_joints(means))
             assert numbers.shape == (2, 4, 17), metric.name
             assert np.isnan(numbers[:, :, 2]).all(), metric.name
-            assert not np.isnan(numbers[0, 0, 4:]).any(), metric.name
+            known = "NaN, since" not in metric.definition
+            assert (np.isnan(numbers[0, 0, 4:]) != known).all(), metric.name
             for index in np.ndindex(2, 4):
                 np.testing.assert_allclose(numbers[index], of_joints(means[index]), rtol=1e-12, err_msg=metric.name)
             tried.append(metric.name)
@@ -393,7 +395,7 @@ def test_what_sign_flips_test_is_the_number_that_is_reported(protocol: str) -> N
 
 
 def test_metrics_say_which_tables_show_them() -> None:
-    known = known_metrics(Protocol(), EVERYTHING)
+    known = known_metrics(Protocol(), replace(EVERYTHING, n_hypotheses=19))
     by_group = [name for name, metric in known.items() if metric.in_group_table]
     by_joint = [name for name, metric in known.items() if metric.in_joint_table]
     headlines = [name for name, metric in known.items() if metric.headline]

@@ -106,7 +106,6 @@ def occlusion_metrics(scope: Scope, occlusion: str) -> Iterator[Metric]:
         definition=f"{inside_words} the ball of 90 % of the hypotheses, exchangeable; best: 0.9"
         + ("" if known else unresolved(n)),
         finish=entry(row, 90 * (LEVELS.size - 1) // 100) if known else lambda m: np.full(m.shape[:-2], np.nan),
-        in_group_table=known,
     )
     yield metric(
         name="radius_50",

@@ -107,10 +107,9 @@ def _errors_of(totals: Totals, metric: Metric, cells: Cells, curves: Indices) ->
         return None
     errors = totals.by_sequence(statistic, cells)[0][..., 1:]
     rows, *inner, _ = totals.sums[metric.statistic.name].shape[1:]
-    K = errors.shape[1]
-    if rows not in {K, K + 1} or K == 1 or (curves >= K * int(np.prod(inner, dtype=int))).any():
-        return errors
-    return errors[:, curves // int(np.prod(inner, dtype=int))]
+    joints = curves // int(np.prod(inner, dtype=int))
+    is_per_joint = rows == errors.shape[1] + (not inner)  # with the pooled curve, or of each axis
+    return errors[:, joints] if is_per_joint and (joints < errors.shape[1]).all() else errors
 
 
 def joint_p_values(totals: Totals, metric: Metric, cells: Cells = None) -> FloatArray:

@@ -241,3 +241,42 @@ def test_sequences_in_slices_vary_as_much(monkeypatch: pytest.MonkeyPatch) -> No
     slices = uncertainty.slices
     monkeypatch.setattr(uncertainty, "slices", lambda length, row_bytes: slices(length, row_bytes, 2 * row_bytes))
     np.testing.assert_allclose((squared_error(D, counts), effective_poses(D, counts)), expected, rtol=1e-12)
+
+
+# --- standardized errors ----------------------------------------------------------------------------------------------
+
+ERRORS = Statistic("standardized_errors", lambda block: np.zeros((len(block.truth), 3, 4)), per_joint=True)
+
+
+@pytest.mark.parametrize(
+    ("statistic", "deviation", "joints"),
+    [(INSIDE, Deviation(None, -1, "median"), [0, 1, 2]), (INSIDE, Deviation(-1), None), (AXES, Deviation(), [0, 1, 2])],
+)
+def test_each_curve_has_the_standardized_errors_of_its_joint_or_of_all(
+    statistic: Statistic, deviation: Deviation, joints: list[int] | None
+) -> None:
+    some, random = with_curves(9), np.random.default_rng(9)
+    logs = random.normal(size=(40, 3, 5))
+    sums = np.stack([np.full((40, 3), 5.0), np.full((40, 3), 5.0), logs.sum(axis=2), (logs**2).sum(axis=2)], axis=-1)
+    some.add("standardized_errors", np.arange(40), sums, np.full((40, 3), 5))
+    some.sums[statistic.name] *= 0  # so that ranks say nothing
+    found = null(some, metric(statistic, deviation=replace(deviation, errors=ERRORS)))
+    D, counts = sequence_deviations(some, statistic)
+    errors = some.by_sequence(ERRORS)[0][..., 1:]
+    if joints is not None:
+        errors = errors[:, np.repeat(joints, 2 if statistic is AXES else 1)]
+        D, counts = D[:, : errors.shape[1]], counts[:, : errors.shape[1]]
+    else:
+        D, counts = D[:, -1:], counts[:, -1:]
+    assert found == sign_flips(D, counts, Deviation(over=deviation.over), errors=errors)
+    assert found != sign_flips(D, counts, Deviation(over=deviation.over))
+
+
+def test_hypotheses_that_never_differ_are_not_tested() -> None:
+    some = with_curves(9)
+    some.add("standardized_errors", np.arange(40), np.zeros((40, 3, 4)), np.full((40, 3), 5))
+    one = metric(INSIDE, deviation=Deviation(None, -1, errors=ERRORS))
+    found = null(some, one)
+    assert np.isnan([found.mean, found.high, found.p, found.band]).all()
+    assert found.observed == null(some, metric(INSIDE, deviation=Deviation(None, -1))).observed
+    assert np.isnan(joint_p_values(some, one)).all()
