@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.arrays import FloatArray, as_array
+from posecal.data.arrays import FloatArray, as_labels, real_array
 from posecal.data.log_density import as_dimensions, as_log_prob, number_of_coordinates
 from posecal.data.root import resting_joints
 from posecal.data.skeleton import Skeleton
@@ -115,7 +115,7 @@ def climatology_log_prob(truth: npt.ArrayLike, sequence: npt.ArrayLike | None = 
     Raises
     ------
     PoseDataError
-        Where there is not one sequence per pose.
+        For what are no poses, coordinates that are not finite, and other than one sequence per pose.
 
     Notes
     -----
@@ -129,9 +129,11 @@ def climatology_log_prob(truth: npt.ArrayLike, sequence: npt.ArrayLike | None = 
     >>> climatology_log_prob(np.array([[-1.0], [1.0], [0.0]]))[-1].round(4) == np.round(-np.log(4 * np.pi) / 2, 4)
     np.True_
     """
-    poses = as_array(truth, "truth").astype(np.float64)
+    poses = real_array(truth, "truth").astype(np.float64)
+    if poses.ndim not in (2, 3) or not poses.size or not np.isfinite(poses).all():
+        raise PoseDataError(f"truth: {poses.shape}; expected (M, d) or (M, K, D), at least one pose, all finite.")
     poses = poses.reshape(len(poses), -1)
-    names = np.arange(len(poses)) if sequence is None else as_array(sequence, "sequence")
+    names = np.arange(len(poses)) if sequence is None else as_labels(sequence, "sequence")
     if names.shape != (len(poses),):
         raise PoseDataError(f"sequence: {names.shape}; expected one per pose, ({len(poses)},).")
     own, number = np.unique(names, return_inverse=True)[1], np.unique(names, return_counts=True)[1]

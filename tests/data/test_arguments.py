@@ -15,7 +15,8 @@ from posecal.errors import PoseDataError
 from tests.helpers.random_worlds import skewed
 
 OF_PAIRS = {"rank_correlation", "sparsification", "ause", "risk_coverage", "aurc", "excess_aurc", "failure_auroc"}
-FUNCTIONS = sorted({*metrics.__all__} - OF_PAIRS)
+OF_DENSITIES = {"nll", "climatology_log_prob"}
+FUNCTIONS = sorted({*metrics.__all__} - OF_PAIRS - OF_DENSITIES)
 REQUIRED = {"min_mpjpe_curve": {"sizes": [1, 2]}}
 X, Y = skewed(3, 6, 6, 4)
 

@@ -134,6 +134,23 @@ def test_the_printed_report_shows_them() -> None:
     assert "coordinates in px" in report(unit="px").metrics["nll"].definition
 
 
+def test_wrong_arguments_of_the_functions_are_refused() -> None:
+    for wrong in ("a", None, 3.0, np.zeros((0, 3)), np.zeros(4), np.full((4, 3), np.nan), WORLD["y"] * 1j):
+        with pytest.raises(PoseDataError, match=r"^truth"):
+            climatology_log_prob(wrong)
+    for wrong in ("a", [0.5] * M, np.zeros((M, 1), int)):
+        with pytest.raises(PoseDataError, match=r"^sequence"):
+            climatology_log_prob(WORLD["y"], wrong)
+    for wrong in ("a", None, 3.0, [[1.0]], [1j]):
+        with pytest.raises(PoseDataError, match=r"^log_prob"):
+            nll(wrong, dimensions=3, unit="mm")
+    for wrong in (0, 1.5, "a", None, [1, 2], float("nan")):
+        with pytest.raises(PoseDataError, match=r"^dimensions"):
+            nll([1.0], dimensions=wrong, unit="mm")
+    with pytest.raises(PoseDataError, match=r"^unit"):
+        nll([1.0], dimensions=3, unit="inch")
+
+
 # --- batches, shards, saved results, comparison
 
 
