@@ -85,7 +85,8 @@ def test_a_difference_is_surer_than_the_numbers_that_it_is_of() -> None:
 def test_a_model_does_not_differ_from_itself() -> None:
     found = compare_totals([totals_of(X, Y)] * 2, ["one", "other"])
     for difference in found.differences:
-        assert difference.value == 0 or (difference.metric == "coverage_95" and math.isnan(difference.value))
+        unknown = {"failure_auroc", "coverage_95"}  # no pose fails here; few hypotheses
+        assert math.isnan(difference.value) if difference.metric in unknown else difference.value == 0
         assert difference.p == 1 or math.isnan(difference.p)
         assert difference.better is None
 
