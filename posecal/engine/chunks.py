@@ -40,8 +40,8 @@ class Chunk:
     usable: BoolArray | None
     occluded: BoolArray | None
     scores: FloatArray | None
-    weights: FloatArray | None
     reference: FloatArray | None
+    weights: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.truth)
