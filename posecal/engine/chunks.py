@@ -40,9 +40,9 @@ class Chunk:
     usable: BoolArray | None
     occluded: BoolArray | None
     scores: FloatArray | None
-    weights: FloatArray | None
     reference: FloatArray | None
     log_prob: FloatArray | None = None
+    weights: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.truth)
