@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray, checked_number, squared_norms
 from posecal.engine.block import Block
+from posecal.engine.bounds import POSITIVE
 from posecal.engine.metric import Metric, Statistic, mean_over_joints, per_joint
 from posecal.engine.per_pose import per_pose
 from posecal.engine.scope import Scope
@@ -207,6 +208,7 @@ _SHARPNESS = partial(
     direction="none",
     family="sharpness",
     range="0 mm upwards",
+    bounds=POSITIVE,
     reading="Sharpness: smaller is better only among models that are calibrated. It never looks at the truth.",
     source="Gneiting, Balabdaoui and Raftery, doi:10.1111/j.1467-9868.2007.00587.x",
 )

@@ -1,8 +1,7 @@
 """Uncertainty: how far the predicted spread of poses goes with their error.
 
-A calibrated model may still give every pose the same spread. Here poses are put in the order of their predicted
-spread and of their error, and the two orders compared: by rank correlation, and by how fast the error falls when
-the most uncertain poses are dropped.
+Poses are put in the order of their predicted spread and of their error, and the two orders compared: by rank
+correlation, and by how fast the error falls when the most uncertain poses are dropped.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ import numpy.typing as npt
 from posecal.calibration.ranks import shared_ranks
 from posecal.data.arrays import FloatArray, real_array
 from posecal.engine.block import Block
+from posecal.engine.bounds import CORRELATION, POSITIVE
 from posecal.engine.metric import Metric, Statistic
 from posecal.engine.scope import Scope
 from posecal.errors import PoseDataError
@@ -334,7 +334,7 @@ def sparsification_area_without(spread: FloatArray, error: FloatArray, sequence:
 
 # --- metrics --------------------------------------------------------------------------------------------------
 
-_UNCERTAINTY = partial(Metric, unit="", family="sharpness")
+_UNCERTAINTY = partial(Metric, unit="", family="sharpness", bounds=POSITIVE)
 
 
 def uncertainty_metrics(scope: Scope) -> Iterator[Metric]:
@@ -345,10 +345,8 @@ def uncertainty_metrics(scope: Scope) -> Iterator[Metric]:
         return np.stack([predicted_spread(block, scope.moving), error], axis=1, dtype=np.float64)
 
     statistic = Statistic("predicted_spread_and_error", spread_and_error, per_pose=True)
-    about = (
-        f"predicted spread (mean standard deviation of {scope.counted(scope.moving)}) and error of the mean pose (mean "
-        f"over {scope.counted(scope.body)})"
-    )
+    moving, body = scope.counted(scope.moving), scope.counted(scope.body)
+    about = f"predicted spread (mean standard deviation of {moving}) and error of the mean pose (mean over {body})"
     yield _UNCERTAINTY(
         name="spread_error_correlation",
         label="rank correlation of spread and error",
@@ -360,6 +358,7 @@ def uncertainty_metrics(scope: Scope) -> Iterator[Metric]:
         leave_out=lambda values, sequence: rank_correlation_without(values[:, 0], values[:, 1], sequence),
         headline=True,
         range="−1 to 1",
+        bounds=CORRELATION,
         reading="Whether a wide spread is a sign of error, which is what acting on uncertainty needs. A perfect "
         "sampler stays below 1, since an error is one draw.",
         source="posecal",

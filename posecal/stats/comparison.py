@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from posecal.data.arrays import BoolArray, FloatArray
+from posecal.data.arrays import FloatArray
 from posecal.data.texts import json_lines, printable_table
 from posecal.engine.measure import SUM_OF_TRUE_POSES
 from posecal.engine.metric import Metric
@@ -25,7 +25,7 @@ from posecal.engine.sums import sum_by
 from posecal.engine.totals import Totals, difference_of_signatures, different_metrics
 from posecal.errors import PoseDataError, did_you_mean, for_python, option, printable
 from posecal.registry import metrics_of
-from posecal.stats.jackknife import Interval, counting_sequences, jackknife, leave_one_out, paired_p
+from posecal.stats.jackknife import Interval, jackknife, leave_one_out, paired_p, sequence_sizes
 from posecal.stats.resampling import LEVEL, MIN_SEQUENCES, Null, holm
 from posecal.stats.uncertainty import null
 
@@ -129,8 +129,9 @@ class Comparison:
     def interval(self, metric: str, model: str) -> Interval:
         """Give the 95 % interval of a model's number; NaN for calibration errors, which have none."""
         if self._find(metric, model)[0].deviation is not None:
-            return Interval(math.nan, math.nan, math.nan, 0)
-        return jackknife(self.value(metric, model), self._without(metric, model), self._present(metric, model))
+            return Interval(math.nan, math.nan, math.nan, math.nan, 0)
+        value, without, sizes = self.value(metric, model), self._without(metric, model), self._sizes(metric, model)
+        return jackknife(value, without, sizes, self.metrics[metric].bounds)
 
     def differences_of(self, metric: str) -> tuple[Difference, ...]:
         """Give the differences of every pair of models for one metric."""
@@ -233,9 +234,9 @@ class Comparison:
         one, totals = self._find(metric, model)
         return self._once(("without", metric, model), lambda: leave_one_out(totals, one))
 
-    def _present(self, metric: str, model: str) -> BoolArray:
+    def _sizes(self, metric: str, model: str) -> FloatArray:
         one, totals = self._find(metric, model)
-        return self._once(("present", metric, model), lambda: counting_sequences(totals, one))
+        return self._once(("sizes", metric, model), lambda: sequence_sizes(totals, one))
 
     def _null(self, metric: str, model: str) -> Null:
         one, totals = self._find(metric, model)
@@ -251,8 +252,8 @@ class Comparison:
         if direction == "zero":  # nearer to 0 is better: the distances from it are compared
             values, without = [abs(value) for value in values], [np.abs(some) for some in without]
         pairs = list(combinations(range(len(names)), 2))
-        present = np.any([self._present(metric, name) for name in names], axis=0)
-        intervals = [jackknife(values[a] - values[b], without[a] - without[b], present) for a, b in pairs]
+        sizes = np.max([self._sizes(metric, name) for name in names], axis=0)
+        intervals = [jackknife(values[a] - values[b], without[a] - without[b], sizes) for a, b in pairs]
         differences = []
         for (a, b), interval, p in zip(pairs, intervals, holm([paired_p(each) for each in intervals]), strict=True):
             better = None

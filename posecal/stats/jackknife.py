@@ -8,15 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.arrays import BoolArray, FloatArray
+from posecal.data.arrays import FloatArray
+from posecal.engine.bounds import UNBOUNDED, Bounds, ends_within
 from posecal.engine.metric import Metric, Statistic
 from posecal.engine.sums import Cells, Counts, Indices, Number, compact, mean_of, slices, split_by, sum_by
 from posecal.engine.totals import CURVES, Totals, batch_sums
+
+FEWEST = 3
+"""Fewer sequences than this have no interval: the t of one degree of freedom is 12.7."""
 
 
 @dataclass(frozen=True)
@@ -26,9 +31,11 @@ class Interval:
     Attributes
     ----------
     low, high : float
-        Its ends; NaN with fewer than two sequences.
+        Its ends; NaN with fewer than three sequences.
     error : float
         Standard error.
+    freedom : float
+        Degrees of freedom: the effective number of sequences, less one.
     sequences : int
         How many there are.
     """
@@ -36,6 +43,7 @@ class Interval:
     low: float
     high: float
     error: float
+    freedom: float
     sequences: int
 
 
@@ -68,26 +76,33 @@ def leave_one_out(totals: Totals, metric: Metric, cells: Cells = None) -> FloatA
     return _averaged_without(totals, metric, cells)
 
 
-def counting_sequences(totals: Totals, metric: Metric, cells: Cells = None) -> BoolArray:
-    """Say which of the sequences of :func:`leave_one_out` have a pose that counts in a metric, (S,)."""
+def sequence_sizes(totals: Totals, metric: Metric, cells: Cells = None) -> FloatArray:
+    """Count the poses of each sequence of :func:`leave_one_out` that count in a metric, (S,), on average over joints.
+
+    By the option ``average`` each is a share of the poses of its group, so that all groups weigh the same.
+    """
     sequence, S = compact(totals.sequence_of, cells)
     if metric.statistic.per_pose:
-        cell_of = totals.cell_of[totals.known_poses(metric.statistic, cells)]
-        of_cell = cell_of if cells is None else np.searchsorted(cells, cell_of)
-        return np.bincount(sequence[of_cell], minlength=S) > 0
-    counts = totals.of_cells(metric.statistic, cells)[1].reshape(len(sequence), -1)
-    return np.bincount(sequence[(counts > 0).any(axis=1)], minlength=S) > 0
+        counts = np.bincount(totals.cell_of[totals.known_poses(metric.statistic, cells)], minlength=len(totals.poses))
+        counts = counts if cells is None else counts[cells]
+    else:
+        counts = totals.of_cells(metric.statistic, cells)[1].reshape(len(sequence), -1).mean(axis=1)
+    if totals.protocol.average != "poses":
+        group, G = compact(totals.group_of, cells)
+        number = np.bincount(group, counts, G)[group]
+        counts = np.divide(counts, number, out=np.zeros(len(group)), where=number > 0)
+    return np.bincount(sequence, counts, S).astype(np.float64)
 
 
-def joint_leave_one_out(totals: Totals, metric: Metric, cells: Cells = None) -> tuple[FloatArray, BoolArray]:
-    """Compute a metric at each joint with each sequence left out in turn, (S, K), and where the joint counts."""
+def joint_leave_one_out(totals: Totals, metric: Metric, cells: Cells = None) -> tuple[FloatArray, Counts]:
+    """Compute a metric at each joint with each sequence left out in turn, (S, K), and the poses that count there."""
     if metric.by_joint is None:
         raise ValueError(f"{metric.name} has no values per joint")
     statistic, finish = metric.by_joint
     counts = sum_by(*compact(totals.sequence_of, cells), totals.of_cells(statistic, cells)[1])
     shape = len(counts), len(totals.spec.joints)
     counts = counts[:, : shape[1]] if counts.ndim > 1 else np.broadcast_to(counts[:, None], shape)
-    return _finish(finish, _means_without(totals, statistic, cells)).reshape(shape), counts > 0
+    return _finish(finish, _means_without(totals, statistic, cells)).reshape(shape), counts
 
 
 def _finish_each(totals: Totals, metric: Metric, cells: Cells) -> FloatArray:
@@ -227,17 +242,62 @@ def _means_without(totals: Totals, statistic: Statistic, cells: Cells) -> Iterat
 # --- intervals ----------------------------------------------------------------------------------------------------
 
 
-@cache
-def _student(freedom: int) -> float:
-    from scipy.special import stdtrit
+@dataclass(frozen=True)
+class Spread:
+    """How far K numbers scatter over sequences.
 
-    return float(stdtrit(freedom, 0.975))  # NaN for none
+    Attributes
+    ----------
+    error : array (K,)
+        Standard errors; NaN where there is no interval.
+    freedom : array (K,)
+        Degrees of freedom of Student's t; NaN likewise.
+    sequences : array of int (K,)
+        How many count.
+    """
+
+    error: FloatArray
+    freedom: FloatArray
+    sequences: npt.NDArray[np.int_]
+
+    @property
+    def reach(self) -> FloatArray:
+        """Half-widths of plain 95 % intervals."""
+        from scipy.special import stdtrit
+
+        return np.asarray(self.error * stdtrit(self.freedom, 0.975))
 
 
-def jackknife(value: float, without: FloatArray, present: BoolArray | None = None) -> Interval:
+def jackknife_columns(without: FloatArray, sizes: npt.NDArray[Any] | None = None) -> Spread:
+    """Jackknife many numbers at once; see :func:`jackknife`.
+
+    Parameters
+    ----------
+    without : array (S, K)
+        K numbers with each sequence left out.
+    sizes : array (S, K), optional
+        How many poses, or which weight, each sequence has in each number; as many in all by default.
+    """
+    weights = np.ones(without.shape) if sizes is None else np.asarray(sizes, dtype=np.float64)
+    counted = weights > 0
+    number, squares = counted.sum(axis=0), (weights**2).sum(axis=0)
+    freedom = weights.sum(axis=0) ** 2 / np.where(squares > 0, squares, np.nan) - 1
+    freedom = np.where((number >= FEWEST) & (freedom >= 1 - 1e-9), freedom, np.nan)
+    several = np.where(np.isnan(freedom), np.nan, number)
+    centred = np.where(counted, without - np.where(counted, without, 0).sum(axis=0) / several, 0)
+    error = np.sqrt((several - 1) / several * (centred**2).sum(axis=0))
+    return Spread(error, freedom, number)
+
+
+def jackknife(
+    value: float, without: FloatArray, sizes: npt.NDArray[Any] | None = None, bounds: Bounds = UNBOUNDED
+) -> Interval:
     r"""Interval of a number from its values with each sequence left out.
 
-    .. math:: \hat\theta \pm t_{S-1}\, \sqrt{\tfrac{S-1}{S} \sum_s (\hat\theta_{(s)} - \bar\theta_{(\cdot)})^2}
+    .. math:: \hat\theta \pm t_\nu\, \sqrt{\tfrac{S-1}{S} \sum_s (\hat\theta_{(s)} - \bar\theta_{(\cdot)})^2},
+              \qquad \nu = \frac{(\sum_s n_s)^2}{\sum_s n_s^2} - 1
+
+    on the scale of :func:`posecal.engine.bounds.ends_within`. With sequences of one length, ν is S - 1.
 
     Parameters
     ----------
@@ -245,13 +305,17 @@ def jackknife(value: float, without: FloatArray, present: BoolArray | None = Non
         The number over all sequences.
     without : array (S,)
         The number with each sequence left out.
-    present : bool array (S,), optional
-        Whether the sequence has a pose that counts; those without one are as if they were not there.
+    sizes : array (S,), optional
+        How many poses each sequence has that count, n, or their weight; as many in all by default. Sequences without
+        one are as if they were not there.
+    bounds : tuple of two float
+        Smallest and largest possible value.
 
     Returns
     -------
     Interval
-        NaN ends with fewer than two sequences, or where the number is not defined without one of them.
+        NaN ends with fewer than three sequences, where one of them outweighs the others so much that they count as
+        fewer than two, or where the number is not defined without one of them.
 
     Notes
     -----
@@ -264,47 +328,22 @@ def jackknife(value: float, without: FloatArray, present: BoolArray | None = Non
 
     Examples
     --------
-    The mean of 1 and 3: left-out values 3 and 1, standard error 1, and t with one degree of freedom is 12.7.
+    The mean of 1, 2 and 3: left-out values 2.5, 2 and 1.5, standard error 1/√3, and t with two degrees of freedom is
+    4.3.
 
-    >>> interval = jackknife(2.0, np.array([3.0, 1.0]))
+    >>> interval = jackknife(2.0, np.array([2.5, 2.0, 1.5]))
     >>> round(interval.error, 6), round(interval.high, 3)
-    (1.0, 14.706)
+    (0.57735, 4.484)
     """
-    without = without if present is None else without[present]
-    sequences = len(without)
-    if np.isnan(value) or not sequences:
-        return Interval(np.nan, np.nan, np.nan, sequences)
-    error, reach = (float(each[0]) for each in jackknife_columns(without[:, None]))
-    return Interval(value - reach, value + reach, error, sequences)
-
-
-def jackknife_columns(without: FloatArray, present: BoolArray | None = None) -> tuple[FloatArray, FloatArray]:
-    """Jackknife many numbers at once; see :func:`jackknife`.
-
-    Parameters
-    ----------
-    without : array (S, K)
-        K numbers with each sequence left out.
-    present : bool array (S, K), optional
-        Whether the sequence counts in the number; all do by default.
-
-    Returns
-    -------
-    error, reach : arrays (K,)
-        Standard errors and half-widths of 95 % intervals; NaN where there are fewer than two sequences.
-    """
-    counted = np.ones(without.shape, dtype=bool) if present is None else present
-    number = counted.sum(axis=0)
-    several = np.where(number > 1, number, np.nan)
-    centred = np.where(counted, without - np.where(counted, without, 0).sum(axis=0) / several, 0)
-    error = np.sqrt((several - 1) / several * (centred**2).sum(axis=0))
-    distinct, which = np.unique(number, return_inverse=True)
-    students = np.array([_student(int(n) - 1) for n in distinct])
-    return error, error * students[which]
+    spread = jackknife_columns(without[:, None], None if sizes is None else sizes[:, None])
+    low, high = ends_within(np.array([value]), spread.reach, spread.freedom + 1, bounds)
+    numbers = np.array([low, high, spread.error, spread.freedom])[:, 0]
+    low, high, error, freedom = (numbers if not np.isnan(value) else np.full(4, np.nan)).tolist()
+    return Interval(low, high, error, freedom, int(spread.sequences[0]))
 
 
 def paired_p(difference: Interval) -> float:
-    """Two-sided p-value of a difference, from its standard error over sequences; NaN with fewer than two."""
+    """Two-sided p-value of a difference, from its standard error over sequences; NaN where there is no interval."""
     from scipy.special import stdtr
 
     if np.isnan(difference.error):
@@ -312,4 +351,4 @@ def paired_p(difference: Interval) -> float:
     middle = (difference.low + difference.high) / 2
     if difference.error == 0:
         return 1.0 if middle == 0 else 0.0
-    return float(2 * stdtr(difference.sequences - 1, -abs(middle) / difference.error))
+    return float(2 * stdtr(difference.freedom, -abs(middle) / difference.error))

@@ -8,16 +8,17 @@ import numpy as np
 
 from posecal.calibration.ranks import LEVELS
 from posecal.data.arrays import FloatArray
+from posecal.engine.bounds import ends_within
 from posecal.engine.metric import Metric, Statistic
 from posecal.engine.sums import Cells, Counts, slices
 from posecal.engine.totals import Totals
 from posecal.stats.jackknife import (
     Interval,
-    counting_sequences,
     jackknife,
     jackknife_columns,
     joint_leave_one_out,
     leave_one_out,
+    sequence_sizes,
 )
 from posecal.stats.resampling import LEVEL, Null, counting, n_patterns, sign_flips, sign_flips_of_each, thin
 
@@ -40,10 +41,11 @@ def interval(totals: Totals, metric: Metric, cells: Cells = None, value: float |
     Returns
     -------
     Interval
-        NaN ends where fewer than two sequences have poses that count.
+        Within the bounds of the metric; NaN ends where fewer than three sequences have poses that count.
     """
     value = totals.value(metric, cells) if value is None else value
-    return jackknife(value, leave_one_out(totals, metric, cells), counting_sequences(totals, metric, cells))
+    without, sizes = leave_one_out(totals, metric, cells), sequence_sizes(totals, metric, cells)
+    return jackknife(value, without, sizes, metric.bounds)
 
 
 def joint_intervals(totals: Totals, metric: Metric, cells: Cells = None) -> tuple[FloatArray, FloatArray]:
@@ -57,11 +59,10 @@ def joint_intervals(totals: Totals, metric: Metric, cells: Cells = None) -> tupl
     Returns
     -------
     low, high : arrays (K,)
-        Their ends; NaN where there are fewer than two sequences.
+        Their ends; NaN where there are fewer than three sequences.
     """
-    values = totals.by_joint(metric, cells)
-    _, reach = jackknife_columns(*joint_leave_one_out(totals, metric, cells))
-    return values - reach, values + reach
+    spread = jackknife_columns(*joint_leave_one_out(totals, metric, cells))
+    return ends_within(totals.by_joint(metric, cells), spread.reach, spread.freedom + 1, metric.bounds)
 
 
 def null(totals: Totals, metric: Metric, cells: Cells = None) -> Null:
