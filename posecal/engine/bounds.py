@@ -21,7 +21,7 @@ CORRELATION: Bounds = (-1.0, 1.0)
 EDGE = 1e-9
 """A share this near to 0 or 1, or a correlation to −1 or 1, lies there but for rounding."""
 
-_LARGEST_EXPONENT = 300.0
+_LARGEST = 700.0
 
 
 def checked_bounds(bounds: object) -> Bounds:
@@ -45,69 +45,87 @@ def finite_bounds(bounds: Bounds) -> list[float | None]:
     return [end if math.isfinite(end) else None for end in bounds]
 
 
-def ends_within(
-    values: FloatArray, reach: FloatArray, number: FloatArray, bounds: Bounds
-) -> tuple[FloatArray, FloatArray]:
-    r"""Give the ends of intervals on the scale that belongs to a possible range.
+def to_scale(values: FloatArray, bounds: Bounds) -> FloatArray:
+    r"""Map numbers to the scale that belongs to their possible range.
 
-    .. math:: g^{-1}\big(g(\hat\theta) \pm g'(\hat\theta)\, r\big), \qquad
-              g(\theta) = \log\frac{\theta - a}{b - \theta}
+    .. math:: g(\theta) = \log\frac{\theta - a}{b - \theta}
 
-    for a range from a to b: the logit of shares and Fisher's z of correlations; log(θ - a) where there is no b, and
-    the plain interval where there is neither.
+    for a range from a to b: the logit of shares, twice Fisher's z of correlations; log(θ - a) where there is no b,
+    -log(b - θ) where there is no a, and θ where there is neither.
 
     Parameters
     ----------
-    values, reach : arrays (K,)
-        Numbers, and half-widths of their plain intervals.
-    number : array (K,)
-        Effective numbers of sequences.
+    values : array
+        Numbers.
     bounds : tuple of two float
         a and b, which may be infinite.
 
     Returns
     -------
-    low, high : arrays (K,)
-        The ends. Of a value at the edge of a finite range, where every sequence has it, the other end is that of the
-        rule of three: :math:`b - (b - a)(1 - 0.05^{1/n})`. Of a value outside of the range, the plain interval.
+    array
+        Infinite at the edge of the range and beyond it.
 
     References
     ----------
-    Hanley and Lippman-Hand, JAMA 249, 1743 (1983), doi:10.1001/jama.1983.03330370053031 (rule of three).
+    Fisher, Metron 1, 3 (1921) (z of a correlation).
 
     Examples
     --------
-    100 ± 69.3 mm are 50 to 200 mm on the log scale.
-
-    >>> low, high = ends_within(np.array([100.0]), np.array([69.315]), np.array([5.0]), (0.0, math.inf))
-    >>> low.round(1).item(), high.round(1).item()
-    (50.0, 200.0)
+    >>> to_scale(np.array([0.5, 1.0]), SHARE), to_scale(np.array([1.0, 0.0]), POSITIVE)
+    (array([ 0., inf]), array([  0., -inf]))
     """
-    lowest, highest = bounds
-    if math.isinf(lowest) and not math.isinf(highest):
-        low, high = ends_within(-values, reach, number, (-highest, math.inf))
-        return -high, -low
-    low, high = values - reach, values + reach
-    if math.isinf(lowest):
-        return low, high
-    width = highest - lowest
-    edge = 0.0 if math.isinf(width) else EDGE * width
-    below, above = values - lowest, highest - values
-    inner = (below > edge) & (above > edge)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        exponent = np.minimum(reach * (1 / below + 1 / above), _LARGEST_EXPONENT)
-        smaller, larger = (lowest + _moved(below, width, np.exp(e)) for e in (-exponent, exponent))
-    low, high = np.where(inner, smaller, low), np.where(inner, larger, high)
-    if math.isinf(width):
-        return low, high
-    known = ~np.isnan(reach)
-    most = width * (1 - 0.05 ** (1 / np.maximum(number, 1)))
-    at_low, at_high = (known & (np.abs(distance) <= edge) for distance in (below, above))
-    low = np.where(at_low, lowest, np.where(at_high, highest - most, low))
-    high = np.where(at_high, highest, np.where(at_low, lowest + most, high))
+    low, high = bounds
+    if bounds == UNBOUNDED:
+        return values
+    edge = EDGE * (high - low) if math.isfinite(high - low) else 0.0
+    scaled = np.zeros(values.shape)
+    with np.errstate(divide="ignore"):
+        if math.isfinite(low):
+            scaled += np.log(np.where(values - low <= edge, 0, values - low))
+        if math.isfinite(high):
+            scaled -= np.log(np.where(high - values <= edge, 0, high - values))
+    return scaled
+
+
+def from_scale(scaled: FloatArray, bounds: Bounds) -> FloatArray:
+    """Map back what :func:`to_scale` gives."""
+    low, high = bounds
+    if bounds == UNBOUNDED:
+        return scaled
+    factor = np.exp(np.clip(scaled, -_LARGEST, _LARGEST))
+    if math.isinf(high):
+        return low + factor
+    return np.asarray(high - 1 / factor if math.isinf(low) else high - (high - low) / (1 + factor))
+
+
+def ends_at_edges(values: FloatArray, number: FloatArray, bounds: Bounds) -> tuple[FloatArray, FloatArray]:
+    r"""Give the intervals of numbers at the edge of a finite range, where every sequence has it: the rule of three.
+
+    .. math:: \big[\, b - (b - a)(1 - 0.05^{1/n}),\; b \,\big]
+
+    Parameters
+    ----------
+    values : array (K,)
+        Numbers.
+    number : array (K,)
+        Effective numbers of sequences, n.
+    bounds : tuple of two float
+        a and b.
+
+    Returns
+    -------
+    low, high : arrays (K,)
+        NaN of numbers elsewhere, and where one of the bounds is infinite.
+
+    References
+    ----------
+    Hanley and Lippman-Hand, JAMA 249, 1743 (1983), doi:10.1001/jama.1983.03330370053031.
+    """
+    least, most = bounds
+    if not math.isfinite(most - least):
+        return np.full(values.shape, np.nan), np.full(values.shape, np.nan)
+    width, edge = (most - least) * (1 - 0.05 ** (1 / number)), EDGE * (most - least)
+    at_least, at_most = np.abs(values - least) <= edge, np.abs(values - most) <= edge
+    low = np.where(at_least, least, np.where(at_most, most - width, np.nan))
+    high = np.where(at_most, most, np.where(at_least, least + width, np.nan))
     return low, high
-
-
-def _moved(below: FloatArray, width: float, factor: FloatArray) -> FloatArray:
-    """Distance from the lower bound where the odds of that distance and the rest are multiplied by a factor."""
-    return np.asarray(below * factor / (1 + below / width * (factor - 1)))

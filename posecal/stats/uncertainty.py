@@ -8,7 +8,6 @@ import numpy as np
 
 from posecal.calibration.ranks import LEVELS
 from posecal.data.arrays import FloatArray
-from posecal.engine.bounds import ends_within
 from posecal.engine.metric import Metric, Statistic
 from posecal.engine.sums import Cells, Counts, slices
 from posecal.engine.totals import Totals
@@ -61,8 +60,9 @@ def joint_intervals(totals: Totals, metric: Metric, cells: Cells = None) -> tupl
     low, high : arrays (K,)
         Their ends; NaN where there are fewer than three sequences.
     """
-    spread = jackknife_columns(*joint_leave_one_out(totals, metric, cells))
-    return ends_within(totals.by_joint(metric, cells), spread.reach, spread.freedom + 1, metric.bounds)
+    values = totals.by_joint(metric, cells)
+    found = jackknife_columns(values, *joint_leave_one_out(totals, metric, cells), metric.bounds)
+    return found.low, found.high
 
 
 def null(totals: Totals, metric: Metric, cells: Cells = None) -> Null:

@@ -12,63 +12,59 @@ from hypothesis import strategies as st
 from scipy import special
 
 from posecal import Metric
-from posecal.engine.bounds import CORRELATION, POSITIVE, SHARE, UNBOUNDED, Bounds, checked_bounds, ends_within
+from posecal.engine.bounds import (
+    CORRELATION,
+    POSITIVE,
+    SHARE,
+    UNBOUNDED,
+    Bounds,
+    checked_bounds,
+    ends_at_edges,
+    from_scale,
+    to_scale,
+)
 from posecal.errors import PoseDataError
 
-
-def ends(value: float, reach: float, bounds: Bounds, number: float = 5.0) -> tuple[float, float]:
-    low, high = ends_within(np.array([value]), np.array([reach]), np.array([number]), bounds)
-    return low.item(), high.item()
+RANGES = [UNBOUNDED, POSITIVE, SHARE, CORRELATION, (-0.5, 0.5), (0.0, 299.0), (-math.inf, 1.0)]
 
 
-def test_ends_are_those_of_the_log_the_logit_and_fisher_s_z() -> None:
-    assert ends(80.0, 30.0, POSITIVE) == pytest.approx([80 * math.exp(s * 30 / 80) for s in (-1, 1)])
-    logit = [special.expit(special.logit(0.9) + s * 0.1 / (0.9 * 0.1)) for s in (-1, 1)]
-    assert ends(0.9, 0.1, SHARE) == pytest.approx(logit)
-    fisher = [math.tanh(math.atanh(0.6) + s * 0.5 / (1 - 0.6**2)) for s in (-1, 1)]
-    assert ends(0.6, 0.5, CORRELATION) == pytest.approx(fisher)
-    assert ends(-3.0, 5.0, UNBOUNDED) == (-8.0, 2.0)
-    assert ends(-0.5, 0.6, (-math.inf, 1.0)) == pytest.approx([1 - 1.5 * math.exp(s * 0.6 / 1.5) for s in (1, -1)])
+def test_the_scales_are_the_log_the_logit_and_fisher_s_z() -> None:
+    values = np.array([0.2, 0.5, 0.9])
+    np.testing.assert_allclose(to_scale(values, POSITIVE), np.log(values))
+    np.testing.assert_allclose(to_scale(values, SHARE), special.logit(values))
+    np.testing.assert_allclose(to_scale(values, CORRELATION), 2 * np.arctanh(values))
+    np.testing.assert_allclose(to_scale(values, (-math.inf, 1.0)), -np.log(1 - values))
+    np.testing.assert_array_equal(to_scale(values, UNBOUNDED), values)
 
 
-@given(
-    share=st.floats(0, 1),
-    reach=st.floats(0, 1e6),
-    bounds=st.sampled_from([SHARE, CORRELATION, (-0.5, 0.5), (0.0, 299.0)]),
-)
-def test_ends_hold_the_value_and_never_leave_a_finite_range(share: float, reach: float, bounds: Bounds) -> None:
-    value = bounds[0] + share * (bounds[1] - bounds[0])
-    low, high = ends(value, reach, bounds)
-    assert bounds[0] <= low <= value + 1e-9 * abs(value)
-    assert value - 1e-9 * abs(value) <= high <= bounds[1] + 1e-9
+@given(scaled=st.floats(-12, 12), bounds=st.sampled_from(RANGES))
+def test_each_scale_is_undone(scaled: float, bounds: Bounds) -> None:
+    there = from_scale(np.array([scaled]), bounds)
+    np.testing.assert_allclose(to_scale(there, bounds), [scaled], rtol=1e-6, atol=1e-9)
 
 
-@given(value=st.floats(1e-6, 1e6), reach=st.floats(0, 1e9))
-def test_ends_of_a_positive_number_are_positive(value: float, reach: float) -> None:
-    low, high = ends(value, reach, POSITIVE)
-    assert 0 <= low <= value * (1 + 1e-12)
-    assert math.isfinite(high)
-    assert high >= value * (1 - 1e-12)
+@given(scaled=st.floats(-1e9, 1e9), bounds=st.sampled_from(RANGES))
+def test_whatever_comes_from_a_scale_lies_in_the_range(scaled: float, bounds: Bounds) -> None:
+    (value,) = from_scale(np.array([scaled]), bounds)
+    assert bounds[0] <= value <= bounds[1]
+    assert math.isfinite(value)
 
 
-def test_small_intervals_are_the_plain_ones_on_every_scale() -> None:
-    for value, bounds in ((80.0, POSITIVE), (0.3, SHARE), (0.3, CORRELATION), (0.3, (-math.inf, 1.0))):
-        assert ends(value, 1e-6, bounds) == pytest.approx((value - 1e-6, value + 1e-6), abs=1e-10)
+def test_at_the_edge_and_beyond_a_number_is_at_infinity() -> None:
+    assert to_scale(np.array([1.0, 1 - 1e-12, 1.1, 0.0, -2.0]), SHARE).tolist() == [math.inf] * 3 + [-math.inf] * 2
+    assert to_scale(np.array([0.0, -1.0]), POSITIVE).tolist() == [-math.inf, -math.inf]
+    assert np.isnan(to_scale(np.array([math.nan]), SHARE)).all()
 
 
-def test_of_a_share_that_every_sequence_has_at_the_edge_the_other_end_is_the_rule_of_three_s() -> None:
-    assert ends(1.0, 0.0, SHARE, number=10) == pytest.approx((0.05**0.1, 1.0))
-    assert ends(0.0, 0.0, SHARE, number=10) == pytest.approx((0.0, 1 - 0.05**0.1))
-    assert 1 - ends(1.0, 0.0, SHARE, number=100)[0] == pytest.approx(3 / 100, rel=0.02)
-    assert ends(1.0, 0.0, CORRELATION, number=10) == pytest.approx((2 * 0.05**0.1 - 1, 1.0))
-
-
-def test_outside_of_the_range_and_where_nothing_bounds_an_end_the_interval_is_plain() -> None:
-    assert ends(-1.0, 3.0, POSITIVE) == (-4.0, 2.0)
-    assert ends(0.0, 0.0, POSITIVE) == (0.0, 0.0)
-    assert np.isnan(ends(0.5, math.nan, SHARE)).all()
-    assert np.isnan(ends(1.0, math.nan, SHARE)).all()
-    assert np.isnan(ends(math.nan, 0.1, SHARE)).all()
+def test_intervals_of_shares_at_the_edge_are_the_rule_of_three_s() -> None:
+    values, number = np.array([1.0, 0.0, 0.5]), np.array([10.0, 100.0, 10.0])
+    low, high = ends_at_edges(values, number, SHARE)
+    np.testing.assert_allclose(low, [0.05**0.1, 0.0, math.nan])
+    np.testing.assert_allclose(high, [1.0, 1 - 0.05**0.01, math.nan])
+    assert high[1] == pytest.approx(3 / 100, rel=0.02)
+    low, high = ends_at_edges(values[:1], number[:1], CORRELATION)
+    np.testing.assert_allclose([low[0], high[0]], [2 * 0.05**0.1 - 1, 1.0])
+    assert np.isnan(ends_at_edges(np.zeros(1), number[:1], POSITIVE)).all()
 
 
 @pytest.mark.parametrize("bounds", [(1.0, 0.0), (0.0, 0.0), (0.0,), 3.0, ("0", "1"), (math.nan, 1.0), None])

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy import stats
+from scipy import special, stats
 
+from posecal.engine.bounds import POSITIVE, SHARE, UNBOUNDED
 from posecal.engine.metric import Metric, Statistic
 from posecal.engine.protocol import Protocol
 from posecal.engine.totals import Totals
@@ -101,11 +102,14 @@ def test_many_numbers_have_the_intervals_that_they_have_alone_over_the_sequences
     sizes[:2, 5] = 1
     without[sizes == 0] = math.nan
     without[np.flatnonzero(sizes[:, 3])[0], 3] = math.nan
-    found = jackknife_columns(without, sizes)
-    for k in range(6):
-        alone = jackknife(0.0, without[sizes[:, k] > 0, k], sizes[sizes[:, k] > 0, k])
-        np.testing.assert_allclose([found.error[k], found.reach[k]], [alone.error, alone.high], rtol=1e-12)
-    assert np.isnan(found.reach).tolist() == [False, False, False, True, True, True]
+    values = random.normal(50, 9, 6)
+    for bounds in (UNBOUNDED, POSITIVE, (0.0, 100.0)):
+        found = jackknife_columns(values, without, sizes, bounds)
+        for k in range(6):
+            alone = jackknife(values[k], without[sizes[:, k] > 0, k], sizes[sizes[:, k] > 0, k], bounds)
+            many = [getattr(found, name)[k] for name in ("low", "high", "error", "freedom", "sequences")]
+            np.testing.assert_allclose(many, list(vars(alone).values()), rtol=1e-12)
+        assert np.isnan(found.high).tolist() == [False, False, False, True, True, True]
 
 
 # --- sequences of unequal lengths -------------------------------------------------------------------------------------
@@ -123,6 +127,34 @@ def test_the_degrees_of_freedom_are_those_of_the_effective_number_of_sequences()
 def test_a_sequence_that_outweighs_all_others_leaves_no_interval() -> None:
     assert math.isnan(jackknife(1.0, np.arange(4.0), np.array([900, 1, 1, 1])).high)
     assert not math.isnan(jackknife(1.0, np.arange(4.0), np.array([2, 1, 1, 1])).high)
+
+
+def test_a_positive_number_has_the_interval_of_its_logarithm_and_a_share_of_its_logit() -> None:
+    without, reach = np.array([40.0, 50.0, 60.0, 70.0]), stats.t(3).ppf(0.975) * math.sqrt(3 / 4)
+    steps = np.log(without) - math.log(55)
+    found = jackknife(55.0, without, bounds=POSITIVE)
+    size = reach * math.sqrt((steps**2).sum())
+    np.testing.assert_allclose([found.low, found.high], [55 * math.exp(-size), 55 * math.exp(size)], rtol=1e-12)
+    steps = special.logit(without / 100) - special.logit(0.55)
+    found = jackknife(0.55, without / 100, bounds=SHARE)
+    ends = special.logit(0.55) + reach * math.sqrt((steps**2).sum()) * np.array([-1, 1])
+    np.testing.assert_allclose([found.low, found.high], special.expit(ends), rtol=1e-12)
+
+
+def test_a_sequence_that_holds_all_misses_moves_a_share_as_five_times_the_odds_do() -> None:
+    found = jackknife(0.99, np.array([1.0, 0.99, 0.99, 0.99]), bounds=SHARE)
+    reach = stats.t(3).ppf(0.975) * math.sqrt(3 / 4) * math.log(5)
+    ends = special.expit([special.logit(0.99) - reach, special.logit(0.99) + reach])
+    np.testing.assert_allclose([found.low, found.high], ends, rtol=1e-12)
+
+
+def test_at_the_edge_of_its_range_a_share_has_the_rule_of_three_and_outside_of_it_the_plain_interval() -> None:
+    assert jackknife(1.0, np.ones(10), bounds=SHARE).low == pytest.approx(0.05**0.1)
+    assert jackknife(1.0, np.ones(10), bounds=SHARE).high == 1.0
+    assert math.isnan(jackknife(1.0, np.ones(2), bounds=SHARE).low)
+    without = np.array([-3.0, -1.0, 1.0])
+    assert jackknife(-1.0, without, bounds=POSITIVE) == jackknife(-1.0, without)
+    assert jackknife(0.0, np.zeros(4), bounds=POSITIVE).high == 0.0
 
 
 def test_sizes_of_sequences_are_shares_of_their_groups_where_groups_are_averaged() -> None:

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from posecal.calibration import LEVELS
+from posecal.engine.bounds import POSITIVE, UNBOUNDED
 from posecal.engine.metric import Deviation, Statistic
 from posecal.engine.protocol import Protocol
 from posecal.engine.totals import Totals
 from posecal.stats import resampling, uncertainty
-from posecal.stats.jackknife import jackknife, joint_leave_one_out, leave_one_out
+from posecal.stats.jackknife import jackknife, joint_leave_one_out, leave_one_out, sequence_sizes
 from posecal.stats.resampling import LEVEL, holm, sign_flips, thin
 from posecal.stats.uncertainty import (
     effective_poses,
@@ -56,8 +57,11 @@ ECE = metric(INSIDE, family="calibration", deviation=Deviation(None, -1, "median
 
 @pytest.mark.parametrize("cells", CELLS, ids=["all", "some"])
 def test_an_interval_is_the_jackknife_of_the_values_without_each_sequence(cells: Array | None) -> None:
-    some, one = random_totals(1, C=40), metric(HEIGHT)
-    assert interval(some, one, cells) == jackknife(some.value(one, cells), leave_one_out(some, one, cells))
+    some = random_totals(1, C=40)
+    for bounds in (UNBOUNDED, POSITIVE):
+        one = replace(metric(HEIGHT), bounds=bounds)
+        expected = leave_one_out(some, one, cells), sequence_sizes(some, one, cells), bounds
+        assert interval(some, one, cells) == jackknife(some.value(one, cells), *expected)
 
 
 @pytest.mark.parametrize("cells", CELLS, ids=["all", "some"])
@@ -65,13 +69,13 @@ def test_an_interval_is_the_jackknife_of_the_values_without_each_sequence(cells:
 def test_a_joint_has_the_interval_over_the_sequences_in_which_it_counts(cells: Array | None, average: str) -> None:
     some = random_totals(2, C=40, S=9, protocol=Protocol(average=average))
     some.sums["joints"][some.sequence_of < 4, 1] = some.counts["joints"][some.sequence_of < 4, 1] = 0
-    one = metric(by_joint=(JOINTS, np.asarray))
+    one = replace(metric(by_joint=(JOINTS, np.asarray)), bounds=POSITIVE)
     low, high = joint_intervals(some, one, cells)
-    values, (without, present) = some.by_joint(one, cells), joint_leave_one_out(some, one, cells)
+    values, (without, sizes) = some.by_joint(one, cells), joint_leave_one_out(some, one, cells)
     for k in (0, 1):
-        expected = jackknife(values[k], without[present[:, k], k])
+        expected = jackknife(values[k], without[:, k], sizes[:, k], POSITIVE)
         np.testing.assert_allclose([low[k], high[k]], [expected.low, expected.high], rtol=1e-9)
-    assert present[:, 1].sum() < present[:, 0].sum()
+    assert (sizes[:, 1] > 0).sum() < (sizes[:, 0] > 0).sum()
 
 
 def test_deviations_are_those_of_each_sequence_from_what_is_expected_there() -> None:
