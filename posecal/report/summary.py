@@ -6,6 +6,8 @@ import math
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from posecal.data.frames import DIFFERENT_FRAMES
 from posecal.engine.totals import Totals
 from posecal.errors import first_few, for_python
@@ -13,6 +15,7 @@ from posecal.metrics.occlusion import occlusion_words
 from posecal.registry import left_out
 from posecal.report.format import counted, p_value
 from posecal.stats.resampling import LEVEL, MIN_SEQUENCES
+from posecal.stats.uncertainty import p_without_each
 
 if TYPE_CHECKING:
     from posecal.report.report import Report
@@ -23,6 +26,9 @@ half of that, more than three quarters of the deviation lie on one side of the d
 
 FEW_HYPOTHESES = 20
 """With fewer hypotheses than this a perfect sampler's ECE (paper) is above 0.018, however many poses there are."""
+
+FEW_SEQUENCES = 20
+"""With fewer sequences than this the report says what p-values assume: rare bad ones may be missing from so few."""
 
 NEITHER = "miscalibrated, on neither side throughout"
 
@@ -52,6 +58,8 @@ def _of_statistics(report: Report) -> Iterator[str]:
             f"{units} allow{'s' * (sequences == 1)} no test: even if all err alike, chance would do that in "
             f"{2 / 2**sequences:.0%} of cases. At least {MIN_SEQUENCES} are needed for a p-value."
         )
+    elif sequences < FEW_SEQUENCES and "ece" in report.metrics:
+        yield _of_symmetry(report)
     if (average := totals.protocol.average) != "poses":
         groups = [value for value, _ in totals.groups(average)]
         yield f"numbers are means over {len(groups):,} values of {average} ({first_few(groups, 5)})."
@@ -70,6 +78,15 @@ def _of_statistics(report: Report) -> Iterator[str]:
         yield "calibration and spread need at least 2 hypotheses; there is 1."
     elif n < FEW_HYPOTHESES and any(metric.family == "calibration" for metric in report.metrics.values()):
         yield f"N = {n} hypotheses are few: look at what a perfect sampler would show before reading an ECE (paper)."
+
+
+def _of_symmetry(report: Report) -> str:
+    """Say what p-values assume, and between which values that of the ECE is without one of the sequences."""
+    p = report.once(("p without each",), lambda: p_without_each(report.totals, report.metrics["ece"]))
+    known = p[~np.isnan(p)]
+    left_out = f" With one of the {report.totals.units()} left out, p of the ECE is {{:.3f}} to {{:.3f}}."
+    moves = left_out.format(known.min(), known.max()) if len(known) else ""
+    return f"p-values assume that calibrated sequences err to either side alike, which rare bad ones don't.{moves}"
 
 
 def summarize(report: Report) -> list[str]:

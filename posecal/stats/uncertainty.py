@@ -21,6 +21,9 @@ from posecal.stats.jackknife import (
 )
 from posecal.stats.resampling import LEVEL, Null, counting, n_patterns, sign_flips, sign_flips_of_each, thin
 
+FEW_DRAWS = 200
+"""Sign patterns of each p-value without a sequence."""
+
 
 def interval(totals: Totals, metric: Metric, cells: Cells = None, value: float | None = None) -> Interval:
     """Compute the 95 % interval of a metric over the sequences among some cells.
@@ -83,6 +86,28 @@ def null(totals: Totals, metric: Metric, cells: Cells = None) -> Null:
     judged = slice(metric.deviation.first, metric.deviation.last)
     deviations, counts = sequence_deviations(totals, metric.statistic, cells, metric.offset, judged)
     return sign_flips(deviations, counts, replace(metric.deviation, first=None, last=None), offset=metric.offset)
+
+
+def p_without_each(totals: Totals, metric: Metric) -> FloatArray:
+    """Give the p-value of a calibration error with each sequence left out, from fewer sign patterns than that of all.
+
+    Parameters
+    ----------
+    totals, metric
+        As for :func:`null`.
+
+    Returns
+    -------
+    array (S,)
+        NaN where the others are too few.
+    """
+    assert metric.deviation is not None
+    judged = slice(metric.deviation.first, metric.deviation.last)
+    deviations, counts = sequence_deviations(totals, metric.statistic, None, metric.offset, judged)
+    over = replace(metric.deviation, first=None, last=None)
+    others = (np.arange(len(counts)) != s for s in range(len(counts)))
+    nulls = (sign_flips(deviations[s], counts[s], over, offset=metric.offset, draws=FEW_DRAWS) for s in others)
+    return np.array([each.p for each in nulls])
 
 
 def joint_p_values(totals: Totals, metric: Metric, cells: Cells = None) -> FloatArray:
