@@ -78,7 +78,7 @@ def _named(
 
 
 def _cell(shares: tuple[float, float, float]) -> str:
-    return f"{shares[0]:.0%} → {shares[1]:.0%}"
+    return f"{shares[0]:.1%} → {shares[1]:.1%}"
 
 
 TABLES = [
@@ -86,6 +86,6 @@ TABLES = [
         "intervals",
         ("number and its true value", *(f"{d} sequences" for d in DESIGNS[:3]), *map(str, DESIGNS[3:]), "left before"),
         _rows,
-        300,
+        200,
     )
 ]
