@@ -84,9 +84,8 @@ def _of_symmetry(report: Report) -> str:
     """Say what p-values assume, and between which values that of the ECE is without one of the sequences."""
     p = report.once(("p without each",), lambda: p_without_each(report.totals, report.metrics["ece"]))
     known = p[~np.isnan(p)]
-    left_out = f" With one of the {report.totals.units()} left out, p of the ECE is {{:.3f}} to {{:.3f}}."
-    moves = left_out.format(known.min(), known.max()) if len(known) else ""
-    return f"p-values assume that calibrated sequences err to either side alike, which rare bad ones don't.{moves}"
+    moves = f"; without one, p of the ECE is {known.min():.3f} to {known.max():.3f}" if len(known) else ""
+    return f"p-values assume that sequences err to either side alike{moves}."
 
 
 def summarize(report: Report) -> list[str]:

@@ -21,7 +21,7 @@ from posecal.stats.jackknife import (
 )
 from posecal.stats.resampling import LEVEL, Null, counting, n_patterns, sign_flips, sign_flips_of_each, thin
 
-FEW_DRAWS = 200
+FEW_DRAWS = 500
 """Sign patterns of each p-value without a sequence."""
 
 

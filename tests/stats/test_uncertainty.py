@@ -23,6 +23,7 @@ from posecal.stats.uncertainty import (
     joint_intervals,
     joint_p_values,
     null,
+    p_without_each,
     sequence_deviations,
     squared_error,
     unbiased_squared_error,
@@ -104,6 +105,16 @@ def test_a_null_is_that_of_the_sums_of_its_cells(average: str) -> None:
         assert unbiased_squared_error(some, INSIDE, cells) == squared_error(D[:, :-1], counts[:, :-1])
     with pytest.raises(ValueError, match="is no calibration error"):
         null(some, metric())
+
+
+def test_p_values_without_each_sequence_are_those_of_results_without_it() -> None:
+    for S in (6, 9, 12):
+        some = with_curves(S, S=S)
+        D, counts = sequence_deviations(some, INSIDE)
+        rest = (np.arange(S) != s for s in range(S))
+        expected = [sign_flips(D[r], counts[r], ECE.deviation, draws=uncertainty.FEW_DRAWS).p for r in rest]
+        np.testing.assert_array_equal(p_without_each(some, ECE), expected)
+        assert np.isnan(expected).all() == (S == 6)
 
 
 def test_every_joint_is_tested_as_if_it_were_the_only_one() -> None:
