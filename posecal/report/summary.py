@@ -84,8 +84,8 @@ def _of_symmetry(report: Report) -> str:
     """Say what p-values assume, and between which values that of the ECE is without one of the sequences."""
     p = report.once(("p without each",), lambda: p_without_each(report.totals, report.metrics["ece"]))
     known = p[~np.isnan(p)]
-    moves = f"; without one, p of the ECE is {known.min():.3f} to {known.max():.3f}" if len(known) else ""
-    return f"p-values assume that sequences err to either side alike{moves}."
+    moves = f"; without one sequence, the ECE's is {known.min():.3f} to {known.max():.3f}" if len(known) else ""
+    return f"p-values assume errors to both sides alike{moves}."
 
 
 def summarize(report: Report) -> list[str]:

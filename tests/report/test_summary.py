@@ -338,7 +338,7 @@ def test_below_twenty_sequences_what_p_values_assume_is_remarked_on_and_how_that
     report = report_of()
     (remark,) = (remark for remark in report.remarks if remark.startswith("p-values assume"))
     p = p_without_each(report.totals, report.metrics["ece"])
-    words = f"either side alike; without one, p of the ECE is {p.min():.3f} to {p.max():.3f}."
+    words = f"both sides alike; without one sequence, the ECE's is {p.min():.3f} to {p.max():.3f}."
     assert remark.endswith(words)
 
 
