@@ -20,6 +20,9 @@ Array = npt.NDArray[np.floating]
 
 SEQUENCES = 8, 20, 40
 FRAMES = 20
+"""Of a sequence, correlated by 0.95 from one to the next; where some sequences are bad, independent and more."""
+
+INDEPENDENT_FRAMES = 60
 BAD, SCALE = 0.1, 2.5
 """Share of bad sequences, and their scale over that of the others."""
 
@@ -27,19 +30,20 @@ BAD, SCALE = 0.1, 2.5
 def exchangeable(sequences: int, bad: float, seed: int, N: int = 9, K: int = 3) -> tuple[Array, Array]:
     """Draw truths that lie among hypotheses of their own law, correlated by 0.95 from frame to frame.
 
-    With ``bad``, all truths of such a share of the sequences are :data:`SCALE` times as far off, and so is each
-    hypothesis with that probability, which does not know its sequence.
+    With ``bad``, frames are independent, all truths of such a share of the sequences are :data:`SCALE` times as far
+    off, and so is each hypothesis with that probability, which does not know its sequence.
     """
-    random, M = np.random.default_rng(seed), sequences * FRAMES
-    truth = autoregressive([FRAMES] * sequences, (K, 3), random)
-    truth *= np.repeat(np.where(random.random(sequences) < bad, SCALE, 1), FRAMES)[:, None, None]
+    random, frames = np.random.default_rng(seed), INDEPENDENT_FRAMES if bad else FRAMES
+    M = sequences * frames
+    truth = random.standard_normal((M, K, 3)) if bad else autoregressive([frames] * sequences, (K, 3), random)
+    truth *= np.repeat(np.where(random.random(sequences) < bad, SCALE, 1), frames)[:, None, None]
     scale = np.where(random.random((N, M)) < bad, SCALE, 1)[..., None, None]
     return 40 * scale * random.standard_normal((N, M, K, 3)), 40 * truth
 
 
 def p_values(sequences: int, replicates: int, bad: float, metrics: str, seed: int = 0) -> dict[str, Array]:
     """Give the p-values of calibration errors in so many data sets, by metric, (replicates,)."""
-    number = np.arange(sequences * replicates).repeat(FRAMES)
+    number = np.arange(sequences * replicates).repeat(INDEPENDENT_FRAMES if bad else FRAMES)
     labels = {
         "sequence": np.char.mod("%06d", number),
         "replicate": np.char.mod("%04d", number // sequences),
@@ -63,7 +67,7 @@ def _of_sequences(replicates: int) -> list[tuple[str, ...]]:
     names = [name for name in ranks[0] if name in {"coordinate_pit", "mahalanobis", "tarp", "band_depth"}]
     together = (np.min([holm(column.tolist()) for column in np.array([*p.values()]).T], axis=1) for p in ranks)
     return [
-        ("ECE, 10 % of the sequences × 2.5", *(_rejected(p["ece"]) for p in bad)),
+        ("ECE, 10 % of the sequences × 2.5, 60 independent frames", *(_rejected(p["ece"]) for p in bad)),
         ("ECE, all sequences alike", *(_rejected(p["ece"]) for p in errors)),
         *((f"rank test `{name}`, alike", *(_rejected(p[name]) for p in ranks)) for name in names),
         (f"any of {len(ranks[0])} rank tests, adjusted, alike", *map(_rejected, together)),
