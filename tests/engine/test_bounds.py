@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from scipy import special
 
 from posecal import Metric
+from posecal.data.skeleton import JOINT_SETS
 from posecal.engine.bounds import (
     CORRELATION,
     POSITIVE,
@@ -23,7 +24,10 @@ from posecal.engine.bounds import (
     from_scale,
     to_scale,
 )
+from posecal.engine.protocol import Protocol
+from posecal.engine.scope import DataSpec
 from posecal.errors import PoseDataError
+from posecal.registry import any_metrics
 
 RANGES = [UNBOUNDED, POSITIVE, SHARE, CORRELATION, (-0.5, 0.5), (0.0, 299.0), (-math.inf, 1.0)]
 
@@ -85,3 +89,19 @@ def test_descriptions_of_older_results_have_no_bounds() -> None:
     metric = Metric.from_function(lambda x, y: np.abs(x - y)[..., 2].mean(axis=(0, 2)), name="own", bounds=SHARE)
     older = {key: value for key, value in metric.description.items() if key != "bounds"}
     assert Metric.from_description(older).bounds == UNBOUNDED
+
+
+def test_every_metric_with_an_interval_has_the_bounds_that_its_range_tells() -> None:
+    spec = DataSpec(7, JOINT_SETS["h36m-17"], 0, ("sequence",), 25.0, True, reference="another", n_reference=7)
+    for metric in any_metrics(Protocol(), spec).values():
+        if metric.deviation is not None:
+            expected = UNBOUNDED
+        elif metric.range.startswith(("0 to 1", "0 to about 1")):
+            expected = SHARE
+        elif metric.range.startswith("−"):
+            expected = CORRELATION if "−1 to 1" in metric.range else (-0.5, 0.5)
+        elif metric.name.endswith("skill"):
+            expected = (-math.inf, 1.0)
+        else:
+            expected = (0.0, 299.0) if metric.name == "cps" else POSITIVE
+        assert metric.bounds == expected, metric.name

@@ -216,6 +216,6 @@ def _cell(rate: Rates, name: str) -> str:
 
 _DESIGNS = tuple(f"{d.sequences} × {d.frames}" for d in DESIGNS)
 TABLES = [
-    Table("levels", ("a perfect sampler is rejected", *_DESIGNS), partial(_rows, 1.0), 1000),
+    Table("levels", ("a perfect sampler is rejected", *_DESIGNS), partial(_rows, 1.0), 300),
     Table("power", ("spread × 0.9 is found", *_DESIGNS), partial(_rows, 0.9), 300),
 ]
