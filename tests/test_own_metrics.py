@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import pickle
 import subprocess
 import sys
@@ -182,7 +183,7 @@ def test_a_mask_leaves_joints_out(some: World) -> None:
 
 def test_its_interval_is_the_jackknife_s_as_of_any_other(some: World) -> None:
     """A copy of a metric of posecal's has its interval."""
-    posecal.register(Metric.from_function(posecal.metrics.mpjpe, name="own_mpjpe"))
+    posecal.register(Metric.from_function(posecal.metrics.mpjpe, name="own_mpjpe", bounds=(0, math.inf)))
     report = posecal.evaluate(some.pairs, by="action", threads=1)
     for group in report.groups:
         assert report.value("own_mpjpe", group) == pytest.approx(report.value("mpjpe", group), rel=1e-9)

@@ -23,6 +23,7 @@ from posecal.calibration.expected import ece_range, expected_curve
 from posecal.calibration.ranks import DEFINITIONS, LEVELS, Definition
 from posecal.calibration.standardized import standardized_errors_of
 from posecal.data.arrays import FloatArray, checked_choice
+from posecal.engine.bounds import SHARE
 from posecal.engine.metric import Deviation, Metric, ReadOff, Statistic, entry, per_joint
 from posecal.engine.protocol import OverJoints
 from posecal.engine.scope import Scope
@@ -139,6 +140,7 @@ _AREA = partial(
     _CALIBRATION,
     direction="zero",
     range="−0.5 (no truth in any ball) to 0.5 (every truth in the smallest)",
+    bounds=(-0.5, 0.5),
     reading="Negative: the hypotheses are too narrow or off (overconfident). Positive: wider than need be "
     "(underconfident).",
     source="posecal",
@@ -147,6 +149,7 @@ _COVERAGE = partial(
     _CALIBRATION,
     direction="none",
     range="0 to 1; the level itself is best",
+    bounds=SHARE,
     reading="What a user of the ball experiences: of the balls that hold 90 % of the hypotheses, so many hold the "
     "truth.",
     source="posecal; Kuleshov et al., arXiv:1807.00263 (the idea for regression)",

@@ -24,6 +24,7 @@ import numpy.typing as npt
 from posecal.data.arrays import FloatArray, checked_number
 from posecal.data.units import PERIODS, quantity
 from posecal.engine.block import Block
+from posecal.engine.bounds import POSITIVE, SHARE
 from posecal.engine.circular import unwrapped
 from posecal.engine.metric import Metric, Statistic, mean_over_joints, per_joint
 from posecal.engine.per_pose import per_pose
@@ -253,6 +254,7 @@ _COVERAGE = partial(
     direction="none",
     family="calibration",
     range="0 to 1; the level itself is best",
+    bounds=SHARE,
     reading="What a user of the interval experiences: of the intervals that should hold 90 % of the truths, so many "
     "do. Fewer: the model is overconfident, or off to one side.",
     source="Gneiting, Balabdaoui and Raftery, doi:10.1111/j.1467-9868.2007.00587.x",
@@ -263,6 +265,7 @@ _WIDTH = partial(
     direction="none",
     family="sharpness",
     range="0 mm upwards",
+    bounds=POSITIVE,
     reading="Sharpness: smaller is better only among models that are calibrated. It never looks at the truth.",
     source="Gneiting, Balabdaoui and Raftery, doi:10.1111/j.1467-9868.2007.00587.x",
 )

@@ -1,8 +1,7 @@
 """Metrics: a per-pose statistic, and the function that turns its mean into the reported number.
 
 Every number is ``finish(mean over poses of a per-pose statistic)``. Sums add, so files larger than memory, groups of
-poses, shards on several machines and resampling by sequence need nothing else. Each number carries its definition,
-written out for the :class:`Protocol` and the :class:`DataSpec` that it was made with.
+poses, shards on several machines and resampling by sequence need nothing else.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ import numpy.typing as npt
 
 from posecal.data.arrays import FloatArray
 from posecal.engine.block import Block
+from posecal.engine.bounds import UNBOUNDED, Bounds, checked_bounds, finite_bounds
 from posecal.engine.sums import Counts, Indices
 from posecal.engine.user_code import values_of_arrays
 from posecal.errors import PoseDataError
@@ -149,6 +149,8 @@ class Metric:
         Whether the tables by group and by joint show it.
     range : str
         Smallest and largest value, with what they mean.
+    bounds : tuple of two float
+        Smallest and largest possible value, infinite where there is none: intervals stay between them.
     reading : str
         How to read it, and what it does not say.
     source : str
@@ -179,6 +181,7 @@ class Metric:
     in_group_table: bool = False
     in_joint_table: bool = False
     range: str = ""
+    bounds: Bounds = UNBOUNDED
     reading: str = ""
     source: str = ""
     deviation: Deviation | None = None
@@ -193,6 +196,7 @@ class Metric:
             value = getattr(self, field.name)
             if field.type == "str" and not isinstance(value, str):
                 raise PoseDataError(f"metric: {field.name} {value!r}; expected text.")
+        object.__setattr__(self, "bounds", checked_bounds(self.bounds))
 
     @property
     def function(self) -> MetricFunction | None:
@@ -222,6 +226,7 @@ class Metric:
         by_joint: bool = False,
         in_group_table: bool = True,
         range: str = "",  # noqa: A002
+        bounds: Bounds = UNBOUNDED,
         reading: str = "",
         source: str = "",
     ) -> Metric:
@@ -235,7 +240,7 @@ class Metric:
             the bool array (B, K) of the joints that count; else poses that lack a joint don't count.
         name, label : str, optional
             The name in snake case and the one for tables; the function's name by default.
-        unit, direction, family, range, reading, source
+        unit, direction, family, range, bounds, reading, source
             As the attributes of :class:`Metric`.
         definition : str, optional
             One line; the first line of the function's docstring by default.
@@ -284,14 +289,15 @@ class Metric:
             in_group_table=in_group_table,
             in_joint_table=by_joint,
             range=range,
+            bounds=bounds,
             reading=reading,
             source=source,
         )
 
     @property
-    def description(self) -> dict[str, str | bool]:
+    def description(self) -> dict[str, Any]:
         """The metric as text, without its functions, as saved results and pickles keep it."""
-        texts = {name: getattr(self, name) for name in _DESCRIBED}
+        texts = {name: getattr(self, name) for name in _DESCRIBED} | {"bounds": finite_bounds(self.bounds)}
         statistic = {"statistic": self.statistic.name, "per_pose": self.statistic.per_pose}
         is_mean = self.statistic.name == f"own_{self.name}" and self.finish in (MEAN, mean_over_joints)
         return {**texts, **statistic, "by_joint": self.by_joint is not None, "is_mean": is_mean}
@@ -306,6 +312,7 @@ class Metric:
         statistic = Statistic(name, refuse, per_joint=by_joint, per_pose=bool(description["per_pose"]))
         return cls(
             **texts,
+            bounds=checked_bounds(description.get("bounds", UNBOUNDED)),  # none in results of posecal 0.1.0
             statistic=statistic,
             finish=refuse if not is_mean else mean_over_joints if by_joint else MEAN,
             by_joint=(statistic, np.asarray if is_mean else refuse) if by_joint else None,
@@ -317,7 +324,7 @@ class Metric:
         compute = self.statistic.compute
         return isinstance(compute, partial) and compute.func is _not_available
 
-    def __reduce__(self) -> tuple[Callable[[dict[str, str | bool]], Metric], tuple[dict[str, str | bool]]]:
+    def __reduce__(self) -> tuple[Callable[[dict[str, Any]], Metric], tuple[dict[str, Any]]]:
         return Metric.from_description, (self.description,)
 
 

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from posecal.data.arguments import refuse_all_but_lengths
 from posecal.data.arrays import BoolArray, FloatArray, checked_number, squared_norms
 from posecal.engine.block import Block
+from posecal.engine.bounds import SHARE
 from posecal.engine.metric import Metric, Need, Statistic, entry
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import Scope
@@ -220,6 +221,7 @@ _BRIER = partial(
     direction="none",
     family="scores",
     range="0 to about 1",
+    bounds=SHARE,
     reading="Of the event that the median pose is right at every joint, to which the hypotheses give a probability. "
     "Its miscalibration part is what better probabilities alone would gain.",
     source="Brier (1950); Dimitriadis, Gneiting and Jordan, doi:10.1073/pnas.2016191118",

@@ -176,6 +176,7 @@ def cps_metrics(scope: Scope) -> Iterator[Metric]:
         needs=_needs(scope),
         headline=True,
         range="0 to 299/300" if share else "0 to 299 mm",
+        bounds=(0.0, (CPS_MOST - 1) / (CPS_MOST if share else 1)),
         reading="190 mm means that the worst joint of the best hypothesis is about 110 mm off, after alignment.",
         source="Wandt et al., arXiv:2011.14679",
     )

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray, checked_number
+from posecal.engine.bounds import SHARE
 from posecal.engine.metric import Metric, Need, Statistic
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import Scope
@@ -123,7 +124,7 @@ def failure_metrics(scope: Scope, of_poses: Statistic, about: str) -> Iterator[M
     """
     threshold = scope.protocol.failure_threshold
     needs: tuple[Need, ...] = ("lengths",) if threshold == Protocol().failure_threshold else ()
-    make = partial(Metric, unit="", family="sharpness", needs=needs, statistic=of_poses)
+    make = partial(Metric, unit="", family="sharpness", bounds=SHARE, needs=needs, statistic=of_poses)
     yield make(
         name="failure_auroc",
         label="AUROC of failures",

@@ -10,6 +10,7 @@ import numpy as np
 from posecal.data.arrays import BoolArray, FloatArray, squared_norms
 from posecal.data.skeleton import Skeleton
 from posecal.engine.block import Block
+from posecal.engine.bounds import POSITIVE
 from posecal.engine.metric import Metric, Statistic, entry
 from posecal.engine.scope import Scope
 
@@ -80,6 +81,7 @@ def limb_metrics(scope: Scope) -> Iterator[Metric]:
         "the true one",
         finish=entry(0),
         range="0 at best",
+        bounds=POSITIVE,
         reading="It depends on no alignment. Hypotheses with wrong limb lengths are no poses of this person.",
     )
     if n > 1:
@@ -92,5 +94,6 @@ def limb_metrics(scope: Scope) -> Iterator[Metric]:
             "hypotheses",
             finish=entry(1),
             range="0 where all hypotheses have limbs of one length",
+            bounds=POSITIVE,
             reading="A person has one length of each limb: what it is above 0 is uncertainty about the person's size.",
         )

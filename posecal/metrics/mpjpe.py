@@ -24,6 +24,7 @@ import numpy.typing as npt
 from posecal.data.arguments import checked
 from posecal.data.arrays import BoolArray, FloatArray, checked_choice, checked_index
 from posecal.engine.block import Block
+from posecal.engine.bounds import POSITIVE
 from posecal.engine.metric import Metric, Need, Statistic, entry, per_joint
 from posecal.engine.per_pose import per_pose
 from posecal.engine.scope import Scope
@@ -209,6 +210,7 @@ ERROR = partial(
     direction="lower",
     family="accuracy",
     range="0 mm (every joint right) upwards",
+    bounds=POSITIVE,
     reading="The mean error of all hypotheses of a good model is larger than that of its mean pose: it pays for the "
     "spread that the image leaves open. Alone it rewards hypotheses that all agree.",
     source="Ionescu et al., TPAMI 2014 (protocol); Wang et al., arXiv:2104.11536",

@@ -17,6 +17,7 @@ from posecal.calibration.ranks import LEVELS, coincide, inside
 from posecal.calibration.standardized import standardized_errors_of
 from posecal.data.arrays import BoolArray, FloatArray
 from posecal.engine.block import Block
+from posecal.engine.bounds import POSITIVE, SHARE
 from posecal.engine.metric import Deviation, Metric, Statistic, entry
 from posecal.engine.needs import in_unit
 from posecal.engine.protocol import Protocol
@@ -74,7 +75,7 @@ def occlusion_metrics(scope: Scope, occlusion: str) -> Iterator[Metric]:
     of = f"mean over poses of the mean over their {occlusion} ones of {scope.size(scope.moving)}"
     inside_words = f"{of} of whether the truth is inside"
     metric = partial(Metric, brief=f"{occlusion} joints", in_group_table=True)
-    error = partial(metric, unit="mm", direction="lower", family="accuracy", statistic=errors)
+    error = partial(metric, unit="mm", direction="lower", family="accuracy", statistic=errors, bounds=POSITIVE)
     calibration = partial(metric, unit="", family="calibration", statistic=curves)
     yield error(
         name="min_mpjpe",
@@ -95,6 +96,7 @@ def occlusion_metrics(scope: Scope, occlusion: str) -> Iterator[Metric]:
         name="signed_area",
         label="signed area",
         direction="zero",
+        bounds=(-0.5, 0.5),
         definition=f"∫ (ω(q) − q) dq; ω: {inside_words}, exchangeable, N={n}",
         finish=lambda means: signed_area(means[..., row, :]),
     )
@@ -103,6 +105,7 @@ def occlusion_metrics(scope: Scope, occlusion: str) -> Iterator[Metric]:
         name="coverage_90",
         label="coverage at 90 %",
         direction="none",
+        bounds=SHARE,
         definition=f"{inside_words} the ball of 90 % of the hypotheses, exchangeable; best: 0.9"
         + ("" if known else unresolved(n)),
         finish=entry(row, 90 * (LEVELS.size - 1) // 100) if known else lambda m: np.full(m.shape[:-2], np.nan),
@@ -113,6 +116,7 @@ def occlusion_metrics(scope: Scope, occlusion: str) -> Iterator[Metric]:
         unit="mm",
         direction="none",
         family="sharpness",
+        bounds=POSITIVE,
         definition=f"{of} of the radius about the median that holds 50 % of the N={n} hypotheses",
         statistic=radii,
         finish=entry(row),

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from posecal.data.arguments import refuse_all_but_lengths
 from posecal.data.arrays import BoolArray, FloatArray, checked_choice, checked_number
 from posecal.engine.block import Block
+from posecal.engine.bounds import SHARE
 from posecal.engine.metric import Curve, Metric, Need, Statistic, entry
 from posecal.engine.per_pose import per_pose
 from posecal.engine.protocol import Protocol
@@ -272,7 +273,13 @@ SELECTED: dict[Selection, str] = {
 _PA: tuple[Need, ...] = ("positions", "three axes")
 
 _SHARE = partial(
-    Metric, unit="", direction="higher", family="accuracy", finish=entry(), source="Mehta et al., arXiv:1611.09813"
+    Metric,
+    unit="",
+    direction="higher",
+    family="accuracy",
+    finish=entry(),
+    bounds=SHARE,
+    source="Mehta et al., arXiv:1611.09813",
 )
 
 

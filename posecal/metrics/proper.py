@@ -24,6 +24,7 @@ import numpy.typing as npt
 from posecal.data.arguments import checked, period_of
 from posecal.data.arrays import BoolArray, FloatArray, squared_norms
 from posecal.engine.block import Block
+from posecal.engine.bounds import POSITIVE
 from posecal.engine.metric import Metric, Statistic, entry, mean_over_joints
 from posecal.engine.per_pose import per_pose
 from posecal.engine.scope import Scope
@@ -326,6 +327,7 @@ SCORE = partial(
     direction="lower",
     family="scores",
     range="single poses may be below 0; the mean is not, but for chance",
+    bounds=POSITIVE,
     reading="Proper: a model can't gain by a wrong spread. Only differences and skills mean something; a wide but true "
     "distribution may lose to a narrow true one, which knows more.",
     source="Gneiting and Raftery, doi:10.1198/016214506000001437; Ferro, doi:10.1002/qj.2270",

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import FloatArray, real_array
+from posecal.engine.bounds import POSITIVE
 from posecal.engine.metric import Metric, Statistic
 from posecal.errors import PoseDataError
 
@@ -257,6 +258,7 @@ _RISK = partial(
     unit="mm",
     direction="lower",
     family="sharpness",
+    bounds=POSITIVE,
     source="Geifman, Uziel and El-Yaniv, arXiv:1805.08206",
 )
 

@@ -9,6 +9,7 @@ import numpy as np
 from posecal.data.arrays import FloatArray
 from posecal.data.root import origin
 from posecal.engine.block import Block
+from posecal.engine.bounds import POSITIVE
 from posecal.engine.metric import Metric, Statistic, entry
 from posecal.engine.scope import Scope
 
@@ -47,6 +48,7 @@ def root_metrics(scope: Scope) -> Iterator[Metric]:
             finish=entry(index),
             needs=("positions",),
             range="0 at best, and for data that are relative to the root already",
+            bounds=POSITIVE,
             reading="The error of where a person is, in the frame of the data; other errors are of the pose.",
             source="Moon et al., arXiv:1907.11346 (MRPE)",
         )

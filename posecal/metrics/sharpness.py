@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray, checked_number, squared_norms
 from posecal.engine.block import Block
+from posecal.engine.bounds import POSITIVE
 from posecal.engine.measure import EFFECTIVE_NUMBER
 from posecal.engine.metric import Metric, Statistic, entry, mean_over_joints, per_joint
 from posecal.engine.per_pose import per_pose
@@ -220,6 +221,7 @@ _SHARPNESS = partial(
     direction="none",
     family="sharpness",
     range="0 mm upwards",
+    bounds=POSITIVE,
     reading="Sharpness: smaller is better only among models that are calibrated. It never looks at the truth.",
     source="Gneiting, Balabdaoui and Raftery, doi:10.1111/j.1467-9868.2007.00587.x",
 )
@@ -239,6 +241,7 @@ def number_metrics(scope: Scope) -> Iterator[Metric]:
             statistic=EFFECTIVE_NUMBER,
             finish=entry(),
             headline=True,
+            bounds=(1.0, float(scope.spec.n_hypotheses)),
             range="1 (one hypothesis has all weight) to N (all have the same)",
             reading="As many hypotheses of equal weight give as sure a mean. Where it is small against N, most "
             "hypotheses hardly count: the weights come from a proposal that is far from the model's distribution.",

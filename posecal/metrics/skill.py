@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from functools import partial
 
@@ -44,6 +45,7 @@ def skill_metrics(scope: Scope) -> Iterator[Metric]:
             statistic=_paired(metric.statistic, scope),
             finish=partial(_skill, metric=metric),
             range="below 0 (worse than the reference) to 1 (perfect)",
+            bounds=(-math.inf, 1.0),
             reading="The share of the reference's score that the model saves. Against climatology, a model that "
             "ignores the image has none, though it passes every calibration test.",
             source="Gneiting and Raftery, doi:10.1198/016214506000001437",

@@ -1,8 +1,7 @@
 """Uncertainty: how far the predicted spread of poses goes with their error.
 
-A calibrated model may still give every pose the same spread. Here poses are put in the order of their predicted
-spread and of their error, and the two orders compared: by rank correlation, and by how fast the error falls when
-the most uncertain poses are dropped.
+Poses are put in the order of their predicted spread and of their error, and the two orders compared: by rank
+correlation, and by how fast the error falls when the most uncertain poses are dropped.
 """
 
 from __future__ import annotations
@@ -19,6 +18,7 @@ import numpy.typing as npt
 from posecal.calibration.ranks import shared_ranks
 from posecal.data.arrays import FloatArray
 from posecal.engine.block import Block
+from posecal.engine.bounds import CORRELATION, POSITIVE
 from posecal.engine.metric import Metric, Statistic
 from posecal.engine.scope import Scope
 from posecal.metrics.failures import failure_metrics
@@ -324,7 +324,7 @@ def ause_without(spread: FloatArray, error: FloatArray, sequence: Indices) -> Fl
 
 # --- metrics --------------------------------------------------------------------------------------------------
 
-_UNCERTAINTY = partial(Metric, unit="", family="sharpness")
+_UNCERTAINTY = partial(Metric, unit="", family="sharpness", bounds=POSITIVE)
 
 _WORDS: dict[str, str] = {"mean_pose": "mean pose", "median_pose": "median pose", "mode": "mode"}
 
@@ -355,6 +355,7 @@ def uncertainty_metrics(scope: Scope) -> Iterator[Metric]:
         leave_out=lambda values, sequence: rank_correlation_without(values[:, 0], values[:, 1], sequence),
         headline=True,
         range="−1 to 1",
+        bounds=CORRELATION,
         reading="Whether a wide spread is a sign of error, which is what acting on uncertainty needs. A perfect "
         "sampler stays below 1, since an error is one draw.",
         source="posecal",

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from posecal.data.arguments import checked
 from posecal.data.arrays import BoolArray, FloatArray, as_array, checked_choice, checked_number, squared_norms
 from posecal.engine.block import Block
+from posecal.engine.bounds import POSITIVE
 from posecal.engine.metric import Metric, Statistic
 from posecal.engine.per_pose import per_pose
 from posecal.engine.scope import Scope
@@ -330,6 +331,7 @@ def velocity_metrics(scope: Scope) -> Iterator[Metric]:
             statistic=Statistic(name, partial(motion, order=order, of=of, body=scope.body), earlier=order),
             finish=partial(np.multiply, factor**order),
             range="0 mm upwards",
+            bounds=POSITIVE,
             reading=reading,
             source=source,
         )

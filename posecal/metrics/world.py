@@ -12,6 +12,7 @@ import numpy.typing as npt
 from posecal.data.arguments import checked, period_of
 from posecal.data.arrays import BoolArray, FloatArray, as_array, checked_choice, checked_number
 from posecal.engine.block import Block
+from posecal.engine.bounds import POSITIVE
 from posecal.engine.metric import Metric, Statistic
 from posecal.engine.scope import Scope
 from posecal.errors import PoseDataError
@@ -179,6 +180,7 @@ def world_metrics(scope: Scope) -> Iterator[Metric]:
             ),
             needs=("positions", "three axes"),
             range="0 at best",
+            bounds=POSITIVE,
             reading="The error of a trajectory in the world: WA-MPJPE of its shape, W-MPJPE also of its drift.",
             source=source,
         )

@@ -7,17 +7,32 @@ import math
 MISSING = "–"
 
 
-def number(value: float, unit: str = "") -> str:
-    """Write a number: three digits after the point with a unit, five without.
+NONE = math.nan, math.nan
+
+
+def number(value: float, unit: str = "", interval: tuple[float, float] = NONE) -> str:
+    """Write a number with the digits that its interval supports; without one three after the point, five without unit.
 
     Examples
     --------
-    >>> number(77.91234, "mm"), number(0.0312346), number(float("nan"))
-    ('77.912 mm', '0.03123', '–')
+    >>> number(77.91234, "mm"), number(77.91234, "mm", (71.2, 85.3)), number(0.0312346), number(float("nan"))
+    ('77.912 mm', '78 mm', '0.03123', '–')
     """
     if math.isnan(value):
         return MISSING
-    return f"{value:z.3f} {unit}" if unit else f"{value:z.5f}"
+    return f"{value:z.{supported_digits(*interval, 3 if unit else 5)}f} {unit}".rstrip()
+
+
+def supported_digits(low: float, high: float, most: int) -> int:
+    """Digits after the point that write the width of an interval to two significant ones, at most so many.
+
+    Examples
+    --------
+    >>> supported_digits(71.2, 85.3, 3), supported_digits(0.03, 0.04, 5), supported_digits(*NONE, 3)
+    (0, 3, 3)
+    """
+    width = high - low
+    return max(0, min(most, 1 - math.floor(math.log10(width)))) if 0 < width < math.inf else most
 
 
 def short_number(value: float, unit: str = "") -> str:
@@ -32,14 +47,14 @@ def short_number(value: float, unit: str = "") -> str:
 
 
 def span(low: float, high: float, unit: str = "") -> str:
-    """Write an interval: one digit after the point with a unit, three without or below 1; empty where there is none.
+    """Write an interval with the digits that its width supports; empty where there is none.
 
     Examples
     --------
-    >>> span(77.01, 78.99, "mm"), span(0.03, 0.04, "mm")
-    ('77.0 to 79.0', '0.030 to 0.040')
+    >>> span(77.01, 78.99, "mm"), span(71.2, 85.3, "mm"), span(0.03, 0.041)
+    ('77.0 to 79.0', '71 to 85', '0.030 to 0.041')
     """
-    digits = 1 if unit and max(abs(low), abs(high)) >= 1 else 3
+    digits = supported_digits(low, high, 3 if unit else 5)
     return "" if math.isnan(low) else f"{low:z.{digits}f} to {high:z.{digits}f}"
 
 

@@ -204,8 +204,8 @@ class Report:
         Returns
         -------
         low, high : float
-            NaN with fewer than two sequences, and for calibration errors, which are never below 0 and have a
-            :meth:`test` instead.
+            Within the possible range; NaN with fewer than three sequences, and for calibration errors, which are never
+            below 0 and have a :meth:`test` instead.
         """
         metric, cells = self._find(name, group)
         if name in self.auxiliary or metric.deviation is not None:

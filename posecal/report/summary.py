@@ -22,10 +22,13 @@ from posecal.registry import left_out
 from posecal.report.evidence import evidence_of
 from posecal.report.sentences import sentences
 from posecal.stats.resampling import MIN_SEQUENCES
-from posecal.stats.uncertainty import are_points, effective_hypotheses
+from posecal.stats.uncertainty import are_points, effective_hypotheses, p_without_each
 
 if TYPE_CHECKING:
     from posecal.report.report import Report
+
+FEW_SEQUENCES = 20
+"""With fewer sequences than this the report says what p-values assume: rare bad ones may be missing from so few."""
 
 
 def remarks(report: Report, words: Callable[[str], str] = for_python) -> tuple[str, ...]:
@@ -53,6 +56,8 @@ def _of_statistics(report: Report) -> Iterator[str]:
             f"{units} allow{'s' * (sequences == 1)} no test: even if all err alike, chance would do that in "
             f"{2 / 2**sequences:.0%} of cases. At least {MIN_SEQUENCES} are needed for a p-value."
         )
+    elif sequences < FEW_SEQUENCES and "ece" in report.metrics:
+        yield _of_symmetry(report)
     if (average := totals.protocol.average) != "poses":
         groups = [value for value, _ in totals.groups(average)]
         yield f"numbers are means over {len(groups):,} values of {average} ({first_few(groups, 5)})."
@@ -133,6 +138,14 @@ def _of_likelihood(totals: Totals) -> Iterator[str]:
     sums, counts = totals.sums.get(name), totals.counts.get(name, totals.poses)
     of_others = math.nan if sums is None or moments is None else float(totals.mean(moments)[1])
     yield from likelihood_remarks(scope, sums, counts, totals.sequence_of, of_others)
+
+
+def _of_symmetry(report: Report) -> str:
+    """Say what p-values assume, and between which values that of the ECE is without one of the sequences."""
+    p = report.once(("p without each",), lambda: p_without_each(report.totals, report.metrics["ece"]))
+    known = p[~np.isnan(p)]
+    moves = f"; without one sequence, the ECE's is {known.min():.3f} to {known.max():.3f}" if len(known) else ""
+    return f"p-values assume errors to both sides alike{moves}."
 
 
 def summarize(report: Report) -> list[str]:

@@ -95,9 +95,9 @@ def short_title(report: Report) -> str:
 def _values(report: Report, title: str, metrics: list[Metric]) -> Table:
     rows = []
     for metric in metrics:
-        interval = span(*report.interval(metric.name), metric.unit)
-        value = number(report[metric.name], metric.unit)
-        rows.append((metric.label, value, interval, ARROWS[metric.direction], metric.brief))
+        interval = report.interval(metric.name)
+        value = number(report[metric.name], metric.unit, interval)
+        rows.append((metric.label, value, span(*interval, metric.unit), ARROWS[metric.direction], metric.brief))
     return Table(title, (title, "value", "95 % interval", "", WHAT), rows, ("", WHAT))
 
 

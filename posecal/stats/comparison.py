@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from posecal.data.arrays import BoolArray, FloatArray
+from posecal.data.arrays import FloatArray
 from posecal.data.texts import json_lines, printable_table
 from posecal.engine.measure import SUM_OF_TRUE_POSES
 from posecal.engine.metric import Metric
@@ -25,7 +25,7 @@ from posecal.engine.sums import sum_by
 from posecal.engine.totals import Totals, difference_of_signatures, different_metrics
 from posecal.errors import PoseDataError, did_you_mean, for_python, option, printable
 from posecal.registry import metrics_of, unmeasured
-from posecal.stats.jackknife import Interval, counting_sequences, jackknife, leave_one_out
+from posecal.stats.jackknife import Interval, jackknife, leave_one_out, sequence_sizes
 from posecal.stats.multiplicity import PRIMARY, adjust, check_primary, default_primary
 from posecal.stats.pairs import Difference, Pair, pairs
 from posecal.stats.resampling import LEVEL, MIN_SEQUENCES, Null
@@ -128,8 +128,9 @@ class Comparison:
     def interval(self, metric: str, model: str) -> Interval:
         """Give the 95 % interval of a model's number; NaN for calibration errors, which have none."""
         if self._find(metric, model)[0].deviation is not None:
-            return Interval(math.nan, math.nan, math.nan, 0)
-        return jackknife(self.value(metric, model), self._without(metric, model), self._present(metric, model))
+            return Interval(math.nan, math.nan, math.nan, math.nan, 0)
+        value, without, sizes = self.value(metric, model), self._without(metric, model), self._sizes(metric, model)
+        return jackknife(value, without, sizes, self.metrics[metric].bounds)
 
     def differences_of(self, metric: str) -> tuple[Difference, ...]:
         """Give the differences of every pair of models for one metric."""
@@ -232,9 +233,9 @@ class Comparison:
         one, totals = self._find(metric, model)
         return self._once(("without", metric, model), lambda: leave_one_out(totals, one))
 
-    def _present(self, metric: str, model: str) -> BoolArray:
+    def _sizes(self, metric: str, model: str) -> FloatArray:
         one, totals = self._find(metric, model)
-        return self._once(("present", metric, model), lambda: counting_sequences(totals, one))
+        return self._once(("sizes", metric, model), lambda: sequence_sizes(totals, one))
 
     def _null(self, metric: str, model: str) -> Null:
         one, totals = self._find(metric, model)
@@ -259,10 +260,10 @@ class Comparison:
         return self._once(("pairs", metric), lambda: [*self._pairs(metric)])
 
     def _pairs(self, metric: str) -> Iterator[Pair]:
-        present = np.any([self._present(metric, name) for name in self.names], axis=0)
+        sizes = np.max([self._sizes(metric, name) for name in self.names], axis=0)
         values = {name: self.value(metric, name) for name in self.names}
         without = {name: self._without(metric, name) for name in self.names}
-        return pairs(self._find(metric, self.names[0])[0].direction, values, without, present)
+        return pairs(self._find(metric, self.names[0])[0].direction, values, without, sizes)
 
 
 def _plain(value: object) -> object:

@@ -7,16 +7,25 @@ once, in slices of bounded memory. Time is linear in the number of cells, also w
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
-from functools import cache, partial
+from dataclasses import dataclass, fields
+from functools import partial
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.arrays import BoolArray, FloatArray
+from posecal.data.arrays import FloatArray
+from posecal.engine.bounds import UNBOUNDED, Bounds, ends_at_edges, from_scale, to_scale
 from posecal.engine.metric import Metric, Statistic
 from posecal.engine.sums import Cells, Counts, Indices, Number, compact, mean_of, slices, split_by, sum_by
 from posecal.engine.totals import CURVES, Totals, batch_sums
+
+FEWEST = 3
+"""Fewer sequences than this have no interval: the t of one degree of freedom is 12.7."""
+
+LARGEST_STEP = float(np.log(5))
+"""So far at most a sequence that is left out moves a number on the log or logit scale: where one sequence holds all
+misses, the share without it is 1, at infinity. Larger steps cover no better in simulations, smaller ones less."""
 
 
 @dataclass(frozen=True)
@@ -26,9 +35,11 @@ class Interval:
     Attributes
     ----------
     low, high : float
-        Its ends; NaN with fewer than two sequences.
+        Its ends; NaN with fewer than three sequences.
     error : float
         Standard error.
+    freedom : float
+        Degrees of freedom: the effective number of sequences, less one.
     sequences : int
         How many there are.
     """
@@ -36,6 +47,7 @@ class Interval:
     low: float
     high: float
     error: float
+    freedom: float
     sequences: int
 
 
@@ -68,26 +80,33 @@ def leave_one_out(totals: Totals, metric: Metric, cells: Cells = None) -> FloatA
     return _averaged_without(totals, metric, cells)
 
 
-def counting_sequences(totals: Totals, metric: Metric, cells: Cells = None) -> BoolArray:
-    """Say which of the sequences of :func:`leave_one_out` have a pose that counts in a metric, (S,)."""
+def sequence_sizes(totals: Totals, metric: Metric, cells: Cells = None) -> FloatArray:
+    """Count the poses of each sequence of :func:`leave_one_out` that count in a metric, (S,), on average over joints.
+
+    By the option ``average`` each is a share of the poses of its group, so that all groups weigh the same.
+    """
     sequence, S = compact(totals.sequence_of, cells)
     if metric.statistic.per_pose:
-        cell_of = totals.cell_of[totals.known_poses(metric.statistic, cells)]
-        of_cell = cell_of if cells is None else np.searchsorted(cells, cell_of)
-        return np.bincount(sequence[of_cell], minlength=S) > 0
-    counts = totals.of_cells(metric.statistic, cells)[1].reshape(len(sequence), -1)
-    return np.bincount(sequence[(counts > 0).any(axis=1)], minlength=S) > 0
+        counts = np.bincount(totals.cell_of[totals.known_poses(metric.statistic, cells)], minlength=len(totals.poses))
+        counts = counts if cells is None else counts[cells]
+    else:
+        counts = totals.of_cells(metric.statistic, cells)[1].reshape(len(sequence), -1).mean(axis=1)
+    if totals.protocol.average != "poses":
+        group, G = compact(totals.group_of, cells)
+        number = np.bincount(group, counts, G)[group]
+        counts = np.divide(counts, number, out=np.zeros(len(group)), where=number > 0)
+    return np.bincount(sequence, counts, S).astype(np.float64)
 
 
-def joint_leave_one_out(totals: Totals, metric: Metric, cells: Cells = None) -> tuple[FloatArray, BoolArray]:
-    """Compute a metric at each joint with each sequence left out in turn, (S, K), and where the joint counts."""
+def joint_leave_one_out(totals: Totals, metric: Metric, cells: Cells = None) -> tuple[FloatArray, Counts]:
+    """Compute a metric at each joint with each sequence left out in turn, (S, K), and the poses that count there."""
     if metric.by_joint is None:
         raise ValueError(f"{metric.name} has no values per joint")
     statistic, finish = metric.by_joint
     counts = sum_by(*compact(totals.sequence_of, cells), totals.of_cells(statistic, cells)[1])
     shape = len(counts), len(totals.spec.joints)
     counts = counts[:, : shape[1]] if counts.ndim > 1 else np.broadcast_to(counts[:, None], shape)
-    return _finish(finish, _means_without(totals, statistic, cells)).reshape(shape), counts > 0
+    return _finish(finish, _means_without(totals, statistic, cells)).reshape(shape), counts
 
 
 def _finish_each(totals: Totals, metric: Metric, cells: Cells) -> FloatArray:
@@ -227,17 +246,71 @@ def _means_without(totals: Totals, statistic: Statistic, cells: Cells) -> Iterat
 # --- intervals ----------------------------------------------------------------------------------------------------
 
 
-@cache
-def _student(freedom: int) -> float:
+@dataclass(frozen=True)
+class Intervals:
+    """95 % intervals of K numbers: the attributes of :class:`Interval` as arrays (K,)."""
+
+    low: FloatArray
+    high: FloatArray
+    error: FloatArray
+    freedom: FloatArray
+    sequences: npt.NDArray[np.int_]
+
+
+def jackknife_columns(
+    values: FloatArray, without: FloatArray, sizes: npt.NDArray[Any] | None = None, bounds: Bounds = UNBOUNDED
+) -> Intervals:
+    """Jackknife many numbers at once; see :func:`jackknife`.
+
+    Parameters
+    ----------
+    values : array (K,)
+        The numbers over all sequences.
+    without : array (S, K)
+        The numbers with each sequence left out.
+    sizes : array (S, K), optional
+        How many poses, or which weight, each sequence has in each number; as many in all by default.
+    bounds : tuple of two float
+        Smallest and largest possible value.
+    """
     from scipy.special import stdtrit
 
-    return float(stdtrit(freedom, 0.975))  # NaN for none
+    weights = np.ones(without.shape) if sizes is None else np.asarray(sizes, dtype=np.float64)
+    counted = weights > 0
+    number, squares = counted.sum(axis=0), (weights**2).sum(axis=0)
+    freedom = weights.sum(axis=0) ** 2 / np.where(squares > 0, squares, np.nan) - 1
+    freedom = np.where((number >= FEWEST) & (freedom >= 1 - 1e-9), freedom, np.nan)
+    several, student = np.where(np.isnan(freedom), np.nan, number), stdtrit(freedom, 0.975)
+
+    def error_of(steps: FloatArray) -> FloatArray:
+        return np.asarray(np.sqrt((several - 1) / several * (np.where(counted, steps, 0) ** 2).sum(axis=0)))
+
+    error = error_of(without - np.where(counted, without, 0).sum(axis=0) / several)
+    low, high = values - student * error, values + student * error
+    if bounds != UNBOUNDED:
+        scaled = to_scale(values, bounds)
+        inner = np.isfinite(scaled)
+        steps = to_scale(without, bounds) - np.where(inner, scaled, 0)
+        reach = student * error_of(np.clip(steps, -LARGEST_STEP, LARGEST_STEP))
+        ends = (from_scale(np.where(inner, scaled + side * reach, 0), bounds) for side in (-1, 1))
+        at_edges = ends_at_edges(values, freedom + 1, bounds)
+        low, high = (
+            np.where(inner, end, np.where(np.isnan(edge), plain, edge))
+            for end, edge, plain in zip(ends, at_edges, (low, high), strict=True)
+        )
+    return Intervals(low, high, error, freedom, number)
 
 
-def jackknife(value: float, without: FloatArray, present: BoolArray | None = None) -> Interval:
+def jackknife(
+    value: float, without: FloatArray, sizes: npt.NDArray[Any] | None = None, bounds: Bounds = UNBOUNDED
+) -> Interval:
     r"""Interval of a number from its values with each sequence left out.
 
-    .. math:: \hat\theta \pm t_{S-1}\, \sqrt{\tfrac{S-1}{S} \sum_s (\hat\theta_{(s)} - \bar\theta_{(\cdot)})^2}
+    .. math:: \hat\theta \pm t_\nu\, \sqrt{\tfrac{S-1}{S} \sum_s (\hat\theta_{(s)} - \bar\theta_{(\cdot)})^2},
+              \qquad \nu = \frac{(\sum_s n_s)^2}{\sum_s n_s^2} - 1
+
+    and of a number with a possible range the same on the scale of :func:`posecal.engine.bounds.to_scale`, about the
+    number itself, so that the ends stay within the range. With sequences of one length, ν is S - 1.
 
     Parameters
     ----------
@@ -245,13 +318,19 @@ def jackknife(value: float, without: FloatArray, present: BoolArray | None = Non
         The number over all sequences.
     without : array (S,)
         The number with each sequence left out.
-    present : bool array (S,), optional
-        Whether the sequence has a pose that counts; those without one are as if they were not there.
+    sizes : array (S,), optional
+        How many poses each sequence has that count, n, or their weight; as many in all by default. Sequences without
+        one are as if they were not there.
+    bounds : tuple of two float
+        Smallest and largest possible value.
 
     Returns
     -------
     Interval
-        NaN ends with fewer than two sequences, or where the number is not defined without one of them.
+        NaN ends with fewer than three sequences, where one of them outweighs the others so much that they count as
+        fewer than two, or where the number is not defined without one of them. At the edge of the range the ends are
+        those of :func:`posecal.engine.bounds.ends_at_edges`; outside of it, and at 0 of a number without an upper
+        bound, the plain ones.
 
     Notes
     -----
@@ -264,47 +343,21 @@ def jackknife(value: float, without: FloatArray, present: BoolArray | None = Non
 
     Examples
     --------
-    The mean of 1 and 3: left-out values 3 and 1, standard error 1, and t with one degree of freedom is 12.7.
+    The mean of 1, 2 and 3: left-out values 2.5, 2 and 1.5, standard error 1/√3, and t with two degrees of freedom is
+    4.3.
 
-    >>> interval = jackknife(2.0, np.array([3.0, 1.0]))
+    >>> interval = jackknife(2.0, np.array([2.5, 2.0, 1.5]))
     >>> round(interval.error, 6), round(interval.high, 3)
-    (1.0, 14.706)
+    (0.57735, 4.484)
     """
-    without = without if present is None else without[present]
-    sequences = len(without)
-    if np.isnan(value) or not sequences:
-        return Interval(np.nan, np.nan, np.nan, sequences)
-    error, reach = (float(each[0]) for each in jackknife_columns(without[:, None]))
-    return Interval(value - reach, value + reach, error, sequences)
-
-
-def jackknife_columns(without: FloatArray, present: BoolArray | None = None) -> tuple[FloatArray, FloatArray]:
-    """Jackknife many numbers at once; see :func:`jackknife`.
-
-    Parameters
-    ----------
-    without : array (S, K)
-        K numbers with each sequence left out.
-    present : bool array (S, K), optional
-        Whether the sequence counts in the number; all do by default.
-
-    Returns
-    -------
-    error, reach : arrays (K,)
-        Standard errors and half-widths of 95 % intervals; NaN where there are fewer than two sequences.
-    """
-    counted = np.ones(without.shape, dtype=bool) if present is None else present
-    number = counted.sum(axis=0)
-    several = np.where(number > 1, number, np.nan)
-    centred = np.where(counted, without - np.where(counted, without, 0).sum(axis=0) / several, 0)
-    error = np.sqrt((several - 1) / several * (centred**2).sum(axis=0))
-    distinct, which = np.unique(number, return_inverse=True)
-    students = np.array([_student(int(n) - 1) for n in distinct])
-    return error, error * students[which]
+    many = jackknife_columns(np.array([value]), without[:, None], None if sizes is None else sizes[:, None], bounds)
+    if np.isnan(value):
+        return Interval(np.nan, np.nan, np.nan, np.nan, int(many.sequences[0]))
+    return Interval(*(getattr(many, field.name)[0].item() for field in fields(Interval)))
 
 
 def paired_p(difference: Interval) -> float:
-    """Two-sided p-value of a difference, from its standard error over sequences; NaN with fewer than two."""
+    """Two-sided p-value of a difference, from its standard error over sequences; NaN where there is no interval."""
     from scipy.special import stdtr
 
     if np.isnan(difference.error):
@@ -312,4 +365,4 @@ def paired_p(difference: Interval) -> float:
     middle = (difference.low + difference.high) / 2
     if difference.error == 0:
         return 1.0 if middle == 0 else 0.0
-    return float(2 * stdtr(difference.sequences - 1, -abs(middle) / difference.error))
+    return float(2 * stdtr(difference.freedom, -abs(middle) / difference.error))

@@ -10,7 +10,7 @@ from itertools import combinations
 
 import numpy as np
 
-from posecal.data.arrays import BoolArray, FloatArray
+from posecal.data.arrays import FloatArray
 from posecal.engine.metric import Direction
 from posecal.stats.jackknife import Interval, jackknife, paired_p
 from posecal.stats.resampling import LEVEL, MIN_SEQUENCES
@@ -96,7 +96,7 @@ class Pair:
 
 
 def pairs(
-    direction: Direction, values: Mapping[str, float], without: Mapping[str, FloatArray], present: BoolArray
+    direction: Direction, values: Mapping[str, float], without: Mapping[str, FloatArray], sizes: FloatArray
 ) -> Iterator[Pair]:
     """Give the difference of every pair of models.
 
@@ -108,8 +108,8 @@ def pairs(
         Each model's number.
     without : mapping of arrays (S,)
         The same with each sequence left out.
-    present : bool array (S,)
-        Whether a sequence has poses that count in any of the models.
+    sizes : array (S,)
+        Poses of each sequence that count, the most of any model.
 
     Yields
     ------
@@ -121,7 +121,7 @@ def pairs(
     Six sequences of which each moves the difference alike: without scatter, as unlikely as six signs that agree.
 
     >>> without = {"a": np.full(6, 2.0), "b": np.full(6, 1.0)}
-    >>> (pair,) = pairs("lower", {"a": 2.0, "b": 1.0}, without, np.ones(6, dtype=bool))
+    >>> (pair,) = pairs("lower", {"a": 2.0, "b": 1.0}, without, np.ones(6))
     >>> pair.value, pair.p
     (1.0, 0.03125)
     """
@@ -130,7 +130,7 @@ def pairs(
         without = {name: np.abs(some) for name, some in without.items()}
     for a, b in combinations(values, 2):
         difference = values[a] - values[b]
-        interval = jackknife(difference, without[a] - without[b], present)
+        interval = jackknife(difference, without[a] - without[b], sizes)
         is_rounding = abs(difference) <= max(ROUNDING * max(abs(values[a]), abs(values[b])), NOTHING)
         yield Pair(a, b, difference, interval, _p_value(interval, is_rounding))
 

@@ -15,13 +15,16 @@ from posecal.engine.sums import Cells, Counts, Indices, slices
 from posecal.engine.totals import Totals
 from posecal.stats.jackknife import (
     Interval,
-    counting_sequences,
     jackknife,
     jackknife_columns,
     joint_leave_one_out,
     leave_one_out,
+    sequence_sizes,
 )
 from posecal.stats.resampling import LEVEL, Null, counting, n_patterns, sign_flips, sign_flips_of_each, thin
+
+FEW_DRAWS = 500
+"""Sign patterns of each p-value without a sequence."""
 
 
 def interval(totals: Totals, metric: Metric, cells: Cells = None, value: float | None = None) -> Interval:
@@ -42,10 +45,11 @@ def interval(totals: Totals, metric: Metric, cells: Cells = None, value: float |
     Returns
     -------
     Interval
-        NaN ends where fewer than two sequences have poses that count.
+        Within the bounds of the metric; NaN ends where fewer than three sequences have poses that count.
     """
     value = totals.value(metric, cells) if value is None else value
-    return jackknife(value, leave_one_out(totals, metric, cells), counting_sequences(totals, metric, cells))
+    without, sizes = leave_one_out(totals, metric, cells), sequence_sizes(totals, metric, cells)
+    return jackknife(value, without, sizes, metric.bounds)
 
 
 def joint_intervals(totals: Totals, metric: Metric, cells: Cells = None) -> tuple[FloatArray, FloatArray]:
@@ -59,11 +63,11 @@ def joint_intervals(totals: Totals, metric: Metric, cells: Cells = None) -> tupl
     Returns
     -------
     low, high : arrays (K,)
-        Their ends; NaN where there are fewer than two sequences.
+        Their ends; NaN where there are fewer than three sequences.
     """
     values = totals.by_joint(metric, cells)
-    _, reach = jackknife_columns(*joint_leave_one_out(totals, metric, cells))
-    return values - reach, values + reach
+    found = jackknife_columns(values, *joint_leave_one_out(totals, metric, cells), metric.bounds)
+    return found.low, found.high
 
 
 def null(totals: Totals, metric: Metric, cells: Cells = None) -> Null:
@@ -110,6 +114,28 @@ def _errors_of(totals: Totals, metric: Metric, cells: Cells, curves: Indices) ->
     joints = curves // int(np.prod(inner, dtype=int))
     is_per_joint = rows == errors.shape[1] + (not inner)  # with the pooled curve, or of each axis
     return errors[:, joints] if is_per_joint and (joints < errors.shape[1]).all() else errors
+
+
+def p_without_each(totals: Totals, metric: Metric) -> FloatArray:
+    """Give the p-value of a calibration error with each sequence left out, from fewer sign patterns than that of all.
+
+    Parameters
+    ----------
+    totals, metric
+        As for :func:`null`.
+
+    Returns
+    -------
+    array (S,)
+        NaN where the others are too few.
+    """
+    assert metric.deviation is not None
+    judged = slice(metric.deviation.first, metric.deviation.last)
+    deviations, counts = sequence_deviations(totals, metric.statistic, None, metric.offset, judged)
+    over = replace(metric.deviation, first=None, last=None)
+    others = (np.arange(len(counts)) != s for s in range(len(counts)))
+    nulls = (sign_flips(deviations[s], counts[s], over, offset=metric.offset, draws=FEW_DRAWS) for s in others)
+    return np.array([each.p for each in nulls])
 
 
 def joint_p_values(totals: Totals, metric: Metric, cells: Cells = None) -> FloatArray:

@@ -28,16 +28,27 @@ def test_a_number_has_three_digits_with_a_unit_and_five_without(value: float, un
     [
         (77.01, 78.99, "mm", "77.0 to 79.0"),
         (0.03, 0.04, "mm", "0.030 to 0.040"),
-        (0.03, 1.0, "mm", "0.0 to 1.0"),
-        (0.03, 0.999, "mm", "0.030 to 0.999"),
+        (0.03, 1.0, "mm", "0.03 to 1.00"),
+        (0.03, 0.999, "mm", "0.03 to 1.00"),
         (-1.5, 0.2, "mm", "-1.5 to 0.2"),
         (0.5, 1.5, "mm", "0.5 to 1.5"),
-        (0.5, 1.5, "", "0.500 to 1.500"),
+        (0.5, 1.5, "", "0.5 to 1.5"),
+        (64.2, 76.3, "mm", "64 to 76"),
+        (64.2, 1176.3, "mm", "64 to 1176"),
+        (0.5, 0.5 + 1e-9, "mm", "0.500 to 0.500"),
+        (0.5, 0.5, "", "0.50000 to 0.50000"),
         (math.nan, math.nan, "mm", ""),
     ],
 )
-def test_an_interval_of_lengths_below_one_has_more_digits(low: float, high: float, unit: str, words: str) -> None:
+def test_an_interval_has_two_digits_of_its_width(low: float, high: float, unit: str, words: str) -> None:
     assert span(low, high, unit) == words
+
+
+def test_a_number_has_as_many_digits_as_the_ends_of_its_interval() -> None:
+    assert number(70.3333, "mm", (64.2, 76.3)) == "70 mm"
+    assert number(70.3333, "mm", (70.1, 70.6)) == "70.33 mm"
+    assert number(0.91234, "", (0.87, 0.95)) == "0.912"
+    assert number(70.3333, "mm", (70.3333, 70.3333)) == "70.333 mm"
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import special, stats
 
 import posecal
 from posecal.demo import sample
@@ -44,16 +44,20 @@ def test_each_number_s_interval_holds_it() -> None:
 
 
 def test_a_joint_s_signed_area_has_the_t_interval_of_its_sequences_areas() -> None:
-    """Sequences are equally long: the areas are means of the sequences' areas, and their interval is Student's."""
+    """Sequences are equally long: the areas are means of the sequences', and their interval is Student's, of logits."""
     here, report = world(), report_of(0.5, by=("sequence",))
     groups = [f"sequence={name}" for name in np.unique(here.sequence)]
     areas = np.array([report.calibration(group=group).joint_signed_area() for group in groups])
     for k, joint in enumerate(posecal.JOINT_SETS["h36m-17"]):
         if k:
             low, high = stats.t(len(groups) - 1).interval(0.95)
-            middle, error = areas[:, k].mean(), stats.sem(areas[:, k])
+            middle, S = areas[:, k].mean(), len(groups)
+            without = special.logit((S * middle - areas[:, k]) / (S - 1) + 0.5)
+            scaled = special.logit(middle + 0.5)
+            error = np.sqrt((S - 1) / S * ((without - scaled) ** 2).sum())
             interval = report.interval("signed_area", joint=joint)
-            np.testing.assert_allclose(interval, [middle + error * low, middle + error * high], rtol=1e-9)
+            ends = [special.expit(scaled + error * end) - 0.5 for end in (low, high)]
+            np.testing.assert_allclose(interval, ends, rtol=1e-6)
 
 
 def test_a_joint_s_ece_has_no_interval() -> None:

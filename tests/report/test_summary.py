@@ -14,6 +14,7 @@ from posecal.demo import sample
 from posecal.errors import for_command_line
 from posecal.report.report import Report
 from posecal.report.summary import remarks, summarize
+from posecal.stats.uncertainty import p_without_each
 from tests.helpers.reports import FRAMES, report_of, unlabelled, world
 from tests.helpers.reports import N as FEW
 from tests.helpers.samplers import gaussian, sequences
@@ -167,7 +168,7 @@ def test_poses_without_sequences_are_remarked_on() -> None:
     assert remark == "no sequence labels: 5 frames are taken as independent. In a video they are not."
     (remark,) = (r for r in unlabelled(poses=201).remarks if r.startswith("no sequence labels: "))
     assert "51 runs of consecutive frames are taken as independent" in remark
-    assert not any("sequence" in remark for remark in report_of().remarks)
+    assert not any("no sequence labels" in remark for remark in report_of().remarks)
 
 
 def test_one_sequence_is_one_sequence() -> None:
@@ -198,3 +199,26 @@ def test_six_sequences_are_enough_for_a_test(number: int, few: bool) -> None:
     x, y = gaussian(0, 4, 24, K)
     report = posecal.evaluate(x, y, labels={"sequence": sequences(24, number)}, **HOW)
     assert any("allow no test" in remark for remark in report.remarks) is few
+
+
+def test_below_twenty_sequences_what_p_values_assume_is_remarked_on_and_how_that_of_the_ece_moves() -> None:
+    report = report_of()
+    (remark,) = (remark for remark in report.remarks if remark.startswith("p-values assume"))
+    p = p_without_each(report.totals, report.metrics["ece"])
+    words = f"both sides alike; without one sequence, the ECE's is {p.min():.3f} to {p.max():.3f}."
+    assert remark.endswith(words)
+
+
+@pytest.mark.parametrize(("sequences", "assumed", "moves"), [(5, 0, 0), (6, 1, 0), (7, 1, 1), (19, 1, 1), (20, 0, 0)])
+def test_p_values_of_six_to_nineteen_sequences_have_the_remark(sequences: int, assumed: int, moves: int) -> None:
+    random = np.random.default_rng(1)
+    labels = {"sequence": np.arange(40) % sequences}
+    report = posecal.evaluate(
+        *(random.normal(0, 30, shape) for shape in ((4, 40, 2, 3), (40, 2, 3))),
+        labels=labels,
+        unit="mm",
+        axes="NMKD",
+        root_joint="none",
+    )
+    remarks = [remark for remark in report.remarks if remark.startswith("p-values assume")]
+    assert (len(remarks), sum("without one" in remark for remark in remarks)) == (assumed, moves)

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy import stats
+from scipy import special, stats
 
+from posecal.engine.bounds import POSITIVE, SHARE, UNBOUNDED
 from posecal.engine.metric import Metric, Statistic
 from posecal.engine.protocol import Protocol
 from posecal.engine.totals import Totals
@@ -17,12 +18,12 @@ from posecal.registry import known_metrics
 from posecal.stats import jackknife as module
 from posecal.stats.jackknife import (
     Interval,
-    counting_sequences,
     jackknife,
     jackknife_columns,
     joint_leave_one_out,
     leave_one_out,
     paired_p,
+    sequence_sizes,
 )
 from tests.helpers.example_totals import HEIGHT, JOINTS, KEPT, PAIR, metric, random_totals
 from tests.helpers.random_worlds import world
@@ -41,7 +42,7 @@ def left_out(sums: Array, sizes: Array) -> Array:
     return np.array(found)
 
 
-@given(means=st.lists(st.floats(-50, 50), min_size=2, max_size=12), frames=st.integers(1, 9))
+@given(means=st.lists(st.floats(-50, 50), min_size=3, max_size=12), frames=st.integers(1, 9))
 def test_a_mean_over_equal_sequences_has_the_t_interval_of_their_means(means: list[float], frames: int) -> None:
     sums, sizes = frames * np.array(means), np.full(len(means), frames)
     found = jackknife(sums.sum() / sizes.sum(), left_out(sums, sizes))
@@ -82,8 +83,8 @@ def test_intervals_cover_the_truth_as_often_as_they_say() -> None:
 
 @pytest.mark.parametrize(
     ("value", "without"),
-    [(1.0, [1.0]), (1.0, []), (math.nan, [1.0, 2.0]), (1.0, [1.0, math.nan, 2.0])],
-    ids=["one sequence", "none", "no value", "not defined without one"],
+    [(1.0, [1.0, 2.0]), (1.0, []), (math.nan, [1.0, 2.0, 2.0]), (1.0, [1.0, math.nan, 2.0])],
+    ids=["two sequences", "none", "no value", "not defined without one"],
 )
 def test_there_is_no_interval_of(value: float, without: list[float]) -> None:
     found = jackknife(value, np.array(without))
@@ -96,16 +97,73 @@ def test_there_is_no_interval_of(value: float, without: list[float]) -> None:
 
 def test_many_numbers_have_the_intervals_that_they_have_alone_over_the_sequences_in_which_they_count() -> None:
     random = np.random.default_rng(3)
-    without, present = random.normal(50, 9, (12, 6)), random.random((12, 6)) < 0.6
-    present[:, 4], present[1:, 5] = False, False
-    present[0, 5] = True
-    without[~present] = math.nan
-    without[np.flatnonzero(present[:, 3])[0], 3] = math.nan
-    error, reach = jackknife_columns(without, present)
-    for k in range(6):
-        alone = jackknife(0.0, without[present[:, k], k])
-        np.testing.assert_allclose([error[k], reach[k]], [alone.error, alone.high], rtol=1e-12)
-    assert np.isnan(reach).tolist() == [False, False, False, True, True, True]
+    without, sizes = random.normal(50, 9, (12, 6)), random.integers(0, 3, (12, 6))
+    sizes[:, 4], sizes[2:, 5] = 0, 0
+    sizes[:2, 5] = 1
+    without[sizes == 0] = math.nan
+    without[np.flatnonzero(sizes[:, 3])[0], 3] = math.nan
+    values = random.normal(50, 9, 6)
+    for bounds in (UNBOUNDED, POSITIVE, (0.0, 100.0)):
+        found = jackknife_columns(values, without, sizes, bounds)
+        for k in range(6):
+            alone = jackknife(values[k], without[sizes[:, k] > 0, k], sizes[sizes[:, k] > 0, k], bounds)
+            many = [getattr(found, name)[k] for name in ("low", "high", "error", "freedom", "sequences")]
+            np.testing.assert_allclose(many, list(vars(alone).values()), rtol=1e-12)
+        assert np.isnan(found.high).tolist() == [False, False, False, True, True, True]
+
+
+# --- sequences of unequal lengths -------------------------------------------------------------------------------------
+
+
+def test_the_degrees_of_freedom_are_those_of_the_effective_number_of_sequences() -> None:
+    without, sizes = np.arange(6.0), np.array([50, 10, 10, 10, 10, 10])
+    found = jackknife(0.0, without, sizes)
+    assert found.freedom == pytest.approx(100**2 / (50**2 + 5 * 10**2) - 1)
+    assert found.high == pytest.approx(found.error * stats.t(found.freedom).ppf(0.975))
+    assert jackknife(0.0, without).freedom == 5
+    assert jackknife(0.0, without, 7 * np.ones(6)).freedom == pytest.approx(5)
+
+
+def test_a_sequence_that_outweighs_all_others_leaves_no_interval() -> None:
+    assert math.isnan(jackknife(1.0, np.arange(4.0), np.array([900, 1, 1, 1])).high)
+    assert not math.isnan(jackknife(1.0, np.arange(4.0), np.array([2, 1, 1, 1])).high)
+
+
+def test_a_positive_number_has_the_interval_of_its_logarithm_and_a_share_of_its_logit() -> None:
+    without, reach = np.array([40.0, 50.0, 60.0, 70.0]), stats.t(3).ppf(0.975) * math.sqrt(3 / 4)
+    steps = np.log(without) - math.log(55)
+    found = jackknife(55.0, without, bounds=POSITIVE)
+    size = reach * math.sqrt((steps**2).sum())
+    np.testing.assert_allclose([found.low, found.high], [55 * math.exp(-size), 55 * math.exp(size)], rtol=1e-12)
+    steps = special.logit(without / 100) - special.logit(0.55)
+    found = jackknife(0.55, without / 100, bounds=SHARE)
+    ends = special.logit(0.55) + reach * math.sqrt((steps**2).sum()) * np.array([-1, 1])
+    np.testing.assert_allclose([found.low, found.high], special.expit(ends), rtol=1e-12)
+
+
+def test_a_sequence_that_holds_all_misses_moves_a_share_as_five_times_the_odds_do() -> None:
+    found = jackknife(0.99, np.array([1.0, 0.99, 0.99, 0.99]), bounds=SHARE)
+    reach = stats.t(3).ppf(0.975) * math.sqrt(3 / 4) * math.log(5)
+    ends = special.expit([special.logit(0.99) - reach, special.logit(0.99) + reach])
+    np.testing.assert_allclose([found.low, found.high], ends, rtol=1e-12)
+
+
+def test_at_the_edge_of_its_range_a_share_has_the_rule_of_three_and_outside_of_it_the_plain_interval() -> None:
+    assert jackknife(1.0, np.ones(10), bounds=SHARE).low == pytest.approx(0.05**0.1)
+    assert jackknife(1.0, np.ones(10), bounds=SHARE).high == 1.0
+    assert math.isnan(jackknife(1.0, np.ones(2), bounds=SHARE).low)
+    without = np.array([-3.0, -1.0, 1.0])
+    assert jackknife(-1.0, without, bounds=POSITIVE) == jackknife(-1.0, without)
+    assert jackknife(0.0, np.zeros(4), bounds=POSITIVE).high == 0.0
+
+
+def test_sizes_of_sequences_are_shares_of_their_groups_where_groups_are_averaged() -> None:
+    some = random_totals(3, protocol=Protocol(average="action"))
+    counts, names = some.counts["height"], some.cells["sequence"]
+    actions = some.cells["action"]
+    shares = np.array([count / counts[actions == action].sum() for count, action in zip(counts, actions, strict=True)])
+    expected = [shares[names == name].sum() for name in sorted(set(names))]
+    np.testing.assert_allclose(sequence_sizes(some, metric()), expected, rtol=1e-12)
 
 
 # --- metrics without each sequence ------------------------------------------------------------------------------------
@@ -164,7 +222,7 @@ def test_per_joint_each_sequence_is_left_out_as_if_its_cells_had_not_been_there(
             chosen = np.arange(30) if cells is None else cells
             names = some.cells["sequence"][chosen]
             counts = [some.counts["joints"][chosen[names == name]].sum(axis=0) > 0 for name in sorted(set(names))]
-            np.testing.assert_array_equal(present, counts)
+            np.testing.assert_array_equal(present > 0, counts)
 
 
 @pytest.mark.parametrize("statistic", [HEIGHT, JOINTS, PAIR, KEPT], ids=["number", "joints", "pair", "per pose"])
@@ -185,7 +243,7 @@ def test_sequences_count_that_have_a_pose_of_which_something_is_known(statistic:
                     expected.append(bool((~np.isnan(values)).all(axis=1).any()))
                 else:
                     expected.append(bool((some.counts[statistic.name][own] > 0).any()))
-            assert counting_sequences(some, one, cells).tolist() == expected
+            assert (sequence_sizes(some, one, cells) > 0).tolist() == expected
 
 
 def test_a_statistic_that_is_not_per_joint_counts_at_every_joint() -> None:
@@ -193,7 +251,7 @@ def test_a_statistic_that_is_not_per_joint_counts_at_every_joint() -> None:
     one = metric(by_joint=(PAIR, np.asarray))
     _, present = joint_leave_one_out(some, one)
     assert present.shape == (7, 2)
-    assert present.all()
+    assert (present > 0).all()
     with pytest.raises(ValueError, match="has no values per joint"):
         joint_leave_one_out(some, metric())
 
@@ -247,7 +305,7 @@ def test_every_metric_is_finished_from_a_stack_of_means_as_from_each(average: st
 # --- p-values ---------------------------------------------------------------------------------------------------------
 
 
-@given(differences=st.lists(st.floats(-9, 9).filter(lambda v: v == 0 or abs(v) > 1e-3), min_size=2, max_size=15))
+@given(differences=st.lists(st.floats(-9, 9).filter(lambda v: v == 0 or abs(v) > 1e-3), min_size=3, max_size=15))
 def test_a_paired_p_value_is_the_t_tests(differences: list[float]) -> None:
     if np.std(differences) < 1e-6:
         differences = [*differences, differences[0] + 1]
@@ -257,9 +315,10 @@ def test_a_paired_p_value_is_the_t_tests(differences: list[float]) -> None:
 
 
 def test_without_any_spread_a_difference_is_certain_and_no_difference_is_none() -> None:
-    assert paired_p(Interval(2.0, 2.0, 0.0, 5)) == 0.0
-    assert paired_p(Interval(0.0, 0.0, 0.0, 5)) == 1.0
+    assert paired_p(Interval(2.0, 2.0, 0.0, 4.0, 5)) == 0.0
+    assert paired_p(Interval(0.0, 0.0, 0.0, 4.0, 5)) == 1.0
 
 
-def test_one_sequence_gives_no_paired_p_value() -> None:
-    assert math.isnan(paired_p(jackknife(1.0, np.array([1.0]))))
+@pytest.mark.parametrize("sequences", [1, 2])
+def test_one_or_two_sequences_give_no_paired_p_value(sequences: int) -> None:
+    assert math.isnan(paired_p(jackknife(1.0, np.ones(sequences))))

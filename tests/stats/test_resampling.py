@@ -34,7 +34,7 @@ from posecal.stats.resampling import (
     sign_flips_of_each,
     thin,
 )
-from tests.benchmarks.level import BAND, Design, rejection_rates
+from tests.evidence.levels import BAND, Design, rejection_rates
 
 Array = np.ndarray
 Q = LEVELS.size

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from posecal.calibration import LEVELS
+from posecal.engine.bounds import POSITIVE, UNBOUNDED
 from posecal.engine.metric import Deviation, Statistic
 from posecal.engine.protocol import Protocol
 from posecal.engine.totals import Totals
 from posecal.stats import resampling, uncertainty
-from posecal.stats.jackknife import jackknife, joint_leave_one_out, leave_one_out
+from posecal.stats.jackknife import jackknife, joint_leave_one_out, leave_one_out, sequence_sizes
 from posecal.stats.resampling import LEVEL, holm, sign_flips, thin
 from posecal.stats.uncertainty import (
     effective_poses,
@@ -22,6 +23,7 @@ from posecal.stats.uncertainty import (
     joint_intervals,
     joint_p_values,
     null,
+    p_without_each,
     sequence_deviations,
     squared_error,
     unbiased_squared_error,
@@ -56,8 +58,11 @@ ECE = metric(INSIDE, family="calibration", deviation=Deviation(None, -1, "median
 
 @pytest.mark.parametrize("cells", CELLS, ids=["all", "some"])
 def test_an_interval_is_the_jackknife_of_the_values_without_each_sequence(cells: Array | None) -> None:
-    some, one = random_totals(1, C=40), metric(HEIGHT)
-    assert interval(some, one, cells) == jackknife(some.value(one, cells), leave_one_out(some, one, cells))
+    some = random_totals(1, C=40)
+    for bounds in (UNBOUNDED, POSITIVE):
+        one = replace(metric(HEIGHT), bounds=bounds)
+        expected = leave_one_out(some, one, cells), sequence_sizes(some, one, cells), bounds
+        assert interval(some, one, cells) == jackknife(some.value(one, cells), *expected)
 
 
 @pytest.mark.parametrize("cells", CELLS, ids=["all", "some"])
@@ -65,13 +70,13 @@ def test_an_interval_is_the_jackknife_of_the_values_without_each_sequence(cells:
 def test_a_joint_has_the_interval_over_the_sequences_in_which_it_counts(cells: Array | None, average: str) -> None:
     some = random_totals(2, C=40, S=9, protocol=Protocol(average=average))
     some.sums["joints"][some.sequence_of < 4, 1] = some.counts["joints"][some.sequence_of < 4, 1] = 0
-    one = metric(by_joint=(JOINTS, np.asarray))
+    one = replace(metric(by_joint=(JOINTS, np.asarray)), bounds=POSITIVE)
     low, high = joint_intervals(some, one, cells)
-    values, (without, present) = some.by_joint(one, cells), joint_leave_one_out(some, one, cells)
+    values, (without, sizes) = some.by_joint(one, cells), joint_leave_one_out(some, one, cells)
     for k in (0, 1):
-        expected = jackknife(values[k], without[present[:, k], k])
+        expected = jackknife(values[k], without[:, k], sizes[:, k], POSITIVE)
         np.testing.assert_allclose([low[k], high[k]], [expected.low, expected.high], rtol=1e-9)
-    assert present[:, 1].sum() < present[:, 0].sum()
+    assert (sizes[:, 1] > 0).sum() < (sizes[:, 0] > 0).sum()
 
 
 def test_deviations_are_those_of_each_sequence_from_what_is_expected_there() -> None:
@@ -100,6 +105,16 @@ def test_a_null_is_that_of_the_sums_of_its_cells(average: str) -> None:
         assert unbiased_squared_error(some, INSIDE, cells) == squared_error(D[:, :-1], counts[:, :-1])
     with pytest.raises(ValueError, match="is no calibration error"):
         null(some, metric())
+
+
+def test_p_values_without_each_sequence_are_those_of_results_without_it() -> None:
+    for S in (6, 9, 12):
+        some = with_curves(S, S=S)
+        D, counts = sequence_deviations(some, INSIDE)
+        rest = (np.arange(S) != s for s in range(S))
+        expected = [sign_flips(D[r], counts[r], ECE.deviation, draws=uncertainty.FEW_DRAWS).p for r in rest]
+        np.testing.assert_array_equal(p_without_each(some, ECE), expected)
+        assert np.isnan(expected).all() == (S == 6)
 
 
 def test_every_joint_is_tested_as_if_it_were_the_only_one() -> None:

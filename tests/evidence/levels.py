@@ -1,7 +1,5 @@
 """Rejection rates of calibration tests on perfect samplers whose frames resemble their neighbours.
 
-Run from a checkout: ``python -m tests.benchmarks.level --replicates 1000``. Prints a Markdown table.
-
 Ranks of the truth are simulated directly. Each joint's is uniform and follows an AR(1) process from frame to frame
 (a Gaussian copula); the joints of a frame share a common factor. A spread that is wrong by a factor moves the ranks
 as it moves those of isotropic Gaussians in three dimensions. What is judged is posecal's own
@@ -11,11 +9,10 @@ which treat all frames as independent.
 
 from __future__ import annotations
 
-import argparse
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from functools import cache
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cache, partial
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +21,7 @@ from scipy import signal, special, stats
 from posecal.calibration import LEVELS
 from posecal.engine.metric import Deviation
 from posecal.stats.resampling import sign_flips
+from tests.evidence import Table
 
 Floats = npt.NDArray[np.floating]
 Ranks = npt.NDArray[np.intp]
@@ -206,45 +204,18 @@ def _judge(
             yield f"{name}, all joints", yes
 
 
-def _table(title: str, rates: list[Rates], designs: tuple[Design, ...], say: Callable[[str], None]) -> None:
-    head = [f"{d.sequences} × {d.frames}" for d in designs]
-    say(f"| {title} | {' | '.join(head)} |\n|---|{'---:|' * len(designs)}")
-    for name in rates[0].rejected:
-        cells = []
-        for rate in rates:
-            low, high = interval(rate.rejected[name], rate.replicates)
-            cells.append(f"{rate.rejected[name] / rate.replicates:.1%} ({low:.1%} to {high:.1%})")
-        say(f"| {name} | {' | '.join(cells)} |")
+def _rows(spread: float, replicates: int) -> list[tuple[str, ...]]:
+    rates = [rejection_rates(replace(d, spread=spread), replicates, independent=spread == 1) for d in DESIGNS]
+    return [(name, *(_cell(rate, name) for rate in rates)) for name in rates[0].rejected]
 
 
-def main() -> None:
-    """Print the rejection rates of perfect samplers, and the power against a spread of × 0.9."""
-    options = argparse.ArgumentParser(description=__doc__)
-    options.add_argument("--replicates", type=int, default=1000)
-    options.add_argument("--power-replicates", type=int, default=200, help="of the model that is to be rejected")
-    options.add_argument("--frame-correlation", type=float, default=0.95)
-    options.add_argument("--joint-correlation", type=float, default=0.3)
-    options.add_argument("--spread", type=float, default=0.9, help="of that model")
-    asked = options.parse_args()
-    for title, spread in (
-        ("a perfect sampler is rejected", 1.0),
-        (f"spread × {asked.spread:g} is found", asked.spread),
-    ):
-        designs = tuple(
-            Design(
-                d.sequences,
-                d.frames,
-                frame_correlation=asked.frame_correlation,
-                joint_correlation=asked.joint_correlation,
-                spread=spread,
-            )
-            for d in DESIGNS
-        )
-        replicates = asked.replicates if spread == 1 else asked.power_replicates
-        rates = [rejection_rates(d, replicates, independent=spread == 1) for d in designs]
-        _table(title, rates, designs, print)
-        print()
+def _cell(rate: Rates, name: str) -> str:
+    low, high = interval(rate.rejected[name], rate.replicates)
+    return f"{rate.rejected[name] / rate.replicates:.1%} ({low:.1%} to {high:.1%})"
 
 
-if __name__ == "__main__":
-    main()
+_DESIGNS = tuple(f"{d.sequences} × {d.frames}" for d in DESIGNS)
+TABLES = [
+    Table("levels", ("a perfect sampler is rejected", *_DESIGNS), partial(_rows, 1.0), 300),
+    Table("power", ("spread × 0.9 is found", *_DESIGNS), partial(_rows, 0.9), 300),
+]
