@@ -11,6 +11,7 @@ import pytest
 import posecal
 from posecal.engine.circular import wrapped
 from posecal.errors import PoseDataError
+from posecal.report.format import number
 from tests.helpers.shell import done, run
 
 Array = np.ndarray[Any, Any]
@@ -108,7 +109,7 @@ def test_a_default_report_of_every_quantity_prints_its_unit_and_no_other(unit: s
     x, y = pixels(d)
     report = report_of(x, y, unit, by=["sequence"])
     text = str(report)
-    assert (f"{report['mpjpe']:.3f}{shown} " if shown else f"{report['mpjpe']:.5f} ") in text
+    assert f" {number(report['mpjpe'], shown.strip(), report.interval('mpjpe'))} " in text
     for form in ("text", "markdown", "latex", "csv"):
         assert " mm" not in report.render(form, definitions=True).replace("150 mm", ""), form  # type: ignore[arg-type]
     units = {row["unit"] for row in json.loads(report.render("json"))["rows"]}
