@@ -59,6 +59,7 @@ WRONG = {
     "area": ("mean", 3, None),
     "thresholds": (150, (0, 150), (50, 0, 10), (0, 50, 1), (0, 50, 2.5), "0:50:10"),
     "where": ("yes", 3, np.full((M, K), 2), np.ones((M, K + 1), bool), [[True], [True, False]]),
+    "weights": ("yes", 0.5, np.ones((N, M)), np.ones((N, M + 1)) / N, -np.ones((N, M)) / N, np.full((N, M), np.nan)),
     "axes": ("MNK", 3, "NMKDD", ["NMKD"]),
     "unit": ("inch", 0, -1.0, [1]),
     "root": ("Hip", 1.5, True, K, -K - 1, [0], np.zeros(2), 1j),
