@@ -115,10 +115,7 @@ def registered_as(what: object) -> Metric | None:
 
 
 def known_metrics(
-    protocol: Protocol,
-    spec: DataSpec,
-    preranks: Mapping[str, PreRank] | None = None,
-    own: Sequence[Metric] = (),
+    protocol: Protocol, spec: DataSpec, preranks: Mapping[str, PreRank] | None = None, own: Sequence[Metric] = ()
 ) -> dict[str, Metric]:
     """Every metric whose needs the data meet.
 
@@ -153,9 +150,9 @@ def _all_metrics(
 ) -> list[Metric]:
     """Every metric, also those whose needs the data don't meet, in mm."""
     scope = Scope(protocol, spec)
-    found = [*mpjpe_metrics(scope), *vertex_metrics(scope), *subset_metrics(scope)]
-    found += [*pck_metrics(scope), *cps_metrics(scope), *velocity_metrics(scope), *world_metrics(scope)]
-    found += [*limb_metrics(scope), *root_metrics(scope)]
+    found = [*mpjpe_metrics(scope), *vertex_metrics(scope), *subset_metrics(scope), *pck_metrics(scope)]
+    found += [*cps_metrics(scope), *velocity_metrics(scope), *world_metrics(scope), *limb_metrics(scope)]
+    found += root_metrics(scope)
     if spec.n_hypotheses > 1:
         found += [*calibration_metrics(scope), *interval_metrics(scope), *rank_test_metrics(scope, preranks)]
         found += [*score_metrics(scope), *brier_metrics(scope), *skill_metrics(scope)]

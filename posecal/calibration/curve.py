@@ -30,7 +30,7 @@ from posecal.data.arrays import (
     real_array,
 )
 from posecal.engine.block import Block
-from posecal.engine.metric import mean_over_joints
+from posecal.engine.finish import mean_over_joints
 from posecal.engine.per_pose import per_pose
 from posecal.engine.protocol import OverJoints
 from posecal.errors import PoseDataError

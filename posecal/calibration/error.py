@@ -24,7 +24,8 @@ from posecal.calibration.ranks import DEFINITIONS, LEVELS, Definition
 from posecal.calibration.standardized import standardized_errors_of
 from posecal.data.arrays import FloatArray, checked_choice
 from posecal.engine.bounds import SHARE
-from posecal.engine.metric import Deviation, Metric, ReadOff, Statistic, entry, per_joint
+from posecal.engine.finish import ReadOff, entry, per_joint
+from posecal.engine.metric import Deviation, Metric, Statistic
 from posecal.engine.protocol import OverJoints
 from posecal.engine.scope import Scope
 

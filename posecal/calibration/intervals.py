@@ -26,7 +26,8 @@ from posecal.data.units import PERIODS, quantity
 from posecal.engine.block import Block
 from posecal.engine.bounds import POSITIVE, SHARE
 from posecal.engine.circular import unwrapped
-from posecal.engine.metric import Metric, Statistic, mean_over_joints, per_joint
+from posecal.engine.finish import mean_over_joints, per_joint
+from posecal.engine.metric import Metric, Statistic
 from posecal.engine.per_pose import per_pose
 from posecal.engine.scope import Scope
 

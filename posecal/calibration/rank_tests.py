@@ -31,7 +31,8 @@ from posecal.calibration.ranks import LEVELS, rank_weights, shared_ranks
 from posecal.calibration.standardized import standardized_errors_of
 from posecal.data.arrays import BoolArray, FloatArray, squared_norms
 from posecal.engine.block import Block
-from posecal.engine.metric import Deviation, Metric, Need, Statistic, mean_over_joints
+from posecal.engine.finish import mean_over_joints
+from posecal.engine.metric import Deviation, Metric, Need, Statistic
 from posecal.engine.scope import Scope
 from posecal.engine.weighted import effective_counts, effective_number
 from posecal.errors import PoseDataError

@@ -18,10 +18,11 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from posecal.data.arrays import BoolArray, FloatArray, squared_norms, working_dtype
 from posecal.data.degenerate import LARGEST, LARGEST_ANGLE, is_outside
-from posecal.data.root import AnyRoot, Root, origin
+from posecal.data.root import AnyRoot
 from posecal.engine.circular import circular_mean, turns_of_pool, unwrapped, wrapped
 from posecal.engine.coordinate_range import CoordinateRange, coordinate_range
 from posecal.engine.memory import reuse_freed_memory
+from posecal.engine.offsets import offsets_from_truth, relative_to_root
 from posecal.engine.weighted import effective_counts, effective_number, weighted_median
 from posecal.errors import PoseDataError
 
@@ -115,11 +116,11 @@ class Block:
         reuse_freed_memory()
         self.occluded = np.zeros(truth.shape[:2], dtype=bool) if occluded is None else occluded
         self.where = np.ones(truth.shape[:2], dtype=bool) if where is None else where
-        self.offsets, self.period, self.weights = _offsets(hypotheses, truth, root), period, weights
+        self.offsets, self.period, self.weights = offsets_from_truth(hypotheses, truth, root), period, weights
         if period is not None:
             outside = is_outside(self.offsets, LARGEST_ANGLE)
             self.offsets = np.where(outside, np.nan, unwrapped(self.offsets, period))
-        self.truth = _relative(truth, root, self.offsets.dtype)
+        self.truth = relative_to_root(truth, root, self.offsets.dtype)
         if not self.where.all():
             self.offsets[~self.where] = 0
             self.truth = np.where(self.where[..., None], self.truth, 0)
@@ -366,25 +367,6 @@ def _where_finite(lay_out: Callable[[BoolArray], Block], where: BoolArray) -> Bl
     """Lay out the joints of a mask whose coordinates are all finite."""
     block = lay_out(where)
     return lay_out(where & ~block.non_finite) if block.non_finite.any() else block
-
-
-def _offsets(hypotheses: FloatArray, truth: FloatArray, root: AnyRoot) -> FloatArray:
-    """Subtract the truth, (N, B, K, D) minus (B, K, D), root-relative where a root is given, as (B, K, D, N)."""
-    dtype = working_dtype(hypotheses.dtype)
-    offsets = np.empty((*truth.shape, len(hypotheses)), dtype=dtype)
-    with np.errstate(invalid="ignore", over="ignore"):  # joints that don't count may hold anything
-        # Subtract in the order of the input: hypotheses a power of two apart would push each other out of the cache.
-        offsets[...] = np.subtract(hypotheses, truth.astype(dtype, copy=False), dtype=dtype).transpose(1, 2, 3, 0)
-        if root is not None and (isinstance(root, Root) or offsets[:, root].any()):
-            offsets -= origin(offsets, root, axis=1)
-    return offsets
-
-
-def _relative(truth: FloatArray, root: AnyRoot, dtype: np.dtype[np.floating]) -> FloatArray:
-    """Give true poses relative to the root, if there is one, in the precision of the offsets."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        wide = truth.astype(working_dtype(truth.dtype), copy=False)
-        return (wide if root is None else wide - origin(wide, root)).astype(dtype)
 
 
 def block_length(shape: tuple[int, ...], dtype: npt.DTypeLike) -> int:

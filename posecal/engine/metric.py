@@ -18,6 +18,7 @@ import numpy.typing as npt
 from posecal.data.arrays import FloatArray
 from posecal.engine.block import Block
 from posecal.engine.bounds import UNBOUNDED, Bounds, checked_bounds, finite_bounds
+from posecal.engine.finish import MEAN, mean_over_joints
 from posecal.engine.sums import Counts, Indices
 from posecal.engine.user_code import values_of_arrays
 from posecal.errors import PoseDataError
@@ -86,27 +87,6 @@ class Deviation:
 
     def __post_init__(self) -> None:
         _check_word("over", self.over, Over)
-
-
-@dataclass(frozen=True)
-class ReadOff:
-    """Finish by reading a number off what several metrics share, such as the median curve.
-
-    Attributes
-    ----------
-    summary : callable
-        From means of the statistic, ``(..., *shape)``, to what is shared, ``(..., *other)``: computed once for all
-        metrics of the statistic that have this very function.
-    read : callable
-        From that, which it must leave unchanged, to numbers, ``(...)``.
-    """
-
-    summary: Callable[[FloatArray], FloatArray]
-    read: Callable[[FloatArray], FloatArray]
-
-    def __call__(self, means: FloatArray) -> FloatArray:
-        """Finish means of the statistic."""
-        return self.read(self.summary(means))
 
 
 @dataclass(frozen=True, eq=False)
@@ -341,12 +321,6 @@ def _not_available(name: str, _: object) -> FloatArray:
     raise PoseDataError(f"metric: the functions of {name} are not available here; expected it to be registered.")
 
 
-def mean_over_joints(values: FloatArray) -> FloatArray:
-    """Mean over the last axis of what is not NaN; NaN where nothing is left."""
-    number = np.isfinite(values).sum(axis=-1)
-    return np.where(number > 0, np.nansum(values, axis=-1) / np.maximum(number, 1), np.nan)
-
-
 @dataclass(frozen=True, eq=False)
 class Curve:
     """A number as a function of another, for pictures.
@@ -373,19 +347,3 @@ class Curve:
     definition: str
     statistic: Statistic
     needs: tuple[Need, ...] = ()
-
-
-def entry(*place: int) -> Callable[[FloatArray], FloatArray]:
-    """Finish by reading one entry of the means, (..., *shape) to (...)."""
-    index: tuple[Any, ...] = (..., *place)
-    return lambda means: np.asarray(means[index])
-
-
-MEAN = entry()
-"""Finish by the mean over poses itself."""
-
-
-def per_joint(*place: int) -> Callable[[FloatArray], FloatArray]:
-    """Finish by reading one entry of each joint, (..., K, *shape) to (..., K)."""
-    index: tuple[Any, ...] = (..., slice(None), *place)
-    return lambda means: np.asarray(means[index])

@@ -19,7 +19,8 @@ from posecal.data.arrays import FloatArray
 from posecal.data.joint_names import canonical_names
 from posecal.data.root import root_name
 from posecal.engine.cells import natural_key
-from posecal.engine.metric import Metric, ReadOff, Statistic
+from posecal.engine.finish import ReadOff
+from posecal.engine.metric import Metric, Statistic
 from posecal.engine.pose_hashes import PoseHashes
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec

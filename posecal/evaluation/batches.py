@@ -106,7 +106,7 @@ class Evaluation:
         self._options |= {"truth_unit": truth_unit, "n_hypotheses": n_hypotheses, "skeleton": skeleton}
         Declarations(**{k: v for k, v in self._options.items() if k != "fps"})  # refuses values that no data could have
         self._options |= {"dimensions": dimensions, "draws": draws, "seed": seed}
-        check_callables("preranks", preranks := {} if preranks is None else preranks)
+        check_callables("preranks", preranks := preranks or {})
         if not isinstance(prepared, Prepared | None):
             raise PoseDataError(f"prepared: {type(prepared).__name__}; expected what posecal.prepare gives.")
         self.protocol = as_protocol(protocol, metrics)
@@ -118,15 +118,14 @@ class Evaluation:
     def reset(self) -> None:
         """Forget all batches."""
         self._accumulator: Accumulator | None = None
-        self._label_names: set[str] = set()  # that were checked
+        self._label_names = set[str]()  # that were checked
         self._axes: str | None = None  # of the first batch, where none is declared
         self._has_frames: bool | None = None  # None before the first batch
         self._lack: str | None = None  # why no pose or joint counts so far, "" where some do
         self._frames, self._held = dict[str, None](), list[str]()  # of own poses that count; those that are pending
-        self._frames_of_others, self._others = set[str](), list[Totals]()
-        self._remarks, self._frame_check = join_remarks([]), FrameCheck()
+        self._frames_of_others, self._others, self._frame_check = set[str](), list[Totals](), FrameCheck()
+        self._remarks, self._batches, self._n_frames = join_remarks([]), 0, 0
         self._place: Place = 0, [], ""  # of the last pose
-        self._batches = self._n_frames = 0
 
     def update(
         self,
@@ -168,10 +167,9 @@ class Evaluation:
         if not labels.keys() <= self._label_names:
             check_label_names(labels, inspect.signature(self.update), inspect.signature(Evaluation))
             self._label_names = self._label_names | labels.keys()
-        given: dict[str, Any] = {"where": where, "occluded": occluded, "scores": scores}
-        given |= {"weights": weights, "log_prob": log_prob}
+        given: dict[str, Any] = {"where": where, "occluded": occluded, "scores": scores, "weights": weights}
         is_stored = isinstance(hypotheses, str | os.PathLike)  # a file may declare its own layout
-        given |= {**self._options, "labels": labels or None}
+        given |= {**self._options, "labels": labels or None, "log_prob": log_prob}
         if self._axes is not None and not is_stored:
             given["axes"] = self._axes
         data = as_pose_data(starting_at(hypotheses, self._n_frames), truth, given)

@@ -15,7 +15,8 @@ import numpy.typing as npt
 from posecal.data.arguments import checked
 from posecal.data.arrays import BoolArray, FloatArray, as_array, checked_choice
 from posecal.engine.block import Block
-from posecal.engine.metric import Curve, Metric, Statistic, entry
+from posecal.engine.finish import entry
+from posecal.engine.metric import Curve, Metric, Statistic
 from posecal.engine.per_pose import per_pose
 from posecal.engine.scope import Scope
 from posecal.errors import PoseDataError

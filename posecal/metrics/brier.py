@@ -17,7 +17,8 @@ from posecal.data.arguments import refuse_all_but_lengths
 from posecal.data.arrays import BoolArray, FloatArray, checked_number, squared_norms
 from posecal.engine.block import Block
 from posecal.engine.bounds import SHARE
-from posecal.engine.metric import Metric, Need, Statistic, entry
+from posecal.engine.finish import entry
+from posecal.engine.metric import Metric, Need, Statistic
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import Scope
 from posecal.metrics.proper import fair_per_pose

@@ -23,7 +23,8 @@ from posecal.data.root import resting_joints
 from posecal.data.skeleton import Skeleton
 from posecal.data.units import quantity
 from posecal.engine.block import Block
-from posecal.engine.metric import MEAN, Metric, Statistic
+from posecal.engine.finish import MEAN
+from posecal.engine.metric import Metric, Statistic
 from posecal.engine.scope import DataSpec, Scope
 from posecal.engine.sums import Counts, Indices, split_by
 from posecal.engine.truth_moments import (

@@ -11,7 +11,8 @@ from posecal.data.arrays import BoolArray, FloatArray, squared_norms
 from posecal.data.skeleton import Skeleton
 from posecal.engine.block import Block
 from posecal.engine.bounds import POSITIVE
-from posecal.engine.metric import Metric, Statistic, entry
+from posecal.engine.finish import entry
+from posecal.engine.metric import Metric, Statistic
 from posecal.engine.scope import Scope
 
 Bones = tuple[tuple[int, int], ...]

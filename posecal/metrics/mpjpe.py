@@ -1,14 +1,12 @@
 """The MPJPE family: distances of the hypotheses from the truth, and the metrics that are made of them.
 
-The error of a hypothesis is the mean over a pose's joints of the distance to the truth, in the units of the arrays
-(posecal uses millimetres). From N hypotheses to one number per pose there are several ways in use, and they differ by
-tens of millimetres on the same array, so each has a name of its own:
+The error of a hypothesis is the mean over a pose's joints of the distance to the truth, in the unit of the arrays. Ways
+from N hypotheses to one number per pose differ by tens of millimetres, and each has a name of its own:
 
 - of the N errors: the smallest (``min``, the field's minMPJPE), their ``mean``, ``median`` or the largest (``worst``);
 - the error of one pose made of the hypotheses; see :mod:`posecal.metrics.position`.
 
-Functions of arrays take positions as they stand; ``root`` subtracts one joint first. The root then counts with its
-error of 0 unless ``where`` leaves it out.
+Functions of arrays take positions as they stand; ``root`` subtracts one joint, which counts unless ``where`` lacks it.
 """
 
 from __future__ import annotations
@@ -25,7 +23,8 @@ from posecal.data.arguments import checked
 from posecal.data.arrays import BoolArray, FloatArray, checked_choice, checked_index
 from posecal.engine.block import Block
 from posecal.engine.bounds import POSITIVE
-from posecal.engine.metric import Metric, Need, Statistic, entry, per_joint
+from posecal.engine.finish import entry, per_joint
+from posecal.engine.metric import Metric, Need, Statistic
 from posecal.engine.per_pose import per_pose
 from posecal.engine.scope import Scope
 from posecal.engine.weighted import weighted_median
@@ -102,8 +101,8 @@ def mpjpe(
 
     Notes
     -----
-    ``of="median"`` of an even N lies between the two middle errors; ProHPE's script takes the lower.
-    Differs from the published code: none for the default.
+    ``of="median"`` of an even N lies between the two middle errors. Differs from the published code: that of ProHPE
+    takes the lower one; none for the default.
 
     See Also
     --------
@@ -120,8 +119,7 @@ def mpjpe(
     Two hypotheses of one pose with two joints; the first is a 3-4-5 triangle off at one joint.
 
     >>> import numpy as np
-    >>> truth = np.zeros((1, 2, 3))
-    >>> hypotheses = np.zeros((2, 1, 2, 3))
+    >>> truth, hypotheses = np.zeros((1, 2, 3)), np.zeros((2, 1, 2, 3))
     >>> hypotheses[0, 0, 0] = 3, 4, 0
     >>> mpjpe(hypotheses, truth)
     array([1.25])

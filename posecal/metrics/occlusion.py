@@ -18,7 +18,8 @@ from posecal.calibration.standardized import standardized_errors_of
 from posecal.data.arrays import BoolArray, FloatArray
 from posecal.engine.block import Block
 from posecal.engine.bounds import POSITIVE, SHARE
-from posecal.engine.metric import Deviation, Metric, Statistic, entry
+from posecal.engine.finish import entry
+from posecal.engine.metric import Deviation, Metric, Statistic
 from posecal.engine.needs import in_unit
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec, Scope

@@ -17,7 +17,8 @@ from posecal.data.arguments import refuse_all_but_lengths
 from posecal.data.arrays import BoolArray, FloatArray, checked_choice, checked_number
 from posecal.engine.block import Block
 from posecal.engine.bounds import SHARE
-from posecal.engine.metric import Curve, Metric, Need, Statistic, entry
+from posecal.engine.finish import entry
+from posecal.engine.metric import Curve, Metric, Need, Statistic
 from posecal.engine.per_pose import per_pose
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import Scope

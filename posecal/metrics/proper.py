@@ -25,7 +25,8 @@ from posecal.data.arguments import checked, period_of
 from posecal.data.arrays import BoolArray, FloatArray, squared_norms
 from posecal.engine.block import Block
 from posecal.engine.bounds import POSITIVE
-from posecal.engine.metric import Metric, Statistic, entry, mean_over_joints
+from posecal.engine.finish import entry, mean_over_joints
+from posecal.engine.metric import Metric, Statistic
 from posecal.engine.per_pose import per_pose
 from posecal.engine.scope import Scope
 from posecal.errors import PoseDataError

@@ -10,7 +10,8 @@ from posecal.data.arrays import FloatArray
 from posecal.data.root import origin
 from posecal.engine.block import Block
 from posecal.engine.bounds import POSITIVE
-from posecal.engine.metric import Metric, Statistic, entry
+from posecal.engine.finish import entry
+from posecal.engine.metric import Metric, Statistic
 from posecal.engine.scope import Scope
 
 

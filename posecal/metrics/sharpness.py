@@ -15,8 +15,9 @@ import numpy.typing as npt
 from posecal.data.arrays import BoolArray, FloatArray, checked_number, squared_norms
 from posecal.engine.block import Block
 from posecal.engine.bounds import POSITIVE
+from posecal.engine.finish import entry, mean_over_joints, per_joint
 from posecal.engine.measure import EFFECTIVE_NUMBER
-from posecal.engine.metric import Metric, Statistic, entry, mean_over_joints, per_joint
+from posecal.engine.metric import Metric, Statistic
 from posecal.engine.per_pose import per_pose
 from posecal.engine.scope import Scope
 from posecal.engine.weighted import weighted_quantiles
@@ -241,7 +242,7 @@ def number_metrics(scope: Scope) -> Iterator[Metric]:
             statistic=EFFECTIVE_NUMBER,
             finish=entry(),
             headline=True,
-            bounds=(1.0, float(scope.spec.n_hypotheses)),
+            bounds=POSITIVE,
             range="1 (one hypothesis has all weight) to N (all have the same)",
             reading="As many hypotheses of equal weight give as sure a mean. Where it is small against N, most "
             "hypotheses hardly count: the weights come from a proposal that is far from the model's distribution.",

@@ -176,7 +176,7 @@ def summarize(report: Report) -> list[str]:
 
 
 def _is_summarized(report: Report) -> bool:
-    return {"ece", "signed_area"} <= report.metrics.keys() and not math.isnan(report["ece"])
+    return {"ece", "signed_area"} <= report.metrics.keys() and report.count("ece") > 0
 
 
 def frames_differ(totals: Totals) -> bool:

@@ -12,7 +12,8 @@ import pytest
 import posecal
 from posecal.data.skeleton import JOINT_SETS
 from posecal.engine.block import Block
-from posecal.engine.metric import Deviation, Direction, Family, Metric, Statistic, entry, mean_over_joints, per_joint
+from posecal.engine.finish import entry, mean_over_joints, per_joint
+from posecal.engine.metric import Deviation, Direction, Family, Metric, Statistic
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec, Scope
 from posecal.errors import PoseDataError

@@ -69,7 +69,7 @@ def test_the_remark_says_how_many_are_absent_and_the_line_what_is_left_out() -> 
         assert "ece" in line
         assert line.endswith("which need as many hypotheses of every pose.")
         assert not {"ece_paper", "min_mpjpe_at_5", "mpjve", "jitter", "brier"} & report.metrics.keys()
-        assert report.summary[0].startswith("Not miscalibrated beyond chance")
+        assert report.summary[0].startswith("No miscalibration shown on average")
 
 
 def test_curves_and_rank_tests_are_means_over_poses_of_any_number() -> None:
@@ -80,7 +80,7 @@ def test_curves_and_rank_tests_are_means_over_poses_of_any_number() -> None:
     for test in (test for test in RANK_TESTS if test.name not in {"coordinate_pit", "tarp_box"}):
         blocks = (Block(X[LIVE[:, m], m : m + 1], Y[m : m + 1]) for m in range(M))
         weights = [test.weights(block, np.ones(K, dtype=bool))[0, 0] for block in blocks]
-        assert report[test.name] == pytest.approx(np.abs(np.mean(weights, axis=0) - LEVELS).mean(), abs=1e-9)
+        assert report[test.name] == pytest.approx(np.abs(np.nanmean(weights, axis=0) - LEVELS).mean(), abs=1e-9)
     number = round(LIVE.sum(axis=0).mean())
     assert report["effective_hypotheses"] == pytest.approx(LIVE.sum(axis=0).mean())
     assert report["ece_floor"] == posecal.perfect_sampler(number, M, K).mean

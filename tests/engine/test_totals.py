@@ -12,7 +12,8 @@ from functools import partial
 import numpy as np
 import pytest
 
-from posecal.engine.metric import Metric, ReadOff, Statistic, entry
+from posecal.engine.finish import ReadOff, entry
+from posecal.engine.metric import Metric, Statistic
 from posecal.engine.protocol import Protocol
 from posecal.engine.totals import Totals, difference_of_signatures
 from posecal.errors import PoseDataError

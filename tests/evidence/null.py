@@ -91,7 +91,7 @@ def degenerate_rows(replicates: int) -> list[tuple[str, ...]]:
         report = posecal.evaluate(hypotheses, truth, unit="mm", labels=chosen, metrics="all")
         value = report.value("ece", joint=number) if number.startswith("joint") else report[number]
         p = report.joint_tests().get(number, (0, np.nan))[1] if number.startswith("joint") else report[f"{number}_p"]
-        said = [remark for remark in report.remarks if "equal the truth" in remark or "same:" in remark]
+        said = [text for text in (*report.summary, *report.remarks) if "equal the truth" in text or "same:" in text]
         said += [remark for remark in report.remarks if remark.startswith("tarp_box")]
         shown = ["none" if np.isnan(x) else f"{x:.3f}" for x in (value, p)]
         rows.append((name, before, f"{shown[0]} (p: {shown[1]})", said[0]))

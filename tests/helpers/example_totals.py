@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from posecal.engine.metric import Metric, Statistic, entry
+from posecal.engine.finish import entry
+from posecal.engine.metric import Metric, Statistic
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec
 from posecal.engine.totals import Totals

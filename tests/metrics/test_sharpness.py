@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from posecal.engine.block import Block
-from posecal.engine.metric import mean_over_joints
+from posecal.engine.finish import mean_over_joints
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec, Scope
 from posecal.errors import PoseDataError

@@ -158,12 +158,12 @@ def test_an_interval_that_excludes_what_is_best_is_said_where_nothing_is_shown()
     off, around = coverage_of(0.68, 0.47, 0.89), coverage_of(0.5, 0.4, 0.6, level=50)
     (_, second) = sentences(evidence(0.05, area_of(0.03, -0.01, 0.07), coverage=(around, off)))
     assert second == (
-        "Yet the 95\u00a0% interval of coverage at 90 % (0.470 to 0.890; best: 0.9) excludes what is best; of 3 "
+        "Yet the 95\u00a0% interval of coverage at 90 % (0.47 to 0.89; best: 0.9) excludes what is best; of 3 "
         "intervals one may do so by chance."
     )
     (_, second) = sentences(evidence(0.05, area_of(-0.03, -0.05, -0.01), coverage=(off,)))
     assert second == (
-        "Yet the 95\u00a0% intervals of signed area (-0.050 to -0.010; best: 0) and coverage at 90 % (0.470 to 0.890; "
+        "Yet the 95\u00a0% intervals of signed area (-0.050 to -0.010; best: 0) and coverage at 90 % (0.47 to 0.89; "
         "best: 0.9) exclude what is best."
     )
     (_, second) = sentences(evidence(0.05, area_of(-0.03), coverage=(off,)))
