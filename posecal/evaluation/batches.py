@@ -106,7 +106,7 @@ class Evaluation:
         self._options |= {"truth_unit": truth_unit, "n_hypotheses": n_hypotheses, "skeleton": skeleton}
         Declarations(**{k: v for k, v in self._options.items() if k != "fps"})  # refuses values that no data could have
         self._options |= {"dimensions": dimensions, "draws": draws, "seed": seed}
-        check_callables("preranks", preranks := preranks or {})
+        check_callables("preranks", preranks := {} if preranks is None else preranks)
         if not isinstance(prepared, Prepared | None):
             raise PoseDataError(f"prepared: {type(prepared).__name__}; expected what posecal.prepare gives.")
         self.protocol = as_protocol(protocol, metrics)
