@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from posecal.engine.metric import Metric
 from posecal.errors import for_python
-from posecal.report.format import MISSING, counted, number, short_p
+from posecal.report.format import MISSING, counted, number, short_p, supported_digits
 from posecal.report.sheet import Sheet, Table
 from posecal.report.summary import frames_differ
 from posecal.report.text import ARROWS
@@ -61,7 +61,8 @@ def _values(comparison: Comparison, heading: str, metrics: Iterable[Metric]) -> 
     """Lay out the numbers of all models: of two with their difference, of more with their ranks."""
     names, rows, best = comparison.names, [], []
     for row, metric in enumerate(metrics):
-        values = [number(comparison.value(metric.name, model), metric.unit) for model in names]
+        shown = min(((each.low, each.high) for each in comparison.differences_of(metric.name)), key=_width)
+        values = [number(comparison.value(metric.name, model), metric.unit, shown) for model in names]
         ranks = [comparison.rank(metric.name, model) for model in names]
         if max(ranks) > 1:
             best += [(row, 2 + column) for column, rank in enumerate(ranks) if rank == 1]
@@ -97,11 +98,16 @@ def _nearest(comparison: Comparison, metric: Metric) -> str:
 
 
 def _tested(difference: Difference, metric: Metric) -> tuple[str, ...]:
-    digits = 2 if metric.unit else 4
     low, high = difference.low, difference.high
+    digits = supported_digits(low, high, 2 if metric.unit else 4)
     interval = "" if math.isnan(low) else f"{low:+z.{digits}f} to {high:+z.{digits}f}"
     p = (MISSING if math.isnan(p) else short_p(p) for p in (difference.p, difference.p_adjusted))
     return f"{difference.value:+z.{digits}f}", interval, *p, difference.better or ""
+
+
+def _width(interval: tuple[float, float]) -> float:
+    low, high = interval
+    return math.inf if math.isnan(low) else high - low
 
 
 def _definitions(comparison: Comparison, metrics: Iterable[Metric]) -> list[tuple[str, str]]:
@@ -130,7 +136,7 @@ def _sentences(comparison: Comparison) -> list[str]:
             sentences.append(f"{metric.label}: {best[0] if best else 'none'} is best beyond chance.")
     if not differ and "ece" in comparison.metrics and not math.isnan(comparison.feasible()):
         models = ", ".join(comparison.calibrated()) or "none"
-        sentences.append(f"Not miscalibrated beyond chance: {models}.")
+        sentences.append(f"No miscalibration shown on average: {models}.")
     return sentences
 
 

@@ -110,12 +110,12 @@ def _tests(report: Report, title: str, metrics: list[Metric]) -> Table:
     for metric in metrics:
         test, brief = report.test(metric.name), metric.brief
         p = adjusted.get(metric.name, test.p)
-        null = (MISSING, MISSING, "no test")
+        known, null = (0.0, test.high), (MISSING, MISSING, "no test")
         if not math.isnan(p):
-            null = (short_number(test.mean), short_number(test.high), short_p(p))
+            null = (number(test.mean, "", known), number(test.high, "", known), short_p(p))
         if f"{metric.name}_floor" in report.auxiliary and len(report.totals.spec.joints) <= MESH:
             brief += f"; calibrated, independent frames: {report[f'{metric.name}_floor']:.4f}"
-        rows.append((metric.label, number(report[metric.name]), *null, ARROWS[metric.direction], brief))
+        rows.append((metric.label, number(report[metric.name], "", known), *null, ARROWS[metric.direction], brief))
     return Table(title, headings, rows, ("", WHAT))
 
 

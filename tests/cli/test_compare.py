@@ -25,7 +25,7 @@ def test_two_models_are_compared_with_intervals_and_p_values() -> None:
     assert "paired by 12 sequences" in text
     assert "signature:" in text
     assert "energy score: right is best beyond chance." in text
-    assert "Not miscalibrated beyond chance: right." in " ".join(text.split())
+    assert "No miscalibration shown on average: right." in " ".join(text.split())
 
 
 def test_saved_results_compare_as_their_files_do() -> None:

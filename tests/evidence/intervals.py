@@ -20,7 +20,7 @@ METRICS = (
     "signed_area",
     "energy_score",
     "spread_error_correlation",
-    "sparsification_area",
+    "ause",
 )
 DESIGNS = (Design(6), Design(10), Design(20), Design(6, half_in_one=True), Design(10, half_in_one=True))
 OF_ACTIONS = Design(10, average="action"), Design(10, half_in_one=True, average="action")

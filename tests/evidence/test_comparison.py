@@ -21,7 +21,7 @@ def test_between_exchangeable_models_some_metric_names_a_better_one_in_at_most_7
     times = 60
     most = stats.binom(times, 0.07).ppf(0.9999) / times
     rows = false_winners(times)
-    assert [row[:3] for row in rows] == [("8", m, n) for m in "23" for n in ("44", "77")]
+    assert [row[:3] for row in rows] == [("8", m, n) for m in "23" for n in ("48", "81")]
     for *_, before, primary, now in rows:
         assert share(primary) <= share(now) <= most
         assert share(now) < share(before)
@@ -40,7 +40,7 @@ def test_primary_metrics_find_more_than_others(monkeypatch: pytest.MonkeyPatch) 
 def test_a_part_of_a_comparison_is_the_one_of_its_models() -> None:
     """What is known of each model is taken over; the differences are those of a comparison from the start."""
     whole = exchangeable(8, 0)
-    assert len(whole.differences) == 3 * 77
+    assert len(whole.differences) == 3 * 81
     part = part_of(whole, 2, "default, scores")
     afresh = comparison.compare_totals(part.totals, MODELS[:2])
     assert part.differences == afresh.differences

@@ -58,7 +58,7 @@ def test_two_models_stand_with_their_difference() -> None:
     assert row_of(others, "PCK 150 mm")[1] == "↑"
     assert row_of(others, "PCK 150 mm")[4:] == shown(difference, 4)
     assert "ECE: right is best beyond chance." in sheet.sentences
-    assert "Not miscalibrated beyond chance: right." in sheet.sentences
+    assert "No miscalibration shown on average: right." in sheet.sentences
     assert sheet.footer == f"signature: {comparison.totals[0].signature}"
 
 
@@ -165,7 +165,7 @@ def test_a_comparison_has_the_remarks_of_its_models_and_no_word_on_calibration_w
     assert [sentence.split(":")[0] for sentence in sheet.sentences] == [
         "minMPJPE",
         "ECE",
-        "Not miscalibrated beyond chance",
+        "No miscalibration shown on average",
     ]
 
 
@@ -173,7 +173,7 @@ def test_models_of_which_none_is_better_have_no_best() -> None:
     totals = report_of(1.0).totals
     sheet = comparison_sheet(compare_totals([totals, totals], ["a", "b"]))
     assert "ECE: none is best beyond chance." in sheet.sentences
-    assert "Not miscalibrated beyond chance: a, b." in sheet.sentences
+    assert "No miscalibration shown on average: a, b." in sheet.sentences
     assert all(row[-1] == "" for table in sheet.tables for row in table.rows)
 
 
@@ -206,4 +206,4 @@ def test_too_few_sequences_have_dashes_for_p_and_a_note() -> None:
 def test_models_without_calibration_or_sequences_are_not_called_calibrated() -> None:
     for report in (report_of(metrics="mpjpe"), unlabelled()):
         sheet = comparison_sheet(compare_totals([report.totals, report.totals], ["a", "b"]))
-        assert not any(sentence.startswith("Not miscalibrated") for sentence in sheet.sentences)
+        assert not any(sentence.startswith("No miscalibration") for sentence in sheet.sentences)
