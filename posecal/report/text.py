@@ -110,7 +110,7 @@ def _tests(report: Report, title: str, metrics: list[Metric]) -> Table:
     for metric in metrics:
         test, brief = report.test(metric.name), metric.brief
         p = adjusted.get(metric.name, test.p)
-        known, null = (0.0, test.high), (MISSING, MISSING, "no test")
+        known, null = (0.0, min(test.high, 0.09)), (MISSING, MISSING, "no test")  # three digits or more
         if not math.isnan(p):
             null = (number(test.mean, "", known), number(test.high, "", known), short_p(p))
         if f"{metric.name}_floor" in report.auxiliary and len(report.totals.spec.joints) <= MESH:

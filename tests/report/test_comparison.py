@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from itertools import combinations
 from typing import Any
@@ -33,9 +34,14 @@ def row_of(table: Table, label: str) -> tuple[str, ...]:
     return row
 
 
-def shown(difference: Difference, digits: int) -> tuple[str, ...]:
+def digits_of(difference: Difference) -> int:
+    """Digits after the point that write the interval's width to two significant ones, at most four."""
+    return max(0, min(4, 1 - math.floor(math.log10(difference.high - difference.low))))
+
+
+def shown(difference: Difference) -> tuple[str, ...]:
     """The cells of a difference."""
-    low, high = difference.low, difference.high
+    low, high, digits = difference.low, difference.high, digits_of(difference)
     p = (short_p(difference.p), short_p(difference.p_adjusted))
     interval = f"{low:+.{digits}f} to {high:+.{digits}f}"
     return f"{difference.value:+.{digits}f}", interval, *p, difference.better or ""
@@ -49,14 +55,15 @@ def test_two_models_stand_with_their_difference() -> None:
     assert list(primary.headings) == ["primary metric", "", "right", "narrow", *TESTED]
     assert list(others.headings) == ["other metric", "", "right", "narrow", *TESTED]
     assert [row[0] for row in primary.rows] == ["energy score", "ECE"]
-    values = [f"{comparison.value('energy_score', name):.3f} mm" for name in ("right", "narrow")]
     (difference,) = comparison.differences_of("energy_score")
-    assert row_of(primary, "energy score") == ("energy score", "↓", *values, *shown(difference, 2))
+    digits = digits_of(difference)
+    values = [f"{comparison.value('energy_score', name):.{digits}f} mm" for name in ("right", "narrow")]
+    assert row_of(primary, "energy score") == ("energy score", "↓", *values, *shown(difference))
     (difference,) = comparison.differences_of("ece")
-    assert row_of(primary, "ECE")[4:] == shown(difference, 4)
+    assert row_of(primary, "ECE")[4:] == shown(difference)
     (difference,) = comparison.differences_of("pck")
     assert row_of(others, "PCK 150 mm")[1] == "↑"
-    assert row_of(others, "PCK 150 mm")[4:] == shown(difference, 4)
+    assert row_of(others, "PCK 150 mm")[4:] == shown(difference)
     assert "ECE: right is best beyond chance." in sheet.sentences
     assert "No miscalibration shown on average: right." in sheet.sentences
     assert sheet.footer == f"signature: {comparison.totals[0].signature}"
@@ -67,7 +74,8 @@ def test_more_models_stand_with_their_ranks_and_then_in_pairs() -> None:
     comparison = comparison_of(*names)
     primary, others, pairs = comparison_sheet(comparison).tables
     assert list(primary.headings) == ["primary metric", "", *(f"{name} (rank)" for name in names)]
-    ranked = tuple(f"{comparison.value('ece', n):.5f} ({comparison.rank('ece', n)})" for n in names)
+    digits = max(map(digits_of, comparison.differences_of("ece")))
+    ranked = tuple(f"{comparison.value('ece', n):.{digits}f} ({comparison.rank('ece', n)})" for n in names)
     assert row_of(primary, "ECE")[2:] == ranked
     assert not any("(" in cell for cell in row_of(others, "coverage at 90 %")[2:])
     assert list(pairs.headings) == ["pair", "models", *TESTED]
@@ -75,7 +83,7 @@ def test_more_models_stand_with_their_ranks_and_then_in_pairs() -> None:
     between = [f"{a} − {b}" for a, b in combinations(names, 2)]
     assert [row[:2] for row in pairs.rows] == [(label, models) for label in labels for models in between]
     for difference, row in zip(comparison.differences_of("ece"), pairs.rows[3:], strict=True):
-        assert row[2:] == shown(difference, 4)
+        assert row[2:] == shown(difference)
 
 
 @pytest.mark.parametrize("form", ["text", "markdown", "latex"])
@@ -83,7 +91,7 @@ def test_three_models_stand_with_p_and_interval_in_every_form(form: str) -> None
     comparison = comparison_of("right", "narrow", "wide")
     text = getattr(comparison_sheet(comparison), form)()
     for difference in comparison.differences_of("energy_score"):
-        for cell in shown(difference, 2)[:2]:
+        for cell in shown(difference)[:2]:
             assert cell in text
     assert text.count("adjusted p") >= 2
 
