@@ -78,7 +78,7 @@ def _along_the_tree(errors: FloatArray, skeleton: Skeleton) -> FloatArray:
 
 
 def _smooth_noise(random: np.random.Generator, frames: int, shape: tuple[int, ...], memory: float) -> FloatArray:
-    """Standard normal noise that remembers: AR(1) along the first axis."""
+    """Standard normal noise that is an AR(1) process along the first axis."""
     noise = random.standard_normal((frames, *shape))
     for frame in range(1, frames):
         noise[frame] = memory * noise[frame - 1] + np.sqrt(1 - memory**2) * noise[frame]

@@ -273,7 +273,7 @@ def likelihood_metrics(scope: Scope) -> Iterator[Metric]:
             finish=lambda means: np.asarray(means[..., 0] - means[..., 1]),
             range="no bound on either side; below 0 the model is worse than a Gaussian that ignores the image",
             reading="What the model gains by the image, in nats: it depends on no unit. With few sequences the "
-            "Gaussian is a poor forecast, and the skill flatters.",
+            "Gaussian is a poor forecast, and the skill is too high.",
         )
 
 

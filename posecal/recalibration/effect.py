@@ -1,4 +1,4 @@
-"""What a map changes: proper scores, calibration and accuracy before and after, and what speaks against it."""
+"""What a map changes: proper scores, calibration and accuracy before and after, and objections to it."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def changes_between(before: Report, after: Report) -> dict[str, tuple[float, flo
 
 
 def objections(changes: Mapping[str, tuple[float, float]], unit: str) -> tuple[str, ...]:
-    """Say what speaks against a map: proper scores that get worse, and a side that is only exchanged for the other.
+    """Give the objections to a map: proper scores that get worse, and a side that is only exchanged for the other.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def objections(changes: Mapping[str, tuple[float, float]], unit: str) -> tuple[s
     Returns
     -------
     tuple of str
-        Clauses; empty where nothing speaks against it.
+        Clauses; empty where there is none.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""What stands on the sheet of a recalibration: what was fitted, what it changes, and whether it helps."""
+"""The printed page of a recalibration: what was fitted, what it changes, and whether it helps."""
 
 from __future__ import annotations
 
@@ -102,8 +102,8 @@ def _judgement(judged: HeldOut, unit: str) -> Iterator[str]:
     before = short_number(judged.before["ece"])
     if not math.isnan(judged.new_ece):
         yield (
-            f"On as many new sequences the ECE is at most {short_number(judged.new_ece)} in nine of ten cases; "
-            f"before, {before}."
+            f"On as many new sequences the ECE is at most {short_number(judged.new_ece)} in nine of ten cases; that of "
+            f"these, before, is {before}."
         )
     cost = judged.after["min_mpjpe"] - judged.before["min_mpjpe"]
     if cost > 0 and not objections:

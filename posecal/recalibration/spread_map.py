@@ -63,7 +63,7 @@ class SpreadMap:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What a careful reader should know about the data that it was fitted on, and what speaks against the map."""
+        """What a careful reader should know about the data that it was fitted on, and the objections to the map."""
         against = [f"Not recommended: {' and '.join(self.objections)}."] if self.objections else []
         return (*map(for_python, self.data_remarks), *against)
 

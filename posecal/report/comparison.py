@@ -1,4 +1,4 @@
-"""What stands on the sheet of a comparison: values, ranks and differences, primary metrics first."""
+"""The printed page of a comparison: values, ranks and differences, primary metrics first."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from posecal.report.format import MISSING, counted, number, short_p, supported_d
 from posecal.report.sheet import Sheet, Table
 from posecal.report.summary import frames_differ
 from posecal.report.text import ARROWS
+from posecal.stats.pairs import LEVEL_OF_OTHERS
 from posecal.stats.resampling import LEVEL
 
 if TYPE_CHECKING:
@@ -116,7 +117,8 @@ def _definitions(comparison: Comparison, metrics: Iterable[Metric]) -> list[tupl
     n_primary, n_all = (counted(len(some) * n_pairs, "test") for some in (comparison.primary, comparison.metrics))
     others = f", others over all {n_all}" if n_primary != n_all else ""
     rule = f"Holm's, primary metrics over {n_primary}{others} (metrics × pairs of models)"
-    definitions = [("adjusted p", f"{rule}. A model is called better where it is below {LEVEL}.")]
+    level = f"{LEVEL:g}, of other metrics {LEVEL_OF_OTHERS:g}" if others else f"{LEVEL:g}"
+    definitions = [("adjusted p", f"{rule}. A model is called better where it is below {level}.")]
     at_zero = [metric.label for metric in metrics if metric.direction == "zero"]
     if at_zero:
         definitions.append((", ".join(at_zero), "best at 0; differences are of the distances from 0."))

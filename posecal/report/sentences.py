@@ -1,6 +1,6 @@
 """What a summary may say: a table of rules, each with the evidence that it needs and its sentence.
 
-In each group of rules the first that holds speaks, and no other. A sentence never says more than the report shows:
+In each group of rules the first that holds applies, and no other. A sentence never says more than the report shows:
 what is not shown is not called calibrated, what p-values between 0.01 and 0.05 suggest is called weak evidence, and
 where an interval of the report excludes what a calibrated model has, that is said.
 """
@@ -33,7 +33,7 @@ class Rule:
     Attributes
     ----------
     group, name : str
-        Of each group the first rule that holds speaks.
+        Of each group the first rule that holds applies.
     when : str
         The condition in words, for the documentation.
     holds : callable

@@ -1,4 +1,4 @@
-"""What stands on the sheet of a report and the list of presets."""
+"""The printed page of a report and the list of presets."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ DRAWS = 999
 
 RISING = 1.25
 """Where the variogram within sequences at a third of their length is more than so many times that at a sixth, the
-likeness of frames reaches from end to end."""
+correlation of frames reaches from end to end."""
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ def persistence_p(values: FloatArray, sequence: Indices, *, draws: int = DRAWS, 
     -------
     float
         One-sided p-value, at least 1 / (draws + 1); NaN with fewer than six sequences of at least :data:`MIN_FRAMES`
-        frames, and where the likeness of frames reaches from end to end: where half the mean squared difference of two
+        frames, and where the correlation of frames reaches from end to end: half the mean squared difference of two
         frames, which no property of their sequence changes, still rises by :data:`RISING` from a sixth to a third of
         the length.
 

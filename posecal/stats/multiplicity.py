@@ -1,6 +1,6 @@
 """Primary metrics of a comparison, and p-values adjusted for the number of metrics and of pairs of models.
 
-Among 45 metrics some differ at p < 0.05 in every other comparison of two models that are equally good. So a comparison
+Of some 50 metrics, some differ at p < 0.05 in every other comparison of two equally good models. So a comparison
 rests on few *primary* metrics, which are chosen beforehand, and all others must pass a test that counts every metric.
 """
 

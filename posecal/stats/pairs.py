@@ -22,6 +22,11 @@ ROUNDING, NOTHING = 1e-6, 1e-9
 """A difference of less than this share of the numbers, or less than this, is one of rounding: no test."""
 
 
+LEVEL_OF_OTHERS = 0.02
+"""Adjusted p-values of metrics that are not primary are called significant below this: so at most 7 % of comparisons of
+equally good models name a better one, in primary metrics or others."""
+
+
 @dataclass(frozen=True)
 class Difference:
     """How one metric differs between two models.
@@ -44,8 +49,8 @@ class Difference:
         The same, adjusted by Holm's method: of a primary metric for the primary metrics and pairs of models, of
         another for all metrics and pairs.
     better : str or None
-        The model that is better beyond chance: ``p_adjusted`` is below 0.05. None where neither is, or where no
-        direction is better.
+        The model that is better beyond chance: ``p_adjusted`` is below 0.05 for a primary metric, 0.02 for another.
+        None where neither is, or where no direction is better.
     primary : bool
         Whether the metric is a primary one.
     """
@@ -88,7 +93,7 @@ class Pair:
     def difference(self, metric: str, direction: Direction, adjusted: float, *, primary: bool) -> Difference:
         """Say which model is better, by the adjusted p-value."""
         better = None
-        if adjusted < LEVEL and direction != "none":
+        if adjusted < (LEVEL if primary else LEVEL_OF_OTHERS) and direction != "none":
             better = self.second if (self.value < 0) == (direction == "higher") else self.first
         compared = DISTANCE if direction == "zero" else VALUE
         models, ends = (self.first, self.second), (self.interval.low, self.interval.high)

@@ -35,7 +35,7 @@ def interval(totals: Totals, metric: Metric, cells: Cells = None, value: float |
     totals : Totals
         The sums.
     metric : Metric
-        A mean or anything finished from means; not a calibration error, which is never below 0 and has a
+        A mean or anything computed from means; not a calibration error, which is never below 0 and has a
         :func:`null` instead.
     cells : array of int, optional
         Indices of the cells; all by default. Sequences without a pose that counts are left out.

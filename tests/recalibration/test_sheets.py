@@ -72,8 +72,8 @@ def test_a_factor_that_helps_stands_with_the_numbers_and_its_cost() -> None:
         f"It helps held-out sequences: energy score {energy.value:+.2f} mm ({energy.low:+.2f} to {energy.high:+.2f}, p"
     )
     assert sheet.sentences[2] == (
-        f"On as many new sequences the ECE is at most {judged.new_ece:.3f} in nine of ten cases; before, "
-        f"{before['ece']:.3f}."
+        f"On as many new sequences the ECE is at most {judged.new_ece:.3f} in nine of ten cases; that of "
+        f"these, before, is {before['ece']:.3f}."
     )
     cost = after["min_mpjpe"] - before["min_mpjpe"]
     assert cost > 0

@@ -79,7 +79,10 @@ def test_the_better_model_is_the_one_in_the_direction(direction: Direction, bett
 def test_better_follows_the_adjusted_p_value() -> None:
     pair = of_means(np.linspace(1, 2, 8), np.linspace(3, 4.5, 8))
     assert pair.p < 0.001
-    for adjusted in (0.05, 1.0, math.nan):
+    for adjusted in (0.02, 0.05, 1.0, math.nan):
         found = pair.difference("m", "lower", adjusted, primary=False)
         assert found.better is None
         assert (found.p, found.primary) == (pair.p, False)
+    assert pair.difference("m", "lower", 0.0199, primary=False).better == "a"
+    assert pair.difference("m", "lower", 0.02, primary=True).better == "a"
+    assert pair.difference("m", "lower", 0.05, primary=True).better is None
