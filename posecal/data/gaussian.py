@@ -173,7 +173,7 @@ class GaussianPrediction:
         rows = np.arange(start, stop)
         mean, spread = self._read(rows)
         factor, fixed, bad = factored(spread, self.kind, d)
-        self._refuse(rows[bad], rows.astype(str).tolist(), len(rows))
+        self._refuse(np.flatnonzero(bad), rows.astype(str).tolist(), len(rows))
         mean = np.where(fixed[..., None] & np.isnan(mean), 0, mean)
         found = np.empty((n, len(rows), k, d), dtype=self.dtype)
         step = max(1, _DRAWN // (n * k * d))
