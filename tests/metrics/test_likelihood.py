@@ -290,8 +290,17 @@ def test_meshes_are_not_searched() -> None:
     assert [r for r in found.remarks if r.startswith("NLL: poses of 120 coordinates are not searched for constraints")]
 
 
-def test_scored_joints_alone_have_no_climatology() -> None:
+@pytest.mark.parametrize("scored", [{"where": "occluded"}, {"where": "visible"}, {"joints": "RHip, LHip"}])
+def test_scored_joints_alone_have_no_likelihood(scored: dict[str, str]) -> None:
     occluded = np.random.default_rng(6).random((M, K)) < 0.5
-    found = report(occluded=occluded, protocol=posecal.Protocol(where="occluded"))
-    assert found["nll"] == pytest.approx(report()["nll"])
-    assert "log_likelihood_skill" not in found.metrics
+    found = report(occluded=occluded, protocol=posecal.Protocol(**scored))
+    assert not {"nll", "nll_per_dimension", "log_likelihood_skill"} & found.metrics.keys()
+    names = "nll, nll_per_dimension, log_likelihood_skill"
+    reason = "which need where = all and joints = all, because a log density is of the whole pose"
+    assert [r for r in found.remarks if r.startswith("left out: ") and f"{names}, {reason}" in r]
+    with pytest.raises(PoseDataError, match=r"metrics: nll needs where = all and joints = all, because"):
+        report(occluded=occluded, protocol=posecal.Protocol(**scored, metrics="nll"))
+
+
+def test_the_root_is_no_part_of_a_likelihood() -> None:
+    assert report(protocol=posecal.Protocol(joints="all but Hip"))["nll"] == pytest.approx(report()["nll"])
