@@ -39,7 +39,11 @@ def unmet(metric: Metric | Curve, scope: Scope) -> tuple[str, ...]:
     """Say in words which needs of a metric the data don't meet."""
     spec, lack = scope.spec, scope.lack(metric.name) if isinstance(metric, Curve) or metric.function is None else ""
     met = {"lengths": spec.unit == "mm", "three axes": spec.n_coordinates == 3, "positions": spec.unit not in PERIODS}
-    met |= {"three hypotheses": spec.n_hypotheses > 2, "whole poses": scope.is_whole, **{part: part not in spec.apart for part in OF_ALL_POSES}}
+    met |= {
+        "three hypotheses": spec.n_hypotheses > 2,
+        "whole poses": scope.is_whole,
+        **{part: part not in spec.apart for part in OF_ALL_POSES},
+    }
     if (spec.is_ragged or spec.has_weights) and not _takes_weights(metric, scope.protocol):
         return (_AS_MANY if spec.is_ragged else _EQUAL,)
     if spec.has_weights and isinstance(metric, Metric) and metric.function is not None:

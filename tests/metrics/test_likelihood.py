@@ -109,11 +109,12 @@ def test_one_hypothesis_and_absent_ones_have_an_nll() -> None:
     assert report(x=ragged)["log_likelihood_skill"] == pytest.approx(report()["log_likelihood_skill"])
 
 
-def test_a_mask_leaves_poses_out_of_the_skill_alone() -> None:
+def test_poses_that_lack_a_joint_are_left_out() -> None:
     where = np.ones((M, K), dtype=bool)
     where[::7, 2] = False
     found, kept = report(where=where), where.all(axis=1)
-    assert found["nll"] == pytest.approx(-WORLD["log_prob"].mean())
+    assert found["nll"] == pytest.approx(-WORLD["log_prob"][kept].mean())
+    assert f"NLL: {(~kept).sum()} poses lack a joint; left out of it." in found.remarks
     expected = climatology(WORLD["y"][kept][:, 1:].reshape(kept.sum(), -1), SEQUENCE[kept])
     assert found["log_likelihood_skill"] == pytest.approx((WORLD["log_prob"][kept] - expected).mean())
 
