@@ -54,7 +54,7 @@ class GaussianPrediction:
         Means; of C components with ``mixture_weights``.
     covariance : array (M, K, D, D) or (M, KD, KD), optional
         Covariances of each joint's coordinates, or of the whole pose, in the squared unit of the means; with C first
-        for mixtures. 0 or NaN throughout for a root joint that does not move.
+        for mixtures. 0 or NaN throughout for a root joint that does not move; anything for joints that don't count.
     sigma : array (M, K) or (M, K, D), optional
         Standard deviations, of independent coordinates, instead.
     mixture_weights : array (C, M), optional
@@ -66,6 +66,11 @@ class GaussianPrediction:
     ------
     PoseDataError
         For shapes that don't fit, neither or both of ``covariance`` and ``sigma``, and weights that are none.
+
+    Notes
+    -----
+    Draws of a frame follow from the seed and the frame's number in the evaluation. Shards that are evaluated apart
+    number theirs from 0 each, and so draw the same numbers: give each another seed.
 
     See Also
     --------

@@ -229,7 +229,7 @@ def likelihood_metrics(scope: Scope) -> Iterator[Metric]:
     d = scope.spec.dimensions
     if not d:
         return
-    over = f"d={d} coordinates in mm"
+    over = f"d={d} coordinates in {'mm' if scope.spec.unit else 'their own unit'}"
     make = partial(
         Metric,
         unit="nats",

@@ -133,6 +133,12 @@ def test_the_printed_report_shows_them() -> None:
     for words in ("NLL per dimension", "log-likelihood skill", "over d=12 coordinates in mm", "nats"):
         assert words in text
     assert "coordinates in px" in report(unit="px").metrics["nll"].definition
+    for name in ("nll", "nll_per_dimension", "log_likelihood_skill"):
+        assert (
+            report(unit="none", root_joint="Hip")
+            .metrics[name]
+            .definition.endswith("over d=12 coordinates in their own unit")
+        )
 
 
 def test_wrong_arguments_of_the_functions_are_refused() -> None:
