@@ -53,6 +53,16 @@ def full_covariance(spread: FloatArray, kind: Kind, d: int) -> FloatArray:
     return full.reshape(c, m, k * d, k * d)
 
 
+def decoupled(spread: FloatArray, kind: Kind, joints: BoolArray, d: int) -> FloatArray:
+    """Give joints (m, K) deviations or variances of 1 and no covariance with others."""
+    if kind == "sigma":
+        return np.where(joints if spread.ndim == 3 else joints[..., None], 1, spread)
+    if kind == "covariance":
+        return np.where(joints[..., None, None], np.eye(d), spread)
+    places = np.repeat(joints, d, axis=-1)
+    return np.where(places[..., None] | places[..., None, :], np.eye(spread.shape[-1]), spread)
+
+
 def factored(spread: FloatArray, kind: Kind, d: int) -> tuple[FloatArray, BoolArray, BoolArray]:
     """Factor covariances.
 

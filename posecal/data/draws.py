@@ -15,9 +15,9 @@ import numpy.typing as npt
 from posecal.data.archive import Header, Member, open_archive
 from posecal.data.arrays import BoolArray, FloatArray
 from posecal.data.file_array import FileArray, open_member, opened
-from posecal.data.gaussian import GaussianPrediction
-from posecal.data.log_density import number_of_coordinates
-from posecal.data.remarks import Count, Remark
+from posecal.data.gaussian import GaussianPrediction, counting
+from posecal.data.log_density import number_of_coordinates, poses_that_lack
+from posecal.data.remarks import Remark
 from posecal.data.root import AnyRoot, resting_joints, root_joints, root_name
 from posecal.data.stored_poses import Rows, StoredPoses
 from posecal.data.units import PERIODS
@@ -114,16 +114,24 @@ def with_draws(poses: StoredPoses, draws: object = None, seed: object = None) ->
     return replace(poses, array=replace(poses.array, **changes))
 
 
+def with_counts(poses: StoredPoses, rows: Rows, columns: Rows, counts: BoolArray | None) -> StoredPoses:
+    """Say of which frames and joints distributions count, as :func:`posecal.data.gaussian.counting`."""
+    array = poses.array
+    if not isinstance(array, DrawnHypotheses):
+        return poses
+    return replace(poses, array=replace(array, prediction=counting(array.prediction, rows, columns, counts)))
+
+
 def stated_log_density(
     poses: StoredPoses,
     truth: FloatArray,
-    known: BoolArray | None,
+    names: Sequence[str],
+    unit: str,
+    counts: BoolArray | None,
     rows: Rows,
     columns: Rows,
     frames: Sequence[str],
-    names: Sequence[str],
     root: AnyRoot,
-    unit: str,
     factor: float,
     problems: list[str | PosecalError],
 ) -> tuple[FloatArray | None, int, list[str]]:
@@ -135,16 +143,18 @@ def stated_log_density(
         Of drawn hypotheses.
     truth : array (m, k, D)
         True poses, in ``unit``.
-    known : bool array (m, k) or None
+    names : sequence of str
+        Of joints, for messages.
+    unit : str
+        What is measured in.
+    counts : bool array (m, k) or None
         The joints that count; poses that lack one have no density.
     rows, columns : arrays of int (m,) and (k,)
         The stored frames and joints that they belong to.
-    frames, names : sequences of str
-        Of frames and joints, for messages.
+    frames : sequence of str
+        Their names, for messages.
     root : int, Root or None
         What positions are relative to, among these joints.
-    unit : str
-        What is measured in.
     factor : float
         How many of it are in one unit of the file.
     problems : list
@@ -175,9 +185,5 @@ def stated_log_density(
         raise_all(problems)  # before anything is drawn
     assert log_prob is not None
     number = number_of_coordinates(len(columns), truth.shape[2], root)
-    lacking = np.zeros(len(rows), dtype=bool) if known is None else ~known.all(axis=1)
-    log_prob = np.where(lacking, np.nan, log_prob - number * math.log(factor))
-    if lacking.any():
-        lack = Count(int(lacking.sum()), "pose lacks", "poses lack")
-        remarks.append(Remark("NLL: ", lack, " a joint; left out of it."))
-    return log_prob, number, remarks
+    lacking, remark = poses_that_lack(counts, len(rows))
+    return np.where(lacking, np.nan, log_prob - number * math.log(factor)), number, [*remarks, *remark]

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from posecal.data.arrays import BoolArray, FloatArray, checked_root, real_array, working_dtype
 from posecal.data.covariances import (
     Kind,
+    decoupled,
     factored,
     fixed_joints,
     full_covariance,
@@ -53,7 +54,7 @@ class GaussianPrediction:
         Means; of C components with ``mixture_weights``.
     covariance : array (M, K, D, D) or (M, KD, KD), optional
         Covariances of each joint's coordinates, or of the whole pose, in the squared unit of the means; with C first
-        for mixtures. 0 or NaN throughout for a root joint that does not move.
+        for mixtures. 0 or NaN throughout for a root joint that does not move; anything for joints that don't count.
     sigma : array (M, K) or (M, K, D), optional
         Standard deviations, of independent coordinates, instead.
     mixture_weights : array (C, M), optional
@@ -65,6 +66,11 @@ class GaussianPrediction:
     ------
     PoseDataError
         For shapes that don't fit, neither or both of ``covariance`` and ``sigma``, and weights that are none.
+
+    Notes
+    -----
+    Draws of a frame follow from the seed and the frame's number in the evaluation. Shards that are evaluated apart
+    number theirs from 0 each, and so draw the same numbers: give each another seed.
 
     See Also
     --------
@@ -106,6 +112,7 @@ class GaussianPrediction:
             expected = " or ".join(map(str, known))
             raise PoseDataError(f"{self.name}{word} {self.spread.shape}; expected {expected} beside a mean {shape}.")
         self.kind, self.weights = known[self.spread.shape], self._checked_weights(mixture_weights)
+        self.counts: BoolArray | None = None
 
     def _lazy(self, values: Any, name: str) -> LazyArray:
         lazy: LazyArray = values
@@ -173,7 +180,11 @@ class GaussianPrediction:
         rows = np.arange(start, stop)
         mean, spread = self._read(rows)
         factor, fixed, bad = factored(spread, self.kind, d)
-        self._refuse(rows[bad], rows.astype(str).tolist(), len(rows))
+        if self.counts is not None and bad.any():  # again, without what does not count
+            some = np.flatnonzero(bad)
+            others = decoupled(spread[:, some], self.kind, ~self.counts[rows[some]], d)
+            factor[:, some], _, bad[some] = factored(others, self.kind, d)
+        self._refuse(np.flatnonzero(bad), rows.astype(str).tolist(), len(rows))
         mean = np.where(fixed[..., None] & np.isnan(mean), 0, mean)
         found = np.empty((n, len(rows), k, d), dtype=self.dtype)
         step = max(1, _DRAWN // (n * k * d))
@@ -258,6 +269,9 @@ class GaussianPrediction:
         fixed = fixed_joints(spread, self.kind, d)
         away = truth - np.where(fixed[..., None] & np.isnan(mean[:, :, columns]), 0, mean[:, :, columns])
         kind, keep = self.kind, np.arange(k)
+        if self.counts is not None and not (counts := self.counts[np.ix_(rows, columns)]).all():
+            counts &= counts[:, root_joints(root)].all(axis=1, keepdims=True)
+            spread = decoupled(spread, kind, ~counts, d)
         if root is not None:
             relative = np.eye(k) - origin(np.eye(k), root)
             keep = np.setdiff1d(keep, resting_joints(root))
@@ -301,6 +315,24 @@ class GaussianPrediction:
             some = np.concatenate([array.part(where) for where in wheres], axis=axis).astype(np.float64)
             read.append(some if axis else some[None])
         return read[0], read[1]
+
+
+def counting(prediction: GaussianPrediction, rows: Rows, columns: Rows, counts: BoolArray | None) -> GaussianPrediction:
+    """Give a prediction of which only some frames and joints count: what it states of others may be anything.
+
+    Parameters
+    ----------
+    prediction : GaussianPrediction
+        Of all.
+    rows, columns : arrays of int (m,) and (k,)
+        The frames and joints that may count.
+    counts : bool array (m, k) or None
+        Those of them that do; all by default.
+    """
+    other = copy.copy(prediction)
+    other.counts = np.zeros(prediction.shape[:2], dtype=bool)
+    other.counts[np.ix_(rows, columns)] = True if counts is None else counts
+    return other
 
 
 def starting_at(hypotheses: T, frame: int) -> T:

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from posecal.data.arrays import FloatArray, checked_number, real_array
+from posecal.data.arrays import BoolArray, FloatArray, checked_number, real_array
+from posecal.data.remarks import Count, Remark
 from posecal.data.root import AnyRoot, resting_joints
 from posecal.data.stored_poses import Rows, StoredPoses
 from posecal.errors import PosecalError, PoseDataError, attempt, first_few
@@ -52,15 +53,24 @@ def number_of_coordinates(n_joints: int, n_coordinates: int, root: AnyRoot) -> i
     return n_coordinates * (n_joints - len(resting_joints(root)))
 
 
+def poses_that_lack(counts: BoolArray | None, m: int) -> tuple[BoolArray, list[str]]:
+    """Find the poses, (m,), of which a joint does not count, (m, k): they have no density. Say how many."""
+    lacking: BoolArray = np.asarray(np.zeros(m, dtype=bool) if counts is None else ~counts.all(axis=1))
+    lack = Count(int(lacking.sum()), "pose lacks", "poses lack")
+    return lacking, [Remark("NLL: ", lack, " a joint; left out of it.")] if lacking.any() else []
+
+
 def log_density(
     poses: StoredPoses,
     shape: tuple[int, ...],
+    counts: BoolArray | None,
     rows: Rows,
+    columns: Rows,
     frames: list[str],
     root: AnyRoot,
     factor: float,
     problems: list[str | PosecalError],
-) -> tuple[FloatArray | None, int]:
+) -> tuple[FloatArray | None, int, list[str]]:
     r"""Give the log density of some poses in the unit that is measured in.
 
     .. math:: \log p_{mm} = \log p_{unit} - d \log(\text{mm in one unit})
@@ -71,8 +81,10 @@ def log_density(
         Hypotheses with what is declared about them.
     shape : tuple of int
         (N, M, K, D) of what is stored.
-    rows : array of int (m,)
-        The stored poses that count.
+    counts : bool array (m, k) or None
+        The joints that count; all by default.
+    rows, columns : arrays of int (m,) and (k,)
+        The stored poses and joints that are evaluated.
     frames : list of str
         Their names, for messages.
     root : int, Root or None
@@ -85,26 +97,32 @@ def log_density(
     Returns
     -------
     log_prob : array (m,) or None
-        Nats.
+        Nats; NaN for poses of which a joint does not count.
     dimensions : int
         d, the number of coordinates that the density is over; 0 without a density.
+    remarks : list of str
+        What a careful reader should know.
     """
     values, declared = poses.log_prob, poses.dimensions
     if values is None:
         if declared is not None:
             problems.append(f"{poses.name}: dimensions = {declared} without log_prob; expected both, or neither.")
-        return None, 0
+        return None, 0, []
     _, m, k, d = shape
     if values.shape != (m,):
         problems.append(f"{poses.name}: log_prob {values.shape}; expected (M,) = ({m},).")
-        return None, 0
+        return None, 0, []
+    if declared is None and len(columns) < k:
+        what = f"log_prob is of {k} joints, of which {len(columns)} are evaluated"
+        return None, 0, [f"NLL: left out, because {what}. Declare dimensions where it is of others."]
     found = number_of_coordinates(k, d, root) if declared is None else declared
-    attempt(problems, _refuse_non_finite, poses.name, values[rows], frames)
-    return values[rows] - found * math.log(factor), found
+    lacking, remarks = poses_that_lack(counts, len(rows))
+    attempt(problems, _refuse_non_finite, poses.name, values[rows], lacking, frames)
+    return np.where(lacking, np.nan, values[rows] - found * math.log(factor)), found, remarks
 
 
-def _refuse_non_finite(name: str, values: FloatArray, frames: list[str]) -> None:
-    bad = np.flatnonzero(~np.isfinite(values))
+def _refuse_non_finite(name: str, values: FloatArray, lacking: BoolArray, frames: list[str]) -> None:
+    bad = np.flatnonzero(~np.isfinite(values) & ~lacking)
     if len(bad):
         infinite = " An infinite log density makes the NLL of all poses infinite." * bool(np.isinf(values).any())
         raise PoseDataError(

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from posecal.data.arrays import BoolArray, FloatArray, checked_number
 from posecal.data.declarations import Declarations, choose_layouts, joint_names, quantity_of, refuse_other_names
 from posecal.data.degenerate import column_problem
-from posecal.data.draws import DrawnHypotheses, stated_log_density
+from posecal.data.draws import DrawnHypotheses, stated_log_density, with_counts
 from posecal.data.frame_numbers import order_by_number
 from posecal.data.joint_names import match_joints, remarks_on_matched, remarks_on_names
 from posecal.data.layout import TRUTH, Layout, plausible_layouts
@@ -145,6 +145,8 @@ class Matcher:
                 labels = {name: values[by_number] for name, values in labels.items()}
                 members, others = own_members.select(rows, columns), true_members.select(true_rows, true_columns)
         (of_all, remark), root = chosen, part_of_root(chosen[0], true_columns.tolist())
+        counts_at = both(known, others.where)
+        hypotheses = with_counts(hypotheses, rows, columns, counts_at)
         predicted = ArrayHypotheses(hypotheses.array, self.layouts[0], rows, columns, factor, n)
         lost = root_name(of_all, true_names)
         if of_all is not None and root is None and declared_root is None:  # they may have another root
@@ -160,13 +162,12 @@ class Matcher:
         frames = self._frame_names(true_rows) if is_drawn or hypotheses.log_prob is not None else []
         matched = np.ascontiguousarray(y[true_rows][:, true_columns])
         names = tuple(true_names[k] for k in true_columns)
-        counts_at = both(known, others.where)
+        place = counts_at, rows, columns, frames, root, factor, problems
         if is_drawn:
-            place = rows, columns, frames, names, root, unit, factor, problems
-            log_prob, dimensions, remarks = stated_log_density(hypotheses, matched, counts_at, *place)
-            self.remarks += remarks
+            log_prob, dimensions, remarks = stated_log_density(hypotheses, matched, names, unit, *place)
         else:
-            log_prob, dimensions = log_density(hypotheses, self.shape, rows, frames, root, factor, problems)
+            log_prob, dimensions, remarks = log_density(hypotheses, self.shape, *place)
+        self.remarks += remarks
         frame_id = true_rows.astype(str) if truth.frame_id is None else truth.frame_id[true_rows]
         if weights is not None:
             weights = attempt(problems, checked_weights, weights[:, rows], n, f"{hypotheses.name}: weights", frame_id)

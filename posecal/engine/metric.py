@@ -27,7 +27,9 @@ Direction = Literal["lower", "higher", "zero", "none"]
 Family = Literal["accuracy", "calibration", "rank_tests", "scores", "sharpness"]
 Over = Literal["median", "mean", "worst"]
 
-Need = Literal["lengths", "three axes", "positions", "three hypotheses", "coordinate range", "climatology"]
+Need = Literal[
+    "lengths", "three axes", "positions", "three hypotheses", "whole poses", "coordinate range", "climatology"
+]
 
 MetricFunction = Callable[..., npt.ArrayLike]
 """``f(hypotheses, truth)``, with a keyword ``where`` if it takes one, to one value per pose, or per pose and joint."""

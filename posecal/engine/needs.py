@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from posecal.data.units import PERIODS
 from posecal.engine.metric import Curve, Metric, Need
+from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec, Scope
 from posecal.errors import first_few
 
@@ -15,6 +16,7 @@ NEEDS: dict[Need, str] = {
     "three axes": "positions of three coordinates",
     "positions": "positions, not angles",
     "three hypotheses": "at least 3 hypotheses",
+    "whole poses": "where = all and joints = all, because a log density is of the whole pose",
     "coordinate range": "one coordinate range; each of the results that were merged has its own",
     "climatology": "one climatology; each of the results that were merged has its own",
 }
@@ -37,15 +39,19 @@ def unmet(metric: Metric | Curve, scope: Scope) -> tuple[str, ...]:
     """Say in words which needs of a metric the data don't meet."""
     spec, lack = scope.spec, scope.lack(metric.name) if isinstance(metric, Curve) or metric.function is None else ""
     met = {"lengths": spec.unit == "mm", "three axes": spec.n_coordinates == 3, "positions": spec.unit not in PERIODS}
-    met |= {"three hypotheses": spec.n_hypotheses > 2, **{part: part not in spec.apart for part in OF_ALL_POSES}}
-    if (spec.is_ragged or spec.has_weights) and not _takes_weights(metric):
+    met |= {
+        "three hypotheses": spec.n_hypotheses > 2,
+        "whole poses": scope.is_whole,
+        **{part: part not in spec.apart for part in OF_ALL_POSES},
+    }
+    if (spec.is_ragged or spec.has_weights) and not _takes_weights(metric, scope.protocol):
         return (_AS_MANY if spec.is_ragged else _EQUAL,)
     if spec.has_weights and isinstance(metric, Metric) and metric.function is not None:
         return (_EQUAL,)
     return (*(NEEDS[need] for need in metric.needs if not met[need]), *([lack] if lack else []))
 
 
-def _takes_weights(metric: Metric | Curve) -> bool:
+def _takes_weights(metric: Metric | Curve, protocol: Protocol) -> bool:
     """Whether a metric is right for poses with different numbers of hypotheses, and for weighted ones.
 
     What follows one hypothesis from frame to frame, is of one by its number, or of a chosen number of them is not; nor
@@ -55,6 +61,8 @@ def _takes_weights(metric: Metric | Curve) -> bool:
         return metric.name != "errors_by_n"
     follows_one = metric.statistic.earlier or metric.statistic.by_segment or metric.sequences_per_batch
     of_some = any(word in metric.name for word in ("min_mpjpe_at_", "mode_", "interval_", "brier"))
+    by_number = protocol.single_pose == "mode" and protocol.mode != "score"
+    of_some |= by_number and metric.statistic.name == "predicted_spread_and_error"
     return not follows_one and not of_some and metric.offset is None
 
 

@@ -195,6 +195,12 @@ class Scope:
         return mask
 
     @cached_property
+    def is_whole(self) -> bool:
+        """Whether all joints are scored, but for the root."""
+        number = len(self.spec.joints) - len(resting_joints(self.spec.root))
+        return self.protocol.where == "all" and int(self.moving.sum()) == number
+
+    @cached_property
     def pck(self) -> BoolArray:
         """The joints of PCK and AUC."""
         text, found = self.protocol.pck_joints, known_set(self.spec.joints)

@@ -56,7 +56,7 @@ class Evaluation:
     joints, root_joint, unit, truth_unit, axes, truth_axes, fps, shared_joints, n_hypotheses, skeleton, dimensions
         Of all batches; as for :func:`evaluate`.
     by, metrics, preranks, protocol, threads, draws, seed
-        As for :func:`evaluate`.
+        As for :func:`evaluate`. Where hypotheses are drawn, give each evaluation that will be merged another ``seed``.
     prepared : Prepared, optional
         What depends on the whole set, where a metric needs it (``tarp_box``): :func:`posecal.prepare` of pose data with
         the true poses of all batches.

@@ -214,7 +214,7 @@ def _smallest_deviation(spec: DataSpec) -> float:
 def moments_statistic(scope: Scope) -> Statistic | None:
     """Give the statistic of log densities and true poses; None without a density, and of too many coordinates."""
     spec, d = scope.spec, _coordinates(scope.spec)
-    if not spec.dimensions or d > MOST_DIMENSIONS or scope.protocol.where != "all" or spec.period is not None:
+    if not spec.dimensions or d > MOST_DIMENSIONS or spec.period is not None:
         return None
     joints = np.setdiff1d(np.arange(len(spec.joints)), resting_joints(spec.root))
     return Statistic(
@@ -229,13 +229,14 @@ def likelihood_metrics(scope: Scope) -> Iterator[Metric]:
     d = scope.spec.dimensions
     if not d:
         return
-    over = f"d={d} coordinates in mm"
+    over = f"d={d} coordinates in {'mm' if scope.spec.unit else 'their own unit'}"
     make = partial(
         Metric,
         unit="nats",
         direction="lower",
         family="scores",
         headline=True,
+        needs=("whole poses",),
         statistic=Statistic(f"nll_{d}", negative_log_density),
         range="no bound on either side",
         source="Good (1952), J. R. Stat. Soc. B 14, 107; Gneiting and Raftery, doi:10.1198/016214506000001437",
@@ -280,8 +281,11 @@ def likelihood_metrics(scope: Scope) -> Iterator[Metric]:
 def lack_of_likelihood(spec: DataSpec) -> str:
     """Say what the data lack that a metric of this module needs, where they can't have it."""
     if not spec.dimensions:
-        return "needs the model's log densities. Store log_prob beside the hypotheses."
-    return f"needs poses of at most {MOST_DIMENSIONS} coordinates, no angles, and where = all."
+        return (
+            "needs the model's log densities. Store log_prob beside the hypotheses, with dimensions where it is of "
+            "other joints than those that are evaluated."
+        )
+    return f"needs poses of at most {MOST_DIMENSIONS} coordinates, and no angles."
 
 
 def likelihood_remarks(

@@ -183,6 +183,31 @@ def test_poses_that_lack_a_joint_are_left_out_of_the_nll() -> None:
     assert "NLL: 2 poses lack a joint; left out of it." in report.remarks
 
 
+@pytest.mark.parametrize("root", ["Hip", "none", "LHip+RHip"])
+@pytest.mark.parametrize("kind", ["sigma", "covariance", "full"])
+@pytest.mark.parametrize("wrong", [np.nan, -1.0, np.inf])
+def test_what_is_stated_of_joints_that_do_not_count_may_be_anything(kind: str, wrong: float, root: str) -> None:
+    deviations = SIGMA + 5.0
+    variances = deviations[:, :, None, None] ** 2 * np.eye(D)
+    full = np.einsum("mkij,kl->mkilj", variances, np.eye(K)).reshape(M, K * D, K * D)
+    spread = {"sigma": deviations, "covariance": variances, "full": full}[kind].copy()
+    where = np.ones((M, K), dtype=bool)
+    where[7] = where[9, 2] = False
+    options = {"unit": "mm", "joints": JOINTS, "root_joint": root, "draws": 20, "where": where, "threads": 1}
+
+    def report() -> posecal.Report:
+        given = {"sigma": spread} if kind == "sigma" else {"covariance": spread}
+        return evaluate(posecal.GaussianPrediction(MEAN, **given), TRUTH, metrics="default, scores", **options)
+
+    right = report()
+    places = np.ix_(range(2 * D, 3 * D), range(K * D)) if kind == "full" else (2,)
+    spread[7], spread[9][places] = wrong, wrong
+    assert report().scalars() == pytest.approx(right.scalars(), nan_ok=True)
+    spread[8][places] = -1
+    with pytest.raises(PoseDataError, match=r" in 1 of \d+ frames \(first: 8\)"):
+        report()
+
+
 def test_relative_to_a_midpoint_and_of_angles_there_is_no_density() -> None:
     report = stated(root_joint="LHip+RHip")
     assert "nll" not in report.metrics

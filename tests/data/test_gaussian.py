@@ -265,6 +265,15 @@ def test_deviations_that_are_none_are_refused() -> None:
         GaussianPrediction(mean, sigma=sigma).sample(3)
 
 
+def test_frames_of_a_part_are_named_by_their_own_numbers() -> None:
+    sigma = np.full((60, 2), 30.0)
+    sigma[50] = -1
+    prediction = GaussianPrediction(np.zeros((60, 2, 3)), sigma=sigma)
+    with pytest.raises(PoseDataError, match=r"^sigma: not above 0 in 1 of 10 frames \(first: 50\)"):
+        prediction.sample_frames(45, 55, 5, 0)
+    assert prediction.sample_frames(0, 50, 5, 0).shape == (5, 50, 2, 3)
+
+
 def test_a_joint_without_spread_that_is_not_the_root_has_no_density() -> None:
     truth, mean = world()
     sigma = np.ones((M, K))

@@ -101,6 +101,32 @@ def test_frames_that_are_not_valid_may_have_none(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.log_prob, LOG_PROB[valid])
 
 
+def test_poses_of_which_a_joint_does_not_count_may_have_none() -> None:
+    values, where = LOG_PROB.copy(), np.ones((M, K), dtype=bool)
+    values[2], where[2, 3], where[4, 1] = np.nan, False, False
+    found = data(log_prob=values, where=where)
+    np.testing.assert_array_equal(found.log_prob, np.where(where.all(axis=1), LOG_PROB, np.nan))
+    assert "NLL: 2 poses lack a joint; left out of it." in found.remarks
+    values[3] = np.nan
+    with pytest.raises(PoseDataError, match=r"log_prob is not finite in 1 of 6 frames \(first: 3\)"):
+        data(log_prob=values, where=where)
+
+
+def test_of_a_part_of_the_joints_there_is_none_unless_dimensions_says_so(tmp_path: Path) -> None:
+    np.savez(tmp_path / "h.npz", hypotheses=X, unit="mm", log_prob=LOG_PROB, joints=list("abcde"))
+    np.savez(tmp_path / "t.npz", truth=Y[:, :4], unit="mm", joints=list("abcd"))
+    files = tmp_path / "h.npz", tmp_path / "t.npz"
+    found = posecal.PoseData(*files, shared_joints="common", root_joint="a")
+    assert (found.log_prob, found.dimensions) == (None, 0)
+    assert (
+        "NLL: left out, because log_prob is of 5 joints, of which 4 are evaluated. Declare dimensions where it is of "
+        "others." in found.remarks
+    )
+    declared = posecal.PoseData(*files, shared_joints="common", root_joint="a", dimensions=9)
+    np.testing.assert_array_equal(declared.log_prob, LOG_PROB)
+    assert declared.dimensions == 9
+
+
 def test_selected_poses_keep_theirs() -> None:
     np.testing.assert_array_equal(data().select([4, 1]).log_prob, LOG_PROB[[4, 1]])
 

@@ -256,6 +256,27 @@ def test_what_takes_no_weights_is_left_out_with_one_line() -> None:
         posecal.ece(X, Y, weights=RANDOM.dirichlet(np.ones(N), M).T, definition="paper", unit="mm", axes="NMKD")
 
 
+@pytest.mark.parametrize("absent", [{"x": np.where(LIVE[..., None, None], X, np.nan)}, {"x": X, "weights": W}])
+def test_the_error_of_a_hypothesis_by_its_number_is_left_out_where_some_are_absent(absent: dict[str, Any]) -> None:
+    """Numbers of hypotheses are others where those before are absent; one of the highest score is the same."""
+    names = {"spread_error_correlation", "ause", "aurc", "excess_aurc", "failure_auroc"}
+    of_mode = posecal.Protocol(metrics="default", single_pose="mode", mode=N - 1)
+    report = report_of(**absent, metrics=None, protocol=of_mode)
+    assert not names & report.metrics.keys()
+    (line,) = [remark for remark in report.remarks if remark.startswith("left out: ")]
+    assert "spread_error_correlation" in line
+    with pytest.raises(PoseDataError, match=r"ause needs (as many hypotheses|hypotheses of equal weight)"):
+        report_of(**absent, metrics=None, protocol=posecal.Protocol(metrics="ause", single_pose="mode", mode=0))
+    assert names <= report_of(X, metrics=None, protocol=of_mode).metrics.keys()
+    of_score = posecal.Protocol(metrics="default", single_pose="mode", failure_threshold=75)
+    scores = RANDOM.random((N, M)) + 0.1
+    by_score = report_of(**absent, metrics=None, scores=scores, protocol=of_score)
+    best = np.where(LIVE, scores, 0).argmax(axis=0)
+    error = np.linalg.norm(X[best, np.arange(M)] - Y, axis=-1).mean(axis=1)
+    assert 0.1 < by_score["failure_rate"] < 0.9
+    assert by_score["failure_rate"] == pytest.approx((error > 75).mean())
+
+
 def test_remarks_say_what_the_weights_are_worth_and_that_scores_are_no_weights() -> None:
     number = (1 / (W**2).sum(axis=0)).mean()
     found = next(remark for remark in report_of(X, "ece", weights=W).remarks if "by their weights" in remark)

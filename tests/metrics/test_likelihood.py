@@ -109,11 +109,12 @@ def test_one_hypothesis_and_absent_ones_have_an_nll() -> None:
     assert report(x=ragged)["log_likelihood_skill"] == pytest.approx(report()["log_likelihood_skill"])
 
 
-def test_a_mask_leaves_poses_out_of_the_skill_alone() -> None:
+def test_poses_that_lack_a_joint_are_left_out() -> None:
     where = np.ones((M, K), dtype=bool)
     where[::7, 2] = False
     found, kept = report(where=where), where.all(axis=1)
-    assert found["nll"] == pytest.approx(-WORLD["log_prob"].mean())
+    assert found["nll"] == pytest.approx(-WORLD["log_prob"][kept].mean())
+    assert f"NLL: {(~kept).sum()} poses lack a joint; left out of it." in found.remarks
     expected = climatology(WORLD["y"][kept][:, 1:].reshape(kept.sum(), -1), SEQUENCE[kept])
     assert found["log_likelihood_skill"] == pytest.approx((WORLD["log_prob"][kept] - expected).mean())
 
@@ -132,6 +133,12 @@ def test_the_printed_report_shows_them() -> None:
     for words in ("NLL per dimension", "log-likelihood skill", "over d=12 coordinates in mm", "nats"):
         assert words in text
     assert "coordinates in px" in report(unit="px").metrics["nll"].definition
+    for name in ("nll", "nll_per_dimension", "log_likelihood_skill"):
+        assert (
+            report(unit="none", root_joint="Hip")
+            .metrics[name]
+            .definition.endswith("over d=12 coordinates in their own unit")
+        )
 
 
 def test_wrong_arguments_of_the_functions_are_refused() -> None:
@@ -290,8 +297,17 @@ def test_meshes_are_not_searched() -> None:
     assert [r for r in found.remarks if r.startswith("NLL: poses of 120 coordinates are not searched for constraints")]
 
 
-def test_scored_joints_alone_have_no_climatology() -> None:
+@pytest.mark.parametrize("scored", [{"where": "occluded"}, {"where": "visible"}, {"joints": "RHip, LHip"}])
+def test_scored_joints_alone_have_no_likelihood(scored: dict[str, str]) -> None:
     occluded = np.random.default_rng(6).random((M, K)) < 0.5
-    found = report(occluded=occluded, protocol=posecal.Protocol(where="occluded"))
-    assert found["nll"] == pytest.approx(report()["nll"])
-    assert "log_likelihood_skill" not in found.metrics
+    found = report(occluded=occluded, protocol=posecal.Protocol(**scored))
+    assert not {"nll", "nll_per_dimension", "log_likelihood_skill"} & found.metrics.keys()
+    names = "nll, nll_per_dimension, log_likelihood_skill"
+    reason = "which need where = all and joints = all, because a log density is of the whole pose"
+    assert [r for r in found.remarks if r.startswith("left out: ") and f"{names}, {reason}" in r]
+    with pytest.raises(PoseDataError, match=r"metrics: nll needs where = all and joints = all, because"):
+        report(occluded=occluded, protocol=posecal.Protocol(**scored, metrics="nll"))
+
+
+def test_the_root_is_no_part_of_a_likelihood() -> None:
+    assert report(protocol=posecal.Protocol(joints="all but Hip"))["nll"] == pytest.approx(report()["nll"])
