@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import FloatArray
-from posecal.engine.bounds import UNBOUNDED, Bounds, ends_at_edges, from_scale, to_scale
+from posecal.engine.bounds import EDGE, UNBOUNDED, Bounds, ends_at_edges, from_scale, to_scale
 from posecal.engine.metric import Metric, Statistic
 from posecal.engine.sums import Cells, Counts, Indices, Number, compact, mean_of, slices, split_by, sum_by
 from posecal.engine.totals import CURVES, Totals, batch_sums
@@ -288,14 +288,16 @@ def jackknife_columns(
     error = error_of(without - np.where(counted, without, 0).sum(axis=0) / several)
     low, high = values - student * error, values + student * error
     if bounds != UNBOUNDED:
-        scaled = to_scale(values, bounds)
+        scaled, rest = to_scale(values, bounds), to_scale(without, bounds)
         inner = np.isfinite(scaled)
-        steps = to_scale(without, bounds) - np.where(inner, scaled, 0)
+        steps = rest - np.where(inner, scaled, 0)
         reach = student * error_of(np.clip(steps, -LARGEST_STEP, LARGEST_STEP))
         ends = (from_scale(np.where(inner, scaled + side * reach, 0), bounds) for side in (-1, 1))
-        at_edges = ends_at_edges(values, freedom + 1, bounds)
+        stays = (~counted | (rest == scaled)).all(axis=0) & ~np.isnan(freedom)
+        at_edges = (np.where(stays, end, np.nan) for end in ends_at_edges(values, freedom + 1, bounds))
+        is_possible = np.isclose(np.clip(values, *bounds), values, rtol=0, atol=EDGE)
         low, high = (
-            np.where(inner, end, np.where(np.isnan(edge), plain, edge))
+            np.where(inner, end, np.where(np.isnan(edge), np.where(is_possible, np.clip(plain, *bounds), plain), edge))
             for end, edge, plain in zip(ends, at_edges, (low, high), strict=True)
         )
     return Intervals(low, high, error, freedom, number)
@@ -328,9 +330,9 @@ def jackknife(
     -------
     Interval
         NaN ends with fewer than three sequences, where one of them outweighs the others so much that they count as
-        fewer than two, or where the number is not defined without one of them. At the edge of the range the ends are
-        those of :func:`posecal.engine.bounds.ends_at_edges`; outside of it, and at 0 of a number without an upper
-        bound, the plain ones.
+        fewer than two, or where the number is not defined without one of them. At the edge of a finite range, where it
+        lies there without any sequence too, the ends are those of :func:`posecal.engine.bounds.ends_at_edges`; else
+        at the edge the plain ones, cut to the range; outside of it the plain ones.
 
     Notes
     -----
