@@ -103,10 +103,15 @@ def joint_leave_one_out(totals: Totals, metric: Metric, cells: Cells = None) -> 
     if metric.by_joint is None:
         raise ValueError(f"{metric.name} has no values per joint")
     statistic, finish = metric.by_joint
+    sizes = joint_sequence_sizes(totals, statistic, cells)
+    return _finish(finish, _means_without(totals, statistic, cells)).reshape(sizes.shape), sizes
+
+
+def joint_sequence_sizes(totals: Totals, statistic: Statistic, cells: Cells = None) -> Counts:
+    """Count the poses of each sequence that count at each joint, (S, K)."""
     counts = sum_by(*compact(totals.sequence_of, cells), totals.of_cells(statistic, cells)[1])
     shape = len(counts), len(totals.spec.joints)
-    counts = counts[:, : shape[1]] if counts.ndim > 1 else np.broadcast_to(counts[:, None], shape)
-    return _finish(finish, _means_without(totals, statistic, cells)).reshape(shape), counts
+    return counts[:, : shape[1]] if counts.ndim > 1 else np.broadcast_to(counts[:, None], shape)
 
 
 def _finish_each(totals: Totals, metric: Metric, cells: Cells) -> FloatArray:
@@ -276,10 +281,8 @@ def jackknife_columns(
     from scipy.special import stdtrit
 
     weights = np.ones(without.shape) if sizes is None else np.asarray(sizes, dtype=np.float64)
-    counted = weights > 0
-    number, squares = counted.sum(axis=0), (weights**2).sum(axis=0)
-    freedom = weights.sum(axis=0) ** 2 / np.where(squares > 0, squares, np.nan) - 1
-    freedom = np.where((number >= FEWEST) & (freedom >= 1 - 1e-9), freedom, np.nan)
+    counted, freedom = weights > 0, degrees_of_freedom(weights)
+    number = counted.sum(axis=0)
     several, student = np.where(np.isnan(freedom), np.nan, number), stdtrit(freedom, 0.975)
 
     def error_of(steps: FloatArray) -> FloatArray:
@@ -301,6 +304,13 @@ def jackknife_columns(
             for end, edge, plain in zip(ends, at_edges, (low, high), strict=True)
         )
     return Intervals(low, high, error, freedom, number)
+
+
+def degrees_of_freedom(weights: FloatArray) -> FloatArray:
+    """Effective number of sequences of some sizes (S, K), less one, (K,); NaN where they are too few."""
+    squares = (weights**2).sum(axis=0)
+    freedom = weights.sum(axis=0) ** 2 / np.where(squares > 0, squares, np.nan) - 1
+    return np.where(((weights > 0).sum(axis=0) >= FEWEST) & (freedom >= 1 - 1e-9), freedom, np.nan)
 
 
 def jackknife(
