@@ -257,15 +257,17 @@ def brier_metrics(scope: Scope) -> Iterator[Metric]:
         statistic=Statistic("brier", partial(fair_brier, joints=scope.moving, threshold=threshold)),
         finish=entry(),
     )
-    for index, (name, words) in enumerate(
+    for index, (name, words, most) in enumerate(
         (
-            ("miscalibration", "that recalibrated probabilities would remove"),
-            ("discrimination", "that telling poses apart removes"),
+            ("miscalibration", "that recalibrated probabilities would remove", 1.0),
+            ("discrimination", "that telling poses apart removes", 0.25),  # at most o (1 − o)
         )
     ):
         yield make(
             name=f"brier_{name}",
             label=f"Brier {name}",
+            range=f"0 to {most:g}",
+            bounds=(0.0, most),
             brief=words.removeprefix("that "),
             definition=f"part of the Brier score {words}, by isotonic regression of o on p, equal p pooled (CORP); "
             f"{event}",

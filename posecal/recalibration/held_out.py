@@ -22,6 +22,7 @@ from posecal.data.frames import frame_remark
 from posecal.data.pose_data import PoseData
 from posecal.data.stored_poses import Rows
 from posecal.engine.merge import merge_totals
+from posecal.engine.presets import as_protocol
 from posecal.engine.protocol import Protocol
 from posecal.errors import PoseDataError
 from posecal.evaluation.call import evaluate
@@ -45,6 +46,9 @@ from posecal.stats.resampling import MIN_SEQUENCES
 
 DEFAULT = Protocol(metrics="default, energy_score, crps")
 """What is measured by default."""
+
+JUDGED = ("energy_score", "crps", "signed_area")
+"""What speaks against a map, measured whatever else is."""
 
 MOST_PARTS = 60
 """Where there are more sequences, some are put together, so that the curves of all factors fit the memory."""
@@ -117,7 +121,8 @@ def judge_spread(
     hypotheses, truth, per_joint, about, threads, **described
         As for :func:`posecal.fit_spread`.
     protocol : Protocol or str, optional
-        What is measured; the default metrics, energy score and CRPS by default.
+        What is measured; the default metrics by default. Energy score, CRPS and signed area always are: objections
+        to the map rest on them.
     folds : int
         Parts into which the sequences are cut; each is rescaled by a factor fitted on the others.
 
@@ -147,7 +152,8 @@ def judge_spread(
         of_some = sums[some].sum(axis=0), counts[some].sum(axis=0)
         return best_factors(*of_some, data.joints, per_joint=per_joint, frames=frames)
 
-    totals, factors, measured = [], list[FloatArray](), DEFAULT if protocol is None else protocol
+    totals, factors, chosen = [], list[FloatArray](), as_protocol(DEFAULT if protocol is None else protocol)
+    measured = as_protocol(chosen, [*dict.fromkeys((*chosen.wanted, *JUDGED))])
     for fold in range(folds):
         factors.append(fit(fold_of_part != fold))
         held_out = data.select(np.flatnonzero(fold_of == fold))

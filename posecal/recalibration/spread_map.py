@@ -116,7 +116,14 @@ class SpreadMap:
         return layout.store(rescaled(x, self.factors, self.root, period, self.about_modes), clip_length)
 
     def rescale(self, data: PoseData) -> PoseData:
-        """Give pose data whose hypotheses are rescaled when they are read."""
+        """Give pose data whose hypotheses are rescaled when they are read.
+
+        Raises
+        ------
+        PoseDataError
+            For another quantity than the map's, joints that it lacks, and unequal weights.
+        """
+        parts.refuse_weights(data.weights, data.names[0])
         parts.refuse_another_unit(data.names[0], data.unit, self.data_unit)
         factors = parts.values_for_joints(self.joints, self.factors, data.joints, data.names[0])
         about_modes = parts.values_for_joints(self.joints, self.about_modes, data.joints, data.names[0])

@@ -103,7 +103,8 @@ def _tested(difference: Difference, metric: Metric) -> tuple[str, ...]:
     digits = supported_digits(low, high, 2 if metric.unit else 4)
     interval = "" if math.isnan(low) else f"{low:+z.{digits}f} to {high:+z.{digits}f}"
     p = (MISSING if math.isnan(p) else short_p(p) for p in (difference.p, difference.p_adjusted))
-    return f"{difference.value:+z.{digits}f}", interval, *p, difference.better or ""
+    value = MISSING if math.isnan(difference.value) else f"{difference.value:+z.{digits}f}"
+    return value, interval, *p, difference.better or ""
 
 
 def _width(interval: tuple[float, float]) -> float:
@@ -134,12 +135,20 @@ def _sentences(comparison: Comparison) -> list[str]:
     for name in dict.fromkeys((*comparison.chosen, *("energy_score", "ece", "min_mpjpe"))):
         metric = comparison.metrics.get(name)
         if metric is not None and metric.direction != "none" and not (differ and metric.family == "calibration"):
-            best = [model for model in comparison.names if _beats_all(comparison, name, model)]
-            sentences.append(f"{metric.label}: {best[0] if best else 'none'} is best beyond chance.")
+            sentences.append(f"{metric.label}: {_best(comparison, name)}.")
     if not differ and "ece" in comparison.metrics and not math.isnan(comparison.feasible()):
         models = ", ".join(comparison.calibrated()) or "none"
         sentences.append(f"No miscalibration shown on average: {models}.")
     return sentences
+
+
+def _best(comparison: Comparison, metric: str) -> str:
+    """Say which model is best, or why none can be."""
+    if all(math.isnan(one.value) for one in comparison.differences_of(metric)):
+        unknown = all(math.isnan(comparison.value(metric, model)) for model in comparison.names)
+        return "no value" if unknown else "not compared"
+    best = [model for model in comparison.names if _beats_all(comparison, metric, model)]
+    return f"{best[0] if best else 'none'} is best beyond chance"
 
 
 def _beats_all(comparison: Comparison, metric: str, model: str) -> bool:

@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from posecal.engine.bounds import UNBOUNDED, Bounds, to_scale
 from posecal.stats.heterogeneity import sequence_areas, sequences_differ_p
 from posecal.stats.resampling import LEVEL
+from posecal.stats.uncertainty import freedom_of
 
 if TYPE_CHECKING:
     from posecal.report.report import Report
@@ -65,6 +67,10 @@ class Estimate:
         The number and the ends of its interval; NaN where there is none.
     best : float
         What a calibrated model has.
+    freedom : float
+        Degrees of freedom of the interval.
+    bounds : tuple of two float
+        Smallest and largest possible value.
     """
 
     label: str
@@ -72,21 +78,29 @@ class Estimate:
     low: float
     high: float
     best: float
+    freedom: float = math.nan
+    bounds: Bounds = UNBOUNDED
 
     @property
     def excludes(self) -> int:
         """Give -1 where the whole interval lies below what is best, 1 where above, and 0 where neither is known."""
         return int(self.low > self.best) - int(self.high < self.best)
 
-    def excludes_at_99(self, sequences: int) -> bool:
-        """Whether its 99 % interval, by Student's t with one degree of freedom less than sequences, does as well."""
+    def excludes_at_99(self) -> bool:
+        """Whether its 99 % interval does as well: wider on the number's own scale by the ratio of Student's quantiles.
+
+        At the edge of the range, where the scale ends, on the plain one.
+        """
         from scipy.special import stdtrit
 
         near = self.low if self.value > self.best else self.high
-        if sequences < 2 or math.isnan(near):
+        if math.isnan(near) or math.isnan(self.freedom):
             return False
-        wider = float(stdtrit(sequences - 1, 0.995) / stdtrit(sequences - 1, 0.975))
-        return abs(self.value - near) * wider < abs(self.value - self.best)
+        ends = np.array([self.value, near, self.best])
+        scaled = to_scale(ends, self.bounds)
+        value, near, best = scaled if np.isfinite(scaled).all() else ends
+        wider = float(stdtrit(self.freedom, 0.995) / stdtrit(self.freedom, 0.975))
+        return bool(abs(value - near) * wider < abs(value - best))
 
 
 @dataclass(frozen=True)
@@ -200,7 +214,7 @@ class Evidence:
         That is p < 0.01; or, since few sequences have no such p, p < 0.05 where the 99 % interval of the signed area
         excludes 0.
         """
-        return p < STRONG or (p < LEVEL and area.excludes_at_99(self.n_units))
+        return p < STRONG or (p < LEVEL and area.excludes_at_99())
 
     @cached_property
     def side(self) -> str:
@@ -255,13 +269,19 @@ def evidence_of(report: Report) -> Evidence:
 
 
 def _estimate(report: Report, name: str, best: float) -> Estimate:
-    return Estimate(report.metrics[name].label, report[name], *report.interval(name), best)
+    metric = report.metrics[name]
+    about = freedom_of(report.totals, metric), metric.bounds
+    return Estimate(metric.label, report[name], *report.interval(name), best, *about)
 
 
 def _joints(report: Report) -> Iterator[tuple[str, Joint]]:
     for joint, (area, p) in report.joint_tests().items():
-        ends = report.interval("signed_area", joint=joint) if p < LEVEL else (math.nan, math.nan)
-        yield joint, Joint(report.value("ece", joint=joint), p, Estimate("signed area", area, *ends, 0.0))
+        estimate, metric = Estimate("signed area", area, math.nan, math.nan, 0.0), report.metrics["signed_area"]
+        if p < LEVEL:
+            low, high = report.interval("signed_area", joint=joint)
+            freedom = freedom_of(report.totals, metric, report.totals.spec.joints.index(joint))
+            estimate = replace(estimate, low=low, high=high, freedom=freedom, bounds=metric.bounds)
+        yield joint, Joint(report.value("ece", joint=joint), p, estimate)
 
 
 def _sequences(report: Report) -> Sequences | None:

@@ -19,9 +19,7 @@ import numpy as np
 
 from posecal.data.arrays import FloatArray
 from posecal.data.texts import json_lines, printable_table
-from posecal.engine.measure import SUM_OF_TRUE_POSES
 from posecal.engine.metric import Metric
-from posecal.engine.sums import sum_by
 from posecal.engine.totals import Totals, difference_of_signatures, different_metrics
 from posecal.errors import PoseDataError, did_you_mean, for_python, option, printable
 from posecal.registry import metrics_of, unmeasured
@@ -29,6 +27,7 @@ from posecal.stats.jackknife import Interval, jackknife, leave_one_out, sequence
 from posecal.stats.multiplicity import PRIMARY, adjust, check_primary, default_primary
 from posecal.stats.pairs import Difference, Pair, pairs
 from posecal.stats.resampling import LEVEL, MIN_SEQUENCES, Null
+from posecal.stats.same_poses import PosesThatCount, check_same_poses, not_compared, poses_that_count
 from posecal.stats.uncertainty import null
 
 if TYPE_CHECKING:
@@ -102,7 +101,7 @@ class Comparison:
         lack = "" if self.chosen else unmeasured(PRIMARY[0], first.protocol, first.spec)
         if lack and PRIMARY[0] not in self.metrics:
             remarks.append(f"primary metrics: {', '.join(self.primary)}; {PRIMARY[0]} {lack}")
-        return remarks
+        return remarks + not_compared({name: self._counted(name) for name in self.metrics}, self.names)
 
     @property
     def _notes(self) -> list[str]:
@@ -257,7 +256,16 @@ class Comparison:
         )
 
     def _paired(self, metric: str) -> list[Pair]:
-        return self._once(("pairs", metric), lambda: [*self._pairs(metric)])
+        """Give the difference of every pair of models; unknown where other poses count in each."""
+        return self._once(
+            ("pairs", metric),
+            lambda: [p if self._counted(metric).alike(p.first, p.second) else p.unknown() for p in self._pairs(metric)],
+        )
+
+    def _counted(self, metric: str) -> PosesThatCount:
+        statistic = self.metrics[metric].statistic
+        models = dict(zip(self.names, self.totals, strict=True))
+        return self._once(("counted", statistic.name), lambda: poses_that_count(models, statistic))
 
     def _pairs(self, metric: str) -> Iterator[Pair]:
         sizes = np.max([self._sizes(metric, name) for name in self.names], axis=0)
@@ -306,32 +314,7 @@ def compare_totals(totals: Sequence[Totals], names: Sequence[str], primary: Sequ
             )
         if metrics := different_metrics(first, other):
             raise PoseDataError(f"{names[0]} and {name} define {metrics} differently; expected the same metrics.")
-        _check_same_poses(first, other, names[0], name)
+        check_same_poses(first, other, names[0], name)
     comparison = Comparison(tuple(names), tuple(totals), tuple(primary))
     check_primary(primary, comparison.metrics, first)
     return comparison
-
-
-def _check_same_poses(first: Totals, other: Totals, name: str, other_name: str) -> None:
-    """Refuse two evaluations of other poses.
-
-    Raises
-    ------
-    PoseDataError
-        Where the sequences, their numbers of poses, or their true poses differ.
-    """
-    both = (first, other)
-    labels = [np.unique(totals.cells["sequence"]).tolist() for totals in both]
-    poses = [np.bincount(totals.sequence_of, totals.poses).tolist() for totals in both]
-    if labels[0] != labels[1] or poses[0] != poses[1]:
-        numbers = [f"{totals.poses.sum():,} in {totals.units()}" for totals in both]
-        raise PoseDataError(
-            f"{name} and {other_name} hold other poses: {numbers[0]} and {numbers[1]}. Compare models on the same "
-            f"frames, in the same sequences; {option('missing', 'skip')} may have left some out."
-        )
-    key = SUM_OF_TRUE_POSES.name
-    sums = [sum_by(totals.sequence_of, totals.n_sequences, totals.sums[key]) for totals in both]
-    counts = [sum_by(totals.sequence_of, totals.n_sequences, totals.counts[key]) for totals in both]
-    differs = np.abs(sums[0] - sums[1]).max() > 1e-4 * (np.abs(sums[0]).max() + 1)
-    if differs or not np.array_equal(counts[0], counts[1]):
-        raise PoseDataError(f"{name} and {other_name} were evaluated against different true poses; expected the same.")

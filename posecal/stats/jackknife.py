@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import FloatArray
-from posecal.engine.bounds import UNBOUNDED, Bounds, ends_at_edges, from_scale, to_scale
+from posecal.engine.bounds import EDGE, UNBOUNDED, Bounds, ends_at_edges, from_scale, to_scale
 from posecal.engine.metric import Metric, Statistic
 from posecal.engine.sums import Cells, Counts, Indices, Number, compact, mean_of, slices, split_by, sum_by
 from posecal.engine.totals import CURVES, Totals, batch_sums
@@ -103,10 +103,15 @@ def joint_leave_one_out(totals: Totals, metric: Metric, cells: Cells = None) -> 
     if metric.by_joint is None:
         raise ValueError(f"{metric.name} has no values per joint")
     statistic, finish = metric.by_joint
+    sizes = joint_sequence_sizes(totals, statistic, cells)
+    return _finish(finish, _means_without(totals, statistic, cells)).reshape(sizes.shape), sizes
+
+
+def joint_sequence_sizes(totals: Totals, statistic: Statistic, cells: Cells = None) -> Counts:
+    """Count the poses of each sequence that count at each joint, (S, K)."""
     counts = sum_by(*compact(totals.sequence_of, cells), totals.of_cells(statistic, cells)[1])
     shape = len(counts), len(totals.spec.joints)
-    counts = counts[:, : shape[1]] if counts.ndim > 1 else np.broadcast_to(counts[:, None], shape)
-    return _finish(finish, _means_without(totals, statistic, cells)).reshape(shape), counts
+    return counts[:, : shape[1]] if counts.ndim > 1 else np.broadcast_to(counts[:, None], shape)
 
 
 def _finish_each(totals: Totals, metric: Metric, cells: Cells) -> FloatArray:
@@ -276,10 +281,8 @@ def jackknife_columns(
     from scipy.special import stdtrit
 
     weights = np.ones(without.shape) if sizes is None else np.asarray(sizes, dtype=np.float64)
-    counted = weights > 0
-    number, squares = counted.sum(axis=0), (weights**2).sum(axis=0)
-    freedom = weights.sum(axis=0) ** 2 / np.where(squares > 0, squares, np.nan) - 1
-    freedom = np.where((number >= FEWEST) & (freedom >= 1 - 1e-9), freedom, np.nan)
+    counted, freedom = weights > 0, degrees_of_freedom(weights)
+    number = counted.sum(axis=0)
     several, student = np.where(np.isnan(freedom), np.nan, number), stdtrit(freedom, 0.975)
 
     def error_of(steps: FloatArray) -> FloatArray:
@@ -288,17 +291,26 @@ def jackknife_columns(
     error = error_of(without - np.where(counted, without, 0).sum(axis=0) / several)
     low, high = values - student * error, values + student * error
     if bounds != UNBOUNDED:
-        scaled = to_scale(values, bounds)
+        scaled, rest = to_scale(values, bounds), to_scale(without, bounds)
         inner = np.isfinite(scaled)
-        steps = to_scale(without, bounds) - np.where(inner, scaled, 0)
+        steps = rest - np.where(inner, scaled, 0)
         reach = student * error_of(np.clip(steps, -LARGEST_STEP, LARGEST_STEP))
         ends = (from_scale(np.where(inner, scaled + side * reach, 0), bounds) for side in (-1, 1))
-        at_edges = ends_at_edges(values, freedom + 1, bounds)
+        stays = (~counted | (rest == scaled)).all(axis=0) & ~np.isnan(freedom)
+        at_edges = (np.where(stays, end, np.nan) for end in ends_at_edges(values, freedom + 1, bounds))
+        is_possible = np.isclose(np.clip(values, *bounds), values, rtol=0, atol=EDGE)
         low, high = (
-            np.where(inner, end, np.where(np.isnan(edge), plain, edge))
+            np.where(inner, end, np.where(np.isnan(edge), np.where(is_possible, np.clip(plain, *bounds), plain), edge))
             for end, edge, plain in zip(ends, at_edges, (low, high), strict=True)
         )
     return Intervals(low, high, error, freedom, number)
+
+
+def degrees_of_freedom(weights: FloatArray) -> FloatArray:
+    """Effective number of sequences of some sizes (S, K), less one, (K,); NaN where they are too few."""
+    squares = (weights**2).sum(axis=0)
+    freedom = weights.sum(axis=0) ** 2 / np.where(squares > 0, squares, np.nan) - 1
+    return np.where(((weights > 0).sum(axis=0) >= FEWEST) & (freedom >= 1 - 1e-9), freedom, np.nan)
 
 
 def jackknife(
@@ -328,9 +340,9 @@ def jackknife(
     -------
     Interval
         NaN ends with fewer than three sequences, where one of them outweighs the others so much that they count as
-        fewer than two, or where the number is not defined without one of them. At the edge of the range the ends are
-        those of :func:`posecal.engine.bounds.ends_at_edges`; outside of it, and at 0 of a number without an upper
-        bound, the plain ones.
+        fewer than two, or where the number is not defined without one of them. At the edge of a finite range, where it
+        lies there without any sequence too, the ends are those of :func:`posecal.engine.bounds.ends_at_edges`; else
+        at the edge the plain ones, cut to the range; outside of it the plain ones.
 
     Notes
     -----

@@ -90,6 +90,11 @@ class Pair:
     interval: Interval
     p: float
 
+    def unknown(self) -> Pair:
+        """Give the same pair without a difference, where the two numbers are of other poses."""
+        nothing = Interval(math.nan, math.nan, math.nan, math.nan, self.interval.sequences)
+        return Pair(self.first, self.second, math.nan, nothing, math.nan)
+
     def difference(self, metric: str, direction: Direction, adjusted: float, *, primary: bool) -> Difference:
         """Say which model is better, by the adjusted p-value."""
         better = None

@@ -15,9 +15,11 @@ from posecal.engine.sums import Cells, Counts, Indices, slices
 from posecal.engine.totals import Totals
 from posecal.stats.jackknife import (
     Interval,
+    degrees_of_freedom,
     jackknife,
     jackknife_columns,
     joint_leave_one_out,
+    joint_sequence_sizes,
     leave_one_out,
     sequence_sizes,
 )
@@ -68,6 +70,15 @@ def joint_intervals(totals: Totals, metric: Metric, cells: Cells = None) -> tupl
     values = totals.by_joint(metric, cells)
     found = jackknife_columns(values, *joint_leave_one_out(totals, metric, cells), metric.bounds)
     return found.low, found.high
+
+
+def freedom_of(totals: Totals, metric: Metric, joint: int | None = None) -> float:
+    """Give the degrees of freedom of an :func:`interval` over all cells, or of one of :func:`joint_intervals`."""
+    if joint is None or metric.by_joint is None:
+        sizes = sequence_sizes(totals, metric)
+    else:
+        sizes = joint_sequence_sizes(totals, metric.by_joint[0])[:, joint].astype(np.float64)
+    return float(degrees_of_freedom(sizes[:, None])[0])
 
 
 def null(totals: Totals, metric: Metric, cells: Cells = None) -> Null:

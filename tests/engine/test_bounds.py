@@ -100,6 +100,8 @@ def test_every_metric_with_an_interval_has_the_bounds_that_its_range_tells() -> 
             expected = SHARE
         elif metric.range.startswith("−"):
             expected = CORRELATION if "−1 to 1" in metric.range else (-0.5, 0.5)
+        elif metric.range == "0 to 0.25":
+            expected = (0.0, 0.25)
         elif metric.name.endswith("skill"):
             expected = (-math.inf, 1.0)
         else:

@@ -16,7 +16,7 @@ from tests.helpers.samplers import pairs_of, report_of
 METRICS = (
     "min_mpjpe",
     "pck",
-    "coverage_90",
+    "coverage_80",
     "signed_area",
     "energy_score",
     "spread_error_correlation",
@@ -65,7 +65,7 @@ def _rows(replicates: int) -> list[tuple[str, ...]]:
         cells = (designs[str(design)][name] for design in DESIGNS)
         left = designs[str(DESIGNS[0])][name][2]
         rows.append((f"`{name}`, {truth[name]:.3g}", *map(_cell, cells), f"{left:.0%}"))
-    for name in ("min_mpjpe", "pck", "coverage_90"):
+    for name in ("min_mpjpe", "pck", "coverage_80"):
         by_design = ("" if str(design) not in actions else _cell(actions[str(design)][name]) for design in DESIGNS)
         rows.append((f"`{name}`, mean over two actions", *by_design, ""))
     return rows

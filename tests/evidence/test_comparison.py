@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
+import numpy as np
 import pytest
 from scipy import stats
 
@@ -43,5 +46,6 @@ def test_a_part_of_a_comparison_is_the_one_of_its_models() -> None:
     assert len(whole.differences) == 3 * 81
     part = part_of(whole, 2, "default, scores")
     afresh = comparison.compare_totals(part.totals, MODELS[:2])
-    assert part.differences == afresh.differences
-    assert len(part.differences) == 44
+    for ours, theirs in zip(part.differences, afresh.differences, strict=True):
+        np.testing.assert_equal(asdict(ours), asdict(theirs))  # also where there is no value: few hypotheses
+    assert len(part.differences) == 48

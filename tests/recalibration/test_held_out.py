@@ -15,6 +15,7 @@ from posecal.recalibration.folds import folds_of
 from posecal.recalibration.held_out import _curve_at, _ece_of_new, _parts_within
 from posecal.recalibration.spread_map import rescaled
 from tests.evidence import recalibration as evidence
+from tests.helpers.flips import depth_flips
 from tests.helpers.samplers import gaussian, pairs_of, report_of, sequences
 
 Array = np.ndarray
@@ -47,6 +48,16 @@ def test_calibrating_a_spread_that_is_too_narrow_for_the_best_of_n_costs_minmpjp
         pairs_of(x, y, labels={"sequence": sequences(60, 12)}), protocol=FEW, folds=2, threads=1
     )
     assert after["min_mpjpe"] > before["min_mpjpe"]
+
+
+def test_what_speaks_against_a_map_is_measured_beside_any_protocol() -> None:
+    x, y = depth_flips(0, 30, 120, 4)
+    pairs = pairs_of(x, y, labels={"sequence": sequences(120, 12)})
+    judged, few = (judge_spread(pairs, protocol=p, folds=3, threads=1) for p in (None, Protocol(metrics="mpjpe")))
+    assert judged.objections
+    assert few.objections == judged.objections
+    assert {"mpjpe", "energy_score", "crps"} <= few.before.metrics.keys()
+    assert "pck" not in few.before.metrics
 
 
 def test_the_map_is_that_of_a_fit_on_all_and_scores_are_paired_by_sequence() -> None:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy import special, stats
 
-from posecal.report.evidence import NEITHER, ONE_SIDED, NullComparison, evidence_of, side_of
+import posecal
+from posecal.report.evidence import NEITHER, ONE_SIDED, Estimate, NullComparison, evidence_of, side_of
 from tests.helpers.samplers import gaussian
 from tests.report.test_sentences import area_of, coverage_of, evidence
 from tests.report.test_summary import JOINTS, K, M, N, report
@@ -45,12 +48,38 @@ def test_an_interval_excludes_what_lies_beyond_its_ends() -> None:
 
 
 def test_the_99_percent_interval_is_wider_by_the_ratio_of_student_quantiles() -> None:
-    """With 6 sequences t is 2.571 and 4.032: a half-width of 0.02 becomes 0.03137."""
-    assert not area_of(-0.0313, -0.0513, -0.0113).excludes_at_99(6)
-    assert area_of(-0.0314, -0.0514, -0.0114).excludes_at_99(6)
-    assert area_of(0.0314, 0.0114, 0.0514).excludes_at_99(6)
-    assert not area_of(0.0314).excludes_at_99(6)
-    assert not area_of(0.0314, 0.0114, 0.0514).excludes_at_99(1)
+    """With 5 degrees of freedom t is 2.571 and 4.032: a half-width of 0.02 becomes 0.03137."""
+    assert not area_of(-0.0313, -0.0513, -0.0113, 5).excludes_at_99()
+    assert area_of(-0.0314, -0.0514, -0.0114, 5).excludes_at_99()
+    assert area_of(0.0314, 0.0114, 0.0514, 5).excludes_at_99()
+    assert not area_of(0.0314, freedom=5).excludes_at_99()
+    assert not area_of(0.0314, 0.0114, 0.0514, math.nan).excludes_at_99()
+
+
+@pytest.mark.parametrize("joint", [None, "Head"])
+def test_the_99_percent_interval_is_that_of_sequences_of_unequal_lengths_on_its_own_scale(joint: str | None) -> None:
+    """As the jackknife has it with Student's quantile of 99.5 % in place of 97.5 %."""
+    lengths = [60, *[12] * 7]
+    labels = {"sequence": np.repeat([f"s{s}" for s in range(8)], lengths)}
+    x, y = gaussian(4, 12, sum(lengths), K, spread=0.3)
+    about: dict[str, Any] = {"joints": JOINTS, "root_joint": "none", "axes": "NMKD", "unit": "mm"}
+    known = evidence_of(posecal.evaluate(x, y, labels=labels, threads=1, **about))
+    estimate = known.area if joint is None else known.joints[joint].area
+    effective = sum(lengths) ** 2 / sum(n**2 for n in lengths)
+    assert estimate.freedom == pytest.approx(effective - 1)
+    assert estimate.bounds == (-0.5, 0.5)
+    centre, end = special.logit(estimate.value + 0.5), special.logit(estimate.high + 0.5)
+    t = stats.t(effective - 1)
+    wider = special.expit(centre + (end - centre) * t.ppf(0.995) / t.ppf(0.975)) - 0.5
+    assert wider < 0  # far off
+    for best, excludes in ((wider + 1e-6, True), (wider - 1e-6, False)):
+        assert replace(estimate, best=best).excludes_at_99() is excludes
+
+
+def test_at_the_edge_the_plain_interval_is_made_wider() -> None:
+    edge = Estimate("signed area", -0.5, -0.5, -0.2, 0.0, 9, (-0.5, 0.5))
+    assert edge.excludes_at_99()
+    assert not replace(edge, high=-0.1).excludes_at_99()
 
 
 def test_beyond_chance_takes_a_small_p_or_two_that_agree() -> None:

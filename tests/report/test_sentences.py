@@ -25,8 +25,8 @@ NAN = math.nan
 NOTHING = "No rank test rejects. A model that ignores the image would pass them too: look at a proper score."
 
 
-def area_of(value: float, low: float = NAN, high: float = NAN) -> Estimate:
-    return Estimate("signed area", value, low, high, 0.0)
+def area_of(value: float, low: float = NAN, high: float = NAN, freedom: float = 39) -> Estimate:
+    return Estimate("signed area", value, low, high, 0.0, freedom)
 
 
 def coverage_of(value: float, low: float = NAN, high: float = NAN, level: int = 90) -> Estimate:

@@ -151,10 +151,24 @@ def test_a_sequence_that_holds_all_misses_moves_a_share_as_five_times_the_odds_d
 def test_at_the_edge_of_its_range_a_share_has_the_rule_of_three_and_outside_of_it_the_plain_interval() -> None:
     assert jackknife(1.0, np.ones(10), bounds=SHARE).low == pytest.approx(0.05**0.1)
     assert jackknife(1.0, np.ones(10), bounds=SHARE).high == 1.0
-    assert math.isnan(jackknife(1.0, np.ones(2), bounds=SHARE).low)
+    assert np.isnan([(found := jackknife(1.0, np.ones(2), bounds=SHARE)).low, found.high]).all()
     without = np.array([-3.0, -1.0, 1.0])
     assert jackknife(-1.0, without, bounds=POSITIVE) == jackknife(-1.0, without)
     assert jackknife(0.0, np.zeros(4), bounds=POSITIVE).high == 0.0
+
+
+def test_at_the_edge_the_rule_of_three_takes_that_the_number_lies_there_without_any_sequence() -> None:
+    undefined = jackknife(1.0, np.array([1, 1, 1, math.nan, 1, 1]), bounds=SHARE)
+    assert np.isnan([undefined.low, undefined.high]).all()
+    missing = jackknife(1.0, np.array([1, 1, 1, math.nan, 1, 1]), np.array([1, 1, 1, 0, 1, 1]), SHARE)
+    assert missing == jackknife(1.0, np.ones(5), bounds=SHARE)
+    without = np.array([0, 0, 0, 0.02, 0.05, 0.1])
+    found, plain = jackknife(0.0, without, bounds=SHARE), jackknife(0.0, without)
+    assert (found.low, found.high) == (0.0, plain.high)
+    assert found.high == pytest.approx(stats.t(5).ppf(0.975) * math.sqrt(5 * without.var()))
+    assert jackknife(0.0, without, bounds=POSITIVE) == found
+    opposite = jackknife(1.0, np.array([1, 1, 0.0]), bounds=SHARE)
+    assert (opposite.low, opposite.high) == (0.0, 1.0)
 
 
 def test_sizes_of_sequences_are_shares_of_their_groups_where_groups_are_averaged() -> None:
