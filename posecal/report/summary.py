@@ -22,13 +22,23 @@ from posecal.registry import left_out
 from posecal.report.evidence import evidence_of
 from posecal.report.sentences import sentences
 from posecal.stats.resampling import MIN_SEQUENCES
-from posecal.stats.uncertainty import are_points, effective_hypotheses, p_without_each
+from posecal.stats.uncertainty import (
+    are_points,
+    effective_hypotheses,
+    p_without_each,
+    weights_allow_no_test,
+)
 
 if TYPE_CHECKING:
     from posecal.report.report import Report
 
 FEW_SEQUENCES = 20
 """With fewer sequences than this the report says what p-values assume: rare bad ones may be missing from so few."""
+
+_FEW_BY_WEIGHTS = (
+    f" Below an effective N of {FEW_HYPOTHESES}, the ECE of a calibrated model is up to about 0.6 / effective N, and "
+    "scores are up to 9 % too low: calibration errors and rank tests are not tested."
+)
 
 
 def remarks(report: Report, words: Callable[[str], str] = for_python) -> tuple[str, ...]:
@@ -56,7 +66,7 @@ def _of_statistics(report: Report) -> Iterator[str]:
             f"{units} allow{'s' * (sequences == 1)} no test: even if all err alike, chance would do that in "
             f"{2 / 2**sequences:.0%} of cases. At least {MIN_SEQUENCES} are needed for a p-value."
         )
-    elif sequences < FEW_SEQUENCES and "ece" in report.metrics:
+    elif sequences < FEW_SEQUENCES and "ece" in report.metrics and not weights_allow_no_test(totals):
         yield _of_symmetry(report)
     if (average := totals.protocol.average) != "poses":
         groups = [value for value, _ in totals.groups(average)]
@@ -76,8 +86,7 @@ def _of_statistics(report: Report) -> Iterator[str]:
     n, families = totals.spec.n_hypotheses, {metric.family for metric in report.metrics.values()}
     effective = effective_hypotheses(totals)
     if n > 1 and totals.spec.has_weights:
-        few = " So few leave a calibrated model an ECE of 0.01 to 0.04, and scores 1 to 7 % too low."
-        few *= effective < FEW_HYPOTHESES
+        few = _FEW_BY_WEIGHTS * weights_allow_no_test(totals)
         yield f"hypotheses count by their weights: effective N = {effective:.1f} (mean of 1 / Σ w²), of up to {n}.{few}"
     elif n > 1 and totals.spec.has_scores and {"calibration", "rank_tests", "scores"} & families:
         yield (

@@ -259,7 +259,7 @@ def test_what_takes_no_weights_is_left_out_with_one_line() -> None:
 def test_remarks_say_what_the_weights_are_worth_and_that_scores_are_no_weights() -> None:
     number = (1 / (W**2).sum(axis=0)).mean()
     found = next(remark for remark in report_of(X, "ece", weights=W).remarks if "by their weights" in remark)
-    assert f"effective N = {number:.1f} (mean of 1 / Σ w²), of up to {N}. So few" in found
+    assert f"effective N = {number:.1f} (mean of 1 / Σ w²), of up to {N}. Below" in found
     scored = report_of(X, "ece", scores=RANDOM.random((N, M)))
     assert any(remark.startswith("scores are not used by calibration") for remark in scored.remarks)
     assert not any("scores are not" in remark for remark in report_of(X, "mpjpe", scores=RANDOM.random((N, M))).remarks)
