@@ -25,6 +25,7 @@ from posecal.stats.resampling import MIN_SEQUENCES
 from posecal.stats.uncertainty import (
     are_points,
     effective_hypotheses,
+    measured_spec,
     p_without_each,
     weights_allow_no_test,
 )
@@ -87,7 +88,8 @@ def _of_statistics(report: Report) -> Iterator[str]:
     effective = effective_hypotheses(totals)
     if n > 1 and totals.spec.has_weights:
         few = _FEW_BY_WEIGHTS * weights_allow_no_test(totals)
-        yield f"hypotheses count by their weights: effective N = {effective:.1f} (mean of 1 / Σ w²), of up to {n}.{few}"
+        of_up_to = f"effective N = {effective:.1f} (mean of 1 / Σ w²), of up to {n}{_unknown_coverage(report)}"
+        yield f"hypotheses count by their weights: {of_up_to}.{few}"
     elif n > 1 and totals.spec.has_scores and {"calibration", "rank_tests", "scores"} & families:
         yield (
             "scores are not used by calibration and proper scores, which count all hypotheses alike. Where they are "
@@ -97,19 +99,28 @@ def _of_statistics(report: Report) -> Iterator[str]:
         yield "calibration and spread need at least 2 hypotheses; there is 1."
     elif n < FEW_HYPOTHESES and "calibration" in families and not totals.spec.has_weights:
         yield _of_few_hypotheses(report, n)
+    elif totals.spec.is_ragged and not totals.spec.has_weights and _unknown_coverage(report):
+        yield f"poses have {effective:.1f} hypotheses on average{_unknown_coverage(report)}."
     yield from _of_what_is_unknown(report)
 
 
 def _of_few_hypotheses(report: Report, n: int) -> str:
     """Say which values an ECE can have, and at which levels coverage is not known."""
     low, high = ece_range(n)
-    hidden = [percent for percent in unresolved_coverages(n) if f"coverage_{percent}" in report.metrics]
-    levels = " or ".join(filter(None, [", ".join(map(str, hidden[:-1])), *(f"{p} %" for p in hidden[-1:])]))
-    unknown = f"; no ball holds {levels} of them, so that coverage is not known" if hidden else ""
     return (
         f"N = {n} hypotheses are few: an ECE lies between {low:.2g} and {high:.2g}; look at what a perfect sampler "
-        f"would show before reading an ECE (paper){unknown}."
+        f"would show before reading an ECE (paper){_unknown_coverage(report)}."
     )
+
+
+def _unknown_coverage(report: Report) -> str:
+    """Say at which levels coverage is not known."""
+    levels = unresolved_coverages(measured_spec(report.totals).n_in_balls)
+    hidden = [percent for percent in levels if f"coverage_{percent}" in report.metrics]
+    if not hidden:
+        return ""
+    words = " or ".join(filter(None, [", ".join(map(str, hidden[:-1])), *(f"{p} %" for p in hidden[-1:])]))
+    return f"; no ball holds {words} of them, so that coverage is not known"
 
 
 def _of_what_is_unknown(report: Report) -> Iterator[str]:

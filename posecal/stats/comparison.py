@@ -30,7 +30,7 @@ from posecal.stats.jackknife import Interval, jackknife, leave_one_out, sequence
 from posecal.stats.multiplicity import PRIMARY, adjust, check_primary, default_primary
 from posecal.stats.pairs import Difference, Pair, pairs
 from posecal.stats.resampling import LEVEL, MIN_SEQUENCES, Null
-from posecal.stats.uncertainty import effective_hypotheses, null, weights_allow_no_test
+from posecal.stats.uncertainty import effective_hypotheses, measured_spec, null, weights_allow_no_test
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -134,7 +134,8 @@ class Comparison:
     @cached_property
     def metrics(self) -> dict[str, Metric]:
         """The metrics that all models report, by name."""
-        known = [metrics_of(totals.protocol, totals.spec, own=totals.own_metrics) for totals in self.totals]
+        fewest = sorted(self.totals, key=effective_hypotheses)  # of the first of them all levels must be known
+        known = [metrics_of(totals.protocol, measured_spec(totals), own=totals.own_metrics) for totals in fewest]
         names = [{name: metric.statistic.name for name, metric in some.items()} for some in known]  # of one density
         return {n: m for n, m in known[0].items() if all(other.get(n) == m.statistic.name for other in names)}
 

@@ -12,6 +12,7 @@ from posecal.calibration.ranks import LEVELS
 from posecal.data.arrays import FloatArray
 from posecal.engine.measure import EFFECTIVE_NUMBER
 from posecal.engine.metric import Metric, Statistic
+from posecal.engine.scope import DataSpec
 from posecal.engine.sums import Cells, Counts, Indices, slices
 from posecal.engine.totals import Totals
 from posecal.stats.jackknife import (
@@ -171,6 +172,13 @@ def effective_hypotheses(totals: Totals) -> float:
     """Mean over poses of the effective number of hypotheses: N where all have the same weight, and none is absent."""
     known = EFFECTIVE_NUMBER.name in totals.sums
     return float(totals.mean(EFFECTIVE_NUMBER)) if known else float(totals.spec.n_hypotheses)
+
+
+def measured_spec(totals: Totals) -> DataSpec:
+    """What is measured, with the mean effective number of hypotheses where poses have different ones."""
+    spec = totals.spec
+    varies = spec.is_ragged or spec.has_weights
+    return replace(spec, n_effective=effective_hypotheses(totals)) if varies else spec
 
 
 def weights_allow_no_test(totals: Totals) -> bool:
