@@ -59,7 +59,7 @@ def occlusion_metrics(scope: Scope, occlusion: str) -> Iterator[Metric]:
 
     def inside_both(block: Block) -> FloatArray:
         weights, apart = inside(block), ~coincide(block)
-        return np.stack([_mean_over(mask & apart, weights) for mask in _masks(scope, block)], axis=1)
+        return np.stack([_mean_over(mask & apart & block.has_spread, weights) for mask in _masks(scope, block)], axis=1)
 
     def errors_both(block: Block) -> FloatArray:
         errors = joint_errors(block)
@@ -68,7 +68,7 @@ def occlusion_metrics(scope: Scope, occlusion: str) -> Iterator[Metric]:
 
     def radii_both(block: Block) -> FloatArray:
         radii = np.nan_to_num(joint_radii(block, (0.5,))[..., 0])
-        return np.stack([_mean_over(mask, radii) for mask in _masks(scope, block)], axis=1)
+        return np.stack([_mean_over(mask & block.has_spread, radii) for mask in _masks(scope, block)], axis=1)
 
     curves = Statistic("occlusion_inside", inside_both, per_joint=True)
     errors = Statistic("occlusion_errors", errors_both, per_joint=True)

@@ -13,13 +13,16 @@ from posecal.calibration.expected import ece_range
 from posecal.calibration.ranks import DEFINITIONS
 from posecal.calibration.standardized import NAME
 from posecal.data.frames import DIFFERENT_FRAMES
+from posecal.engine.measure import HAS_SPREAD
 from posecal.engine.scope import Scope
 from posecal.engine.totals import Totals
+from posecal.engine.weighted import LEAST_SPREAD
 from posecal.errors import first_few, for_python
 from posecal.metrics.likelihood import LIKELIHOODS, likelihood_remarks, moments_statistic
 from posecal.metrics.occlusion import occlusion_words
 from posecal.registry import left_out
 from posecal.report.evidence import evidence_of
+from posecal.report.format import counted
 from posecal.report.sentences import sentences
 from posecal.stats.resampling import MIN_SEQUENCES
 from posecal.stats.uncertainty import (
@@ -95,6 +98,8 @@ def _of_statistics(report: Report) -> Iterator[str]:
             "scores are not used by calibration and proper scores, which count all hypotheses alike. Where they are "
             "chances of the hypotheses, give them as weights."
         )
+    if {"calibration", "rank_tests", "scores", "sharpness"} & families:
+        yield from _of_poses_without_spread(totals)
     if n < 2:
         yield "calibration and spread need at least 2 hypotheses; there is 1."
     elif n < FEW_HYPOTHESES and "calibration" in families and not totals.spec.has_weights:
@@ -102,6 +107,18 @@ def _of_statistics(report: Report) -> Iterator[str]:
     elif totals.spec.is_ragged and not totals.spec.has_weights and _unknown_coverage(report):
         yield f"poses have {effective:.1f} hypotheses on average{_unknown_coverage(report)}."
     yield from _of_what_is_unknown(report)
+
+
+def _of_poses_without_spread(totals: Totals) -> Iterator[str]:
+    """Count the poses that drop out of what needs several hypotheses."""
+    poses = int(totals.poses.sum())
+    alone = poses - round(float(totals.sums.get(HAS_SPREAD.name, totals.poses).sum()))
+    if alone:
+        yield (
+            f"{counted(alone, 'pose')} of {poses:,} ha{'s' if alone == 1 else 've'} one hypothesis, or one of nearly "
+            f"all weight (effective N below {LEAST_SPREAD:g}): calibration, scores and spread are those of the other "
+            f"{poses - alone:,}."
+        )
 
 
 def _of_few_hypotheses(report: Report, n: int) -> str:
