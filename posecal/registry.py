@@ -11,7 +11,7 @@ from posecal.calibration.intervals import interval_metrics
 from posecal.calibration.rank_tests import PreRank, rank_test_metrics
 from posecal.data.skeleton import JOINT_SETS
 from posecal.engine import needs
-from posecal.engine.measure import EFFECTIVE_NUMBER, SUM_OF_TRUE_POSES
+from posecal.engine.measure import EFFECTIVE_NUMBER, HAS_SPREAD, SUM_OF_TRUE_POSES
 from posecal.engine.metric import Curve, Metric, Statistic
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec, Scope
@@ -365,7 +365,7 @@ def statistics_of(
     metrics = list(metrics_of(protocol, spec, preranks, own).values())
     if "occlusion" in by:
         metrics += [m for kind in occlusion_metrics_of(protocol, spec).values() for m in kind.values()]
-    counts = [EFFECTIVE_NUMBER] * (spec.is_ragged or spec.has_weights)
+    counts = [EFFECTIVE_NUMBER, HAS_SPREAD] * (spec.is_ragged or spec.has_weights)
     statistics = [SUM_OF_TRUE_POSES, *counts, *(statistic for metric in metrics for statistic in metric.statistics)]
     if any(metric.name in LIKELIHOODS for metric in metrics):
         statistics += filter(None, [moments_statistic(Scope(protocol, spec))])

@@ -12,6 +12,7 @@ Numbers of occluded joints take the pooled curve instead.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import partial
 from typing import get_args
@@ -95,7 +96,7 @@ def signed_area(curves: npt.ArrayLike) -> FloatArray:
     return np.asarray(np.trapezoid(_checked_curves(curves) - LEVELS, LEVELS, axis=-1))
 
 
-def is_resolved(level: float, n_hypotheses: int) -> bool:
+def is_resolved(level: float, n_hypotheses: float) -> bool:
     """Whether N hypotheses have a ball of a level: beyond q = N / (N + 1) its weight only nears 1, whatever the truth.
 
     Examples
@@ -174,8 +175,8 @@ class CalibrationCurve:
     pooled : array (Q,)
         The curve whose statistic is, per pose, the mean over the joints that count: the one that the paper's numbers
         of occluded joints come from.
-    n_hypotheses : int, optional
-        N, which the exchangeable definition needs to know which levels it resolves.
+    n_hypotheses : float, optional
+        N, of weighted hypotheses the mean effective one, which says which levels the exchangeable definition resolves.
 
     Notes
     -----
@@ -187,7 +188,7 @@ class CalibrationCurve:
     definition: Definition
     joints: FloatArray
     pooled: FloatArray
-    n_hypotheses: int | None = None
+    n_hypotheses: float | None = None
 
     @property
     def levels(self) -> FloatArray:
@@ -256,7 +257,7 @@ class CalibrationCurve:
         return np.full_like(coverage, np.nan)
 
 
-def curve_of(table: FloatArray, definition: Definition, n_hypotheses: int | None = None) -> CalibrationCurve:
+def curve_of(table: FloatArray, definition: Definition, n_hypotheses: float | None = None) -> CalibrationCurve:
     """Read a table (K + 1, Q) as calibration curves of N hypotheses."""
     return CalibrationCurve(definition, table[:-1], table[-1], n_hypotheses)
 
@@ -359,11 +360,15 @@ def calibration_curve(
     """
     checked_choice(definition, "definition", DEFINITIONS)
     unit = any_unit(unit)
-    n_hypotheses, _, n_joints, _ = checked(hypotheses, truth, axes=axes, unit=unit)[0].shape
+    number_of_all, _, n_joints, _ = checked(hypotheses, truth, axes=axes, unit=unit)[0].shape
     root = checked_root(root, n_joints)
     joints = None if root is None else np.arange(n_joints) != root
     statistic = partial(inside_table, definition=definition, joints=joints)
     table = per_pose(statistic, hypotheses, truth, where, root=root, weights=weights, axes=axes, unit=unit)
     number = (~np.isnan(table[..., 0])).sum(axis=0)[:, None]
     mean = np.where(number > 0, np.nansum(table, axis=0) / np.maximum(number, 1), np.nan)
+    n_hypotheses = float(number_of_all)
+    if weights is not None:
+        numbers = per_pose(lambda block: block.n_effective, hypotheses, truth, weights=weights, axes=axes, unit=unit)
+        n_hypotheses = float(numbers.mean()) if len(numbers) else math.nan
     return curve_of(mean, definition, n_hypotheses)

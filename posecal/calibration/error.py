@@ -243,12 +243,12 @@ def _no_number(curves: FloatArray) -> FloatArray:
     return np.full(curves.shape[:-1], np.nan)
 
 
-def unresolved(n_hypotheses: int) -> str:
+def unresolved(n_hypotheses: float) -> str:
     """Say why coverage is not known at a level."""
-    return f"; NaN, since no ball of N={n_hypotheses} hypotheses holds this share of them"
+    return f"; NaN, since no ball of N={n_hypotheses:.3g} hypotheses holds this share of them"
 
 
-def unresolved_coverages(n_hypotheses: int) -> list[int]:
+def unresolved_coverages(n_hypotheses: float) -> list[int]:
     """Give the percentages at which coverage is not reported."""
     return [percent for percent in COVERAGES if not is_resolved(percent / 100, n_hypotheses)]
 
@@ -259,13 +259,13 @@ def _coverages(scope: Scope) -> Iterator[Metric]:
         scope.counted(scope.moving),
         scope.protocol.summary_over_joints,
     )
-    n, several = scope.spec.n_hypotheses, scope.spec.n_coordinates > 1  # of one, intervals stand for balls
+    n, several = scope.spec.n_in_balls, scope.spec.n_coordinates > 1  # of one, intervals stand for balls
     for percent in COVERAGES:
         index, known = percent * (LEVELS.size - 1) // 100, is_resolved(percent / 100, n)
         yield _COVERAGE(
             name=f"coverage_{percent}",
             label=f"coverage at {percent} %",
-            brief=f"best: {percent / 100:g}" if known else f"not known of N={n}",
+            brief=f"best: {percent / 100:g}" if known else f"not known of N={n:.3g}",
             definition=f"share of truths inside the ball that holds {percent} % of the hypotheses, exchangeable, "
             f"{_OVER[over][0]} {joints}; best: {percent / 100:g}{'' if known else unresolved(n)}",
             statistic=statistic,

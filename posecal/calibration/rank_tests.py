@@ -112,7 +112,7 @@ def coordinate_weights(block: Block, joints: BoolArray) -> FloatArray:
     beside = block.pooled == 0
     less, equal = block.count(block.pooled < 0), block.count(beside)
     weights = rank_weights(block.n_effective[:, None, None], less, equal)
-    counted = block.where & joints & (block.n_hypotheses > 1) & ~beside.all(axis=(-1, -2))
+    counted = block.where & joints & block.has_spread & ~beside.all(axis=(-1, -2))
     return np.where(counted[..., None, None], weights, np.nan)
 
 
@@ -211,7 +211,7 @@ class Test:
         """Weights of the truth's rank, (B, 1, Q), or (B, K, D, Q) for the coordinates; NaN of one hypothesis."""
         if self.prerank is None:
             return coordinate_weights(block, joints)
-        if block.n_hypotheses < 2:
+        if not block.has_spread:
             return np.full((len(block.truth), 1, LEVELS.size), np.nan)
         weights = weights_of_ranks(self.prerank(Pool.of(block, joints)), block.weights)
         weights[~block.where[:, joints].any(axis=1)] = np.nan
@@ -228,7 +228,7 @@ def user_weights(block: Block, joints: BoolArray, prerank: PreRank | None, name:
     """
     if prerank is None:
         raise PoseDataError(f"prerank: {name!r} is known from a saved result only; expected its function.")
-    if block.n_hypotheses < 2:
+    if not block.has_spread:
         return np.full((len(block.truth), 1, LEVELS.size), np.nan)
     points = block.shortest(Pool.of(block, joints).points + block.truth[:, joints].astype(np.float64)[..., None])
     numbers = np.empty((len(points), points.shape[-1]))

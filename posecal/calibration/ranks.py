@@ -99,7 +99,7 @@ def inside(block: Block, definition: Definition = "exchangeable") -> FloatArray:
     PoseDataError
         For hypotheses with weights, of another definition than ``exchangeable``.
     """
-    if block.n_hypotheses < 2:
+    if not block.has_spread:
         return np.full((*block.where.shape, LEVELS.size), np.nan)
     if block.weights is not None and definition != "exchangeable":
         raise PoseDataError(f"definition: {definition}; expected exchangeable for hypotheses of unequal weights.")

@@ -14,8 +14,9 @@ from posecal.errors import PoseDataError, first_few
 OF_WEIGHTS = 2.5e-3
 """Numbers whose sum is 1 to this, as of numbers of bfloat16, are weights."""
 
-_EQUAL = 1e-6
-"""Weights of one pose that differ by less than this share are equal."""
+EQUAL = 1e-4
+"""Weights of one pose that differ by less than this share are equal: rounding of a softmax is 2e-6 in single
+precision."""
 
 
 def as_weights(values: object, name: str) -> FloatArray:
@@ -55,7 +56,7 @@ def poses_last(values: FloatArray, shape: tuple[int, int], axes: str, name: str)
 def are_unequal(weights: FloatArray) -> BoolArray:
     """Find the poses (M,) whose weights above 0, of (N, M), are not all equal."""
     least = np.where(weights > 0, weights, np.inf).min(axis=0)
-    return np.asarray(weights.max(axis=0) > least * (1 + _EQUAL))
+    return np.asarray(weights.max(axis=0) > least * (1 + EQUAL))
 
 
 def checked_weights(
@@ -109,7 +110,7 @@ def collapse_copies(hypotheses: npt.ArrayLike, /, *, axes: str | None = None) ->
     Parameters
     ----------
     hypotheses : array (N, M, K, D)
-        Hypotheses, some of which are copies of others, equal in every coordinate.
+        Hypotheses, some of which are copies of others, equal in every coordinate; NaN in all where absent.
     axes : str, optional
         Their layout, such as ``MNKD``; ``NMKD`` by default.
 
@@ -118,7 +119,7 @@ def collapse_copies(hypotheses: npt.ArrayLike, /, *, axes: str | None = None) ->
     distinct : array (N', M, K, D)
         Those of each pose, in the order of their first copies; N' is the most that a pose has, and NaN fill the rest.
     weights : array (N', M)
-        Shares, of sum 1 for each pose; 0 for what is filled.
+        Shares among those present, of sum 1 for each pose; 0 for what is filled, and at poses of none.
 
     Raises
     ------
@@ -154,11 +155,12 @@ def collapse_copies(hypotheses: npt.ArrayLike, /, *, axes: str | None = None) ->
     first, number = np.zeros((n, m), dtype=np.intp), np.zeros((n, m))
     most = 0
     for pose in range(m):
-        _, rows, counts = np.unique(flat[:, pose], axis=0, return_index=True, return_counts=True)
+        there = np.flatnonzero(~np.isnan(flat[:, pose]).all(axis=1))
+        _, rows, counts = np.unique(flat[there, pose], axis=0, return_index=True, return_counts=True)
         order = np.argsort(rows)
-        first[: len(rows), pose], number[: len(rows), pose] = rows[order], counts[order]
+        first[: len(rows), pose], number[: len(rows), pose] = there[rows[order]], counts[order]
         most = max(most, len(rows))
-    weights = number[:most] / n
+    weights = number[:most] / np.maximum(number.sum(axis=0), 1)
     distinct = x[first[:most], np.arange(m)].astype(np.result_type(x.dtype, np.float32))
     distinct[weights == 0] = np.nan
     return distinct, weights

@@ -23,7 +23,7 @@ from posecal.engine.circular import circular_mean, turns_of_pool, unwrapped, wra
 from posecal.engine.coordinate_range import CoordinateRange, coordinate_range
 from posecal.engine.memory import reuse_freed_memory
 from posecal.engine.offsets import offsets_from_truth, relative_to_root
-from posecal.engine.weighted import effective_counts, effective_number, weighted_median
+from posecal.engine.weighted import LEAST_SPREAD, effective_counts, effective_number, weighted_median
 from posecal.errors import PoseDataError
 
 if TYPE_CHECKING:
@@ -226,6 +226,11 @@ class Block:
         """Effective number of hypotheses of each pose, (B,): N where they have no weights."""
         n = np.full(len(self.truth), float(self.n_hypotheses))
         return n if self.weights is None else effective_number(self.weights)
+
+    @property
+    def has_spread(self) -> bool:
+        """Whether poses have more than one hypothesis that counts; those that have none lie in blocks of their own."""
+        return bool((self.n_effective >= LEAST_SPREAD).all())
 
     @cached_property
     def pooled(self) -> FloatArray:

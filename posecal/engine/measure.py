@@ -75,5 +75,8 @@ def _weighted_sum_of_truth(block: Block) -> FloatArray:
 EFFECTIVE_NUMBER = Statistic("effective_hypotheses", lambda block: block.n_effective)
 """Effective number of hypotheses of each pose; of those of plain ones it is N, and not measured."""
 
+HAS_SPREAD = Statistic("has_spread", lambda block: np.full(len(block.truth), float(block.has_spread)))
+"""Whether each pose has more than one hypothesis that counts; of plain ones it is not measured."""
+
 SUM_OF_TRUE_POSES = Statistic("truth", _weighted_sum_of_truth)
 """Weighted sum of a true pose's coordinates: not a metric, but the check that two results have the same truth."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from posecal.data.remarks import Count, Example, Remark, join_remarks
 from posecal.engine.apart import without_apart, without_own_cuts
-from posecal.engine.measure import EFFECTIVE_NUMBER
+from posecal.engine.measure import EFFECTIVE_NUMBER, HAS_SPREAD
 from posecal.engine.pose_hashes import MOST_HASHES, shared_poses, smallest_hashes
 from posecal.engine.totals import Totals, difference_of_signatures, different_metrics
 from posecal.errors import PoseDataError, first_few, option, raise_all
@@ -120,9 +120,10 @@ def _of_names(part: Totals, parts: Sequence[Totals]) -> Totals:
     spec = part.spec
     for other in parts:
         spec = spec.together_with(other.spec)
-    names, name = set.intersection(*({*other.sums} for other in parts)), EFFECTIVE_NUMBER.name
-    of_n = {name: part.sums.get(name, float(spec.n_hypotheses) * part.poses)}
-    number = {name: part.counts.get(name, part.poses)}
+    names = set.intersection(*({*other.sums} for other in parts))
+    of_plain = {EFFECTIVE_NUMBER.name: float(spec.n_hypotheses), HAS_SPREAD.name: float(spec.n_hypotheses > 1)}
+    of_n = {name: part.sums.get(name, value * part.poses) for name, value in of_plain.items()}
+    number = {name: part.counts.get(name, part.poses) for name in of_plain}
     kept = set.intersection(*({*other.per_pose} for other in parts))
     return replace(
         part,

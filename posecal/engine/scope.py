@@ -65,6 +65,8 @@ class DataSpec:
         Whether hypotheses of a pose have unequal weights.
     apart : tuple of str
         Of merged results: what each had found from its own poses alone, such as the ``coordinate range``.
+    n_effective : float or None
+        Mean effective number of hypotheses, once it is measured, where poses have different ones.
     """
 
     n_hypotheses: int
@@ -85,6 +87,7 @@ class DataSpec:
     parents: tuple[int, ...] = ()
     dimensions: int = 0
     apart: tuple[str, ...] = ()
+    n_effective: float | None = None
 
     def __post_init__(self) -> None:
         root: object = self.root
@@ -115,6 +118,11 @@ class DataSpec:
             reference="" if data.reference is None else data.reference.names[0],
             n_reference=0 if data.reference is None else data.reference.shape[0],
         )
+
+    @property
+    def n_in_balls(self) -> float:
+        """How many hypotheses a pose has on average, by which balls of a level are known or not."""
+        return self.n_hypotheses if self.n_effective is None else self.n_effective
 
     @property
     def period(self) -> float | None:

@@ -14,12 +14,19 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray
-from posecal.data.weights import are_unequal
+from posecal.data.weights import EQUAL, are_unequal
 
 Indices = npt.NDArray[np.intp]
 
+LEAST_SPREAD = 1.5
+"""Poses of a smaller effective number count as such of one hypothesis: what is left of a spread is that of rounding."""
+
 _ROUNDING = 1e-9
 """Sums of weights that differ by less are equal."""
+
+_SLACK = 2 * EQUAL
+"""A share q of weights is reached up to this much times q (1 - q), so that nearly equal weights have the quantiles of
+equal ones: where weights differ by a share of e, sums of them are off by at most e q (1 - q)."""
 
 
 def effective_number(weights: FloatArray) -> FloatArray:
@@ -68,7 +75,9 @@ def weighted_median(values: FloatArray, weights: FloatArray) -> FloatArray:
 def weighted_quantiles(values: FloatArray, weights: FloatArray, shares: tuple[float, ...]) -> FloatArray:
     """Give the smallest values, of (..., N), up to which a share of the weight lies, (..., len(shares))."""
     ordered, reached = _in_order(values, weights)
-    at = np.stack([(reached < share - _ROUNDING).sum(axis=-1) for share in shares], axis=-1)
+    at = np.stack(
+        [(reached < share - _SLACK * share * (1 - share) - _ROUNDING).sum(axis=-1) for share in shares], axis=-1
+    )
     return np.take_along_axis(ordered, np.minimum(at, values.shape[-1] - 1), axis=-1)
 
 
@@ -80,7 +89,7 @@ def _in_order(values: FloatArray, weights: FloatArray) -> tuple[FloatArray, Floa
 
 
 def alike(weights: FloatArray) -> Iterator[tuple[Indices, Indices, FloatArray | None]]:
-    """Put poses together that have as many hypotheses of a weight above 0, equal ones or not.
+    """Put poses together that have as many hypotheses of a weight above 0, equal ones or not, and a spread or none.
 
     Parameters
     ----------
@@ -98,8 +107,9 @@ def alike(weights: FloatArray) -> Iterator[tuple[Indices, Indices, FloatArray | 
     """
     live = weights > 0
     order, number, unequal = np.argsort(~live, axis=0, kind="stable"), live.sum(axis=0), are_unequal(weights)
-    kinds = 2 * number + unequal
+    has_spread = effective_number(weights.T) >= LEAST_SPREAD
+    kinds = 4 * number + 2 * has_spread + unequal
     for kind in np.unique(kinds):
         rows = np.flatnonzero(kinds == kind)
-        kept = order[: kind // 2, rows]
+        kept = order[: kind // 4, rows]
         yield rows, kept, weights[kept, rows].T if kind % 2 else None

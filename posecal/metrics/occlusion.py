@@ -59,7 +59,7 @@ def occlusion_metrics(scope: Scope, occlusion: str) -> Iterator[Metric]:
 
     def inside_both(block: Block) -> FloatArray:
         weights, apart = inside(block), ~coincide(block)
-        return np.stack([_mean_over(mask & apart, weights) for mask in _masks(scope, block)], axis=1)
+        return np.stack([_mean_over(mask & apart & block.has_spread, weights) for mask in _masks(scope, block)], axis=1)
 
     def errors_both(block: Block) -> FloatArray:
         errors = joint_errors(block)
@@ -68,7 +68,7 @@ def occlusion_metrics(scope: Scope, occlusion: str) -> Iterator[Metric]:
 
     def radii_both(block: Block) -> FloatArray:
         radii = np.nan_to_num(joint_radii(block, (0.5,))[..., 0])
-        return np.stack([_mean_over(mask, radii) for mask in _masks(scope, block)], axis=1)
+        return np.stack([_mean_over(mask & block.has_spread, radii) for mask in _masks(scope, block)], axis=1)
 
     curves = Statistic("occlusion_inside", inside_both, per_joint=True)
     errors = Statistic("occlusion_errors", errors_both, per_joint=True)
@@ -101,14 +101,15 @@ def occlusion_metrics(scope: Scope, occlusion: str) -> Iterator[Metric]:
         definition=f"∫ (ω(q) − q) dq; ω: {inside_words}, exchangeable, N={n}",
         finish=lambda means: signed_area(means[..., row, :]),
     )
-    known = is_resolved(0.9, n)
+    in_balls = scope.spec.n_in_balls
+    known = is_resolved(0.9, in_balls)
     yield calibration(
         name="coverage_90",
         label="coverage at 90 %",
         direction="none",
         bounds=SHARE,
         definition=f"{inside_words} the ball of 90 % of the hypotheses, exchangeable; best: 0.9"
-        + ("" if known else unresolved(n)),
+        + ("" if known else unresolved(in_balls)),
         finish=entry(row, 90 * (LEVELS.size - 1) // 100) if known else lambda m: np.full(m.shape[:-2], np.nan),
     )
     yield metric(

@@ -45,7 +45,7 @@ def joint_energies(block: Block, joints: BoolArray | None = None) -> FloatArray:
     """
     scored = block.where if joints is None else block.where & joints
     B, K, n = *scored.shape, block.n_hypotheses
-    if n < 2:
+    if not block.has_spread:
         return np.full((B, K + 1), np.nan)
     offsets, squares, errors = block.offsets, block.squared_errors, block.errors
     if block.period is not None:
@@ -64,7 +64,7 @@ def joint_crps(block: Block, joints: BoolArray | None = None) -> FloatArray:
     """Fair CRPS of every joint, the mean over its coordinates, (B, K), mm; NaN for joints that don't count."""
     n = block.n_hypotheses
     scored = block.where if joints is None else block.where & joints
-    if n < 2:
+    if not block.has_spread:
         return np.full(scored.shape, np.nan)
     error = block.mean_of_each(np.abs(block.shortest(block.offsets)), np.float64)
     apart: FloatArray
@@ -87,7 +87,7 @@ def variograms(block: Block, joints: BoolArray | None = None) -> FloatArray:
     """
     B, K, _, n = block.offsets.shape
     scored = block.where if joints is None else block.where & joints
-    if n < 2:
+    if not block.has_spread:
         return np.full(B, np.nan)
     total, pairs = np.zeros(B), np.zeros(B)
     shares = np.full((B, n, 1), 1 / n) if block.weights is None else block.weights[..., None]

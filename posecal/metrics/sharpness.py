@@ -31,7 +31,7 @@ def joint_deviations(block: Block, *, population: bool = False) -> FloatArray:
     array (B, K)
         Deviations, mm; NaN for joints that don't count, and for one hypothesis unless ``population``.
     """
-    if block.n_hypotheses == 1 and not population:
+    if not block.has_spread and not population:
         return np.full(block.where.shape, np.nan)
     variance, n = block.variance, block.n_effective[:, None, None]
     deviations = np.sqrt(variance if population else variance * (n / (n - 1))).mean(axis=-1)
@@ -54,12 +54,12 @@ def joint_radii(block: Block, shares: tuple[float, ...]) -> FloatArray:
     -------
     array (B, K, len(shares))
         The ⌈q N⌉-th smallest distance from the per-coordinate median, or the smallest up to which a share q of the
-        weights lies, mm; NaN for joints that don't count.
+        weights lies, mm; NaN for joints that don't count, and where one hypothesis has nearly all weight.
     """
     if block.weights is not None:
         radii = np.sqrt(squared_norms(block.shortest(block.from_median)), dtype=np.float64)
         radii = weighted_quantiles(radii, block.weights[:, None], shares)
-        radii[~block.where] = np.nan
+        radii[~block.where | (not block.has_spread)] = np.nan
         return radii
     n = block.n_hypotheses
     squares = block.share("sorted_squares", lambda: np.sort(squared_norms(block.shortest(block.from_median)), axis=-1))
@@ -262,7 +262,7 @@ def sharpness_metrics(scope: Scope) -> Iterator[Metric]:
     divisor = "n" if population else "n − 1"
 
     def radii(block: Block) -> FloatArray:
-        return np.where(scope.moving[:, None], joint_radii(block, (0.5, 0.9)), np.nan)
+        return np.where((scope.moving & block.has_spread)[:, None], joint_radii(block, (0.5, 0.9)), np.nan)
 
     def deviations(block: Block) -> FloatArray:
         return np.where(scope.moving, joint_deviations(block, population=population), np.nan)

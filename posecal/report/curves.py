@@ -16,6 +16,7 @@ from posecal.metrics.brier import Reliability, reliability
 from posecal.metrics.risk_coverage import risk_coverage as risk_coverage_curves
 from posecal.metrics.uncertainty import sparsification as sparsification_curves
 from posecal.registry import curves_of, lacks
+from posecal.stats.uncertainty import measured_spec
 
 if TYPE_CHECKING:
     from posecal.report.report import Report
@@ -46,7 +47,7 @@ def calibration(report: Report, definition: Definition = "exchangeable", group: 
     if name not in statistics:
         raise PoseDataError(f"calibration: the report has no {definition} curves of {group or 'its poses'}.")
     mean = report.once((name, group), lambda: report.totals.averaged(statistics[name], report.groups[group]))
-    return curve_of(mean, definition, report.totals.spec.n_hypotheses)
+    return curve_of(mean, definition, measured_spec(report.totals).n_in_balls)
 
 
 def summary_curve(report: Report, definition: Definition = "exchangeable", group: str | None = None) -> FloatArray:

@@ -13,7 +13,7 @@ import numpy as np
 from posecal.engine.bounds import UNBOUNDED, Bounds, to_scale
 from posecal.stats.heterogeneity import sequence_areas, sequences_differ_p
 from posecal.stats.resampling import LEVEL
-from posecal.stats.uncertainty import freedom_of
+from posecal.stats.uncertainty import effective_hypotheses, freedom_of, weights_allow_no_test
 
 if TYPE_CHECKING:
     from posecal.report.report import Report
@@ -188,6 +188,8 @@ class Evidence:
         Label, what a rejection means, and adjusted p-value of each.
     spreads : bool
         Whether the hypotheses of a pose differ.
+    few_by_weights : float
+        The effective number of hypotheses with unequal weights, where it is too small for a test; else NaN.
     """
 
     ece: NullComparison
@@ -202,6 +204,7 @@ class Evidence:
     mean_of_joints: NullComparison | None = None
     rank_tests: tuple[tuple[str, str, float], ...] = ()
     spreads: bool = True
+    few_by_weights: float = math.nan
 
     @cached_property
     def strong(self) -> bool:
@@ -261,6 +264,7 @@ def evidence_of(report: Report) -> Evidence:
             for name, (_, p) in report.rank_tests().items()
         ),
         spreads=not {"diversity", "mpjpe"} <= report.metrics.keys() or report["diversity"] > ROUNDING * report["mpjpe"],
+        few_by_weights=effective_hypotheses(totals) if weights_allow_no_test(totals) else math.nan,
     )
     if evidence.strong or math.isnan(test.p) or "ece_mean" not in report.metrics or len(totals.spec.joints) < 2:
         return evidence

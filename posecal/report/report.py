@@ -34,7 +34,7 @@ from posecal.report.table import (
 from posecal.report.text import report_sheet, short_title
 from posecal.stats.jackknife import Interval
 from posecal.stats.resampling import Null, holm
-from posecal.stats.uncertainty import interval, joint_intervals, joint_p_values, null
+from posecal.stats.uncertainty import interval, joint_intervals, joint_p_values, measured_spec, null
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -87,7 +87,7 @@ class Report:
             if label != "occlusion":
                 self.groups |= {f"{label}={value}": cells for value, cells in totals.groups(label)}
                 continue
-            for which, metrics in occlusion_metrics_of(totals.protocol, totals.spec).items():
+            for which, metrics in occlusion_metrics_of(totals.protocol, measured_spec(totals)).items():
                 if any(metric.statistic.name not in totals.sums for metric in metrics.values()):
                     raise PoseDataError(
                         f"by: this result holds no numbers by occlusion. Evaluate with {option('by', 'occlusion')}."
@@ -100,7 +100,7 @@ class Report:
     @cached_property
     def metrics(self) -> dict[str, Metric]:
         """The metrics by name, in the order of the report."""
-        return metrics_of(self.totals.protocol, self.totals.spec, own=self.totals.own_metrics)
+        return metrics_of(self.totals.protocol, measured_spec(self.totals), own=self.totals.own_metrics)
 
     @cached_property
     def auxiliary(self) -> dict[str, AuxiliaryRow]:

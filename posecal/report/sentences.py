@@ -269,6 +269,17 @@ RULES = (
     ),
     Rule(
         "verdict",
+        "few by weights",
+        "weights are unequal, and effective N is below 20; nothing else is said then",
+        lambda e: not math.isnan(e.few_by_weights),
+        lambda e: (
+            f"Not judged: weights of an effective N of {e.few_by_weights:.1f} leave a calibrated model an ECE "
+            f"above 0; here it is {e.ece.error:.3f}."
+        ),
+        alone=True,
+    ),
+    Rule(
+        "verdict",
         "no test, one side",
         "fewer than 6 sequences; the 95 % interval of the signed area excludes 0, and the curve has a side",
         lambda e: _untested(e) and _one_sided(e),

@@ -13,22 +13,36 @@ from posecal.calibration.expected import ece_range
 from posecal.calibration.ranks import DEFINITIONS
 from posecal.calibration.standardized import NAME
 from posecal.data.frames import DIFFERENT_FRAMES
+from posecal.engine.measure import HAS_SPREAD
 from posecal.engine.scope import Scope
 from posecal.engine.totals import Totals
+from posecal.engine.weighted import LEAST_SPREAD
 from posecal.errors import first_few, for_python
 from posecal.metrics.likelihood import LIKELIHOODS, likelihood_remarks, moments_statistic
 from posecal.metrics.occlusion import occlusion_words
 from posecal.registry import left_out
 from posecal.report.evidence import evidence_of
+from posecal.report.format import counted
 from posecal.report.sentences import sentences
 from posecal.stats.resampling import MIN_SEQUENCES
-from posecal.stats.uncertainty import are_points, effective_hypotheses, p_without_each
+from posecal.stats.uncertainty import (
+    are_points,
+    effective_hypotheses,
+    measured_spec,
+    p_without_each,
+    weights_allow_no_test,
+)
 
 if TYPE_CHECKING:
     from posecal.report.report import Report
 
 FEW_SEQUENCES = 20
 """With fewer sequences than this the report says what p-values assume: rare bad ones may be missing from so few."""
+
+_FEW_BY_WEIGHTS = (
+    f" Below an effective N of {FEW_HYPOTHESES}, the ECE of a calibrated model is up to about 0.6 / effective N, and "
+    "scores are up to 9 % too low: calibration errors and rank tests are not tested."
+)
 
 
 def remarks(report: Report, words: Callable[[str], str] = for_python) -> tuple[str, ...]:
@@ -56,7 +70,7 @@ def _of_statistics(report: Report) -> Iterator[str]:
             f"{units} allow{'s' * (sequences == 1)} no test: even if all err alike, chance would do that in "
             f"{2 / 2**sequences:.0%} of cases. At least {MIN_SEQUENCES} are needed for a p-value."
         )
-    elif sequences < FEW_SEQUENCES and "ece" in report.metrics:
+    elif sequences < FEW_SEQUENCES and "ece" in report.metrics and not weights_allow_no_test(totals):
         yield _of_symmetry(report)
     if (average := totals.protocol.average) != "poses":
         groups = [value for value, _ in totals.groups(average)]
@@ -76,31 +90,54 @@ def _of_statistics(report: Report) -> Iterator[str]:
     n, families = totals.spec.n_hypotheses, {metric.family for metric in report.metrics.values()}
     effective = effective_hypotheses(totals)
     if n > 1 and totals.spec.has_weights:
-        few = " So few leave a calibrated model an ECE of 0.01 to 0.04, and scores 1 to 7 % too low."
-        few *= effective < FEW_HYPOTHESES
-        yield f"hypotheses count by their weights: effective N = {effective:.1f} (mean of 1 / Σ w²), of up to {n}.{few}"
+        few = _FEW_BY_WEIGHTS * weights_allow_no_test(totals)
+        of_up_to = f"effective N = {effective:.1f} (mean of 1 / Σ w²), of up to {n}{_unknown_coverage(report)}"
+        yield f"hypotheses count by their weights: {of_up_to}.{few}"
     elif n > 1 and totals.spec.has_scores and {"calibration", "rank_tests", "scores"} & families:
         yield (
             "scores are not used by calibration and proper scores, which count all hypotheses alike. Where they are "
             "chances of the hypotheses, give them as weights."
         )
+    if {"calibration", "rank_tests", "scores", "sharpness"} & families:
+        yield from _of_poses_without_spread(totals)
     if n < 2:
         yield "calibration and spread need at least 2 hypotheses; there is 1."
     elif n < FEW_HYPOTHESES and "calibration" in families and not totals.spec.has_weights:
         yield _of_few_hypotheses(report, n)
+    elif totals.spec.is_ragged and not totals.spec.has_weights and _unknown_coverage(report):
+        yield f"poses have {effective:.1f} hypotheses on average{_unknown_coverage(report)}."
     yield from _of_what_is_unknown(report)
+
+
+def _of_poses_without_spread(totals: Totals) -> Iterator[str]:
+    """Count the poses that drop out of what needs several hypotheses."""
+    poses = int(totals.poses.sum())
+    alone = poses - round(float(totals.sums.get(HAS_SPREAD.name, totals.poses).sum()))
+    if alone:
+        yield (
+            f"{counted(alone, 'pose')} of {poses:,} ha{'s' if alone == 1 else 've'} one hypothesis, or one of nearly "
+            f"all weight (effective N below {LEAST_SPREAD:g}): calibration, scores and spread are those of the other "
+            f"{poses - alone:,}."
+        )
 
 
 def _of_few_hypotheses(report: Report, n: int) -> str:
     """Say which values an ECE can have, and at which levels coverage is not known."""
     low, high = ece_range(n)
-    hidden = [percent for percent in unresolved_coverages(n) if f"coverage_{percent}" in report.metrics]
-    levels = " or ".join(filter(None, [", ".join(map(str, hidden[:-1])), *(f"{p} %" for p in hidden[-1:])]))
-    unknown = f"; no ball holds {levels} of them, so that coverage is not known" if hidden else ""
     return (
         f"N = {n} hypotheses are few: an ECE lies between {low:.2g} and {high:.2g}; look at what a perfect sampler "
-        f"would show before reading an ECE (paper){unknown}."
+        f"would show before reading an ECE (paper){_unknown_coverage(report)}."
     )
+
+
+def _unknown_coverage(report: Report) -> str:
+    """Say at which levels coverage is not known."""
+    levels = unresolved_coverages(measured_spec(report.totals).n_in_balls)
+    hidden = [percent for percent in levels if f"coverage_{percent}" in report.metrics]
+    if not hidden:
+        return ""
+    words = " or ".join(filter(None, [", ".join(map(str, hidden[:-1])), *(f"{p} %" for p in hidden[-1:])]))
+    return f"; no ball holds {words} of them, so that coverage is not known"
 
 
 def _of_what_is_unknown(report: Report) -> Iterator[str]:

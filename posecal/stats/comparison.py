@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Hashable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from html import escape
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from posecal.calibration.error import FEW_HYPOTHESES
 from posecal.data.arrays import FloatArray
 from posecal.data.texts import json_lines, printable_table
 from posecal.engine.metric import Metric
@@ -28,12 +29,18 @@ from posecal.stats.multiplicity import PRIMARY, adjust, check_primary, default_p
 from posecal.stats.pairs import Difference, Pair, pairs
 from posecal.stats.resampling import LEVEL, MIN_SEQUENCES, Null
 from posecal.stats.same_poses import PosesThatCount, check_same_poses, not_compared, poses_that_count
-from posecal.stats.uncertainty import null
+from posecal.stats.uncertainty import effective_hypotheses, measured_spec, null, weights_allow_no_test
 
 if TYPE_CHECKING:
     import pandas as pd
 
 FORMATS = ("csv", "json", "latex", "markdown")
+
+_DEPEND_ON_NUMBER = ("calibration", "rank_tests", "scores")
+"""Families whose numbers weights move by more, the smaller the effective number of hypotheses is."""
+
+_ALIKE = 1.1
+"""Effective numbers of weighted hypotheses are alike up to this ratio."""
 
 T = TypeVar("T")
 
@@ -98,10 +105,26 @@ class Comparison:
                 f"no p-values on {first.units()}, and no model is called better; expected at least {MIN_SEQUENCES}. "
                 "With fewer, one of two equal models is ahead in all of them in more than 5 % of cases."
             )
+        if self._weights_differ:
+            effective = map(effective_hypotheses, self.totals)
+            numbers = ", ".join(f"{n:.1f} of {name}" for name, n in zip(self.names, effective, strict=True))
+            remarks.append(
+                "no p-values of calibration, rank tests and scores, and no model is called better in them: effective N "
+                f"is {numbers}, and weights move these numbers by more, the smaller it is; expected at least "
+                f"{FEW_HYPOTHESES} of weighted hypotheses, and alike within {_ALIKE - 1:.0%}."
+            )
         lack = "" if self.chosen else unmeasured(PRIMARY[0], first.protocol, first.spec)
         if lack and PRIMARY[0] not in self.metrics:
             remarks.append(f"primary metrics: {', '.join(self.primary)}; {PRIMARY[0]} {lack}")
         return remarks + not_compared({name: self._counted(name) for name in self.metrics}, self.names)
+
+    @cached_property
+    def _weights_differ(self) -> bool:
+        """Whether some hypotheses have unequal weights, and effective numbers that are small or differ."""
+        if not any(totals.spec.has_weights for totals in self.totals):
+            return False
+        numbers = [effective_hypotheses(totals) for totals in self.totals]
+        return any(map(weights_allow_no_test, self.totals)) or max(numbers) > _ALIKE * min(numbers)
 
     @property
     def _notes(self) -> list[str]:
@@ -110,7 +133,8 @@ class Comparison:
     @cached_property
     def metrics(self) -> dict[str, Metric]:
         """The metrics that all models report, by name."""
-        known = [metrics_of(totals.protocol, totals.spec, own=totals.own_metrics) for totals in self.totals]
+        fewest = sorted(self.totals, key=effective_hypotheses)  # of the first of them all levels must be known
+        known = [metrics_of(totals.protocol, measured_spec(totals), own=totals.own_metrics) for totals in fewest]
         names = [{name: metric.statistic.name for name, metric in some.items()} for some in known]  # of one density
         return {n: m for n, m in known[0].items() if all(other.get(n) == m.statistic.name for other in names)}
 
@@ -168,8 +192,10 @@ class Comparison:
         """
         p = {name: self._null(metric, name).p for name in self.names}
         if any(math.isnan(value) for value in p.values()):
-            units = self.totals[0].units()
-            raise PoseDataError(f"calibrated: {metric} has no test on {units}; expected at least {MIN_SEQUENCES}.")
+            what = f"{self.totals[0].units()}; expected at least {MIN_SEQUENCES}"
+            if any(map(weights_allow_no_test, self.totals)):
+                what = f"weighted hypotheses of so small an effective N; expected at least {FEW_HYPOTHESES}"
+            raise PoseDataError(f"calibrated: {metric} has no test on {what}.")
         return [name for name, value in p.items() if value >= LEVEL]
 
     def rank(self, metric: str, model: str) -> int:
@@ -271,7 +297,10 @@ class Comparison:
         sizes = np.max([self._sizes(metric, name) for name in self.names], axis=0)
         values = {name: self.value(metric, name) for name in self.names}
         without = {name: self._without(metric, name) for name in self.names}
-        return pairs(self._find(metric, self.names[0])[0].direction, values, without, sizes)
+        one = self._find(metric, self.names[0])[0]
+        untested = self._weights_differ and one.family in _DEPEND_ON_NUMBER
+        for pair in pairs(one.direction, values, without, sizes):
+            yield replace(pair, p=math.nan) if untested else pair
 
 
 def _plain(value: object) -> object:

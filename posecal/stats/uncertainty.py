@@ -7,10 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from posecal.calibration.error import FEW_HYPOTHESES
 from posecal.calibration.ranks import LEVELS
 from posecal.data.arrays import FloatArray
 from posecal.engine.measure import EFFECTIVE_NUMBER
 from posecal.engine.metric import Metric, Statistic
+from posecal.engine.scope import DataSpec
 from posecal.engine.sums import Cells, Counts, Indices, slices
 from posecal.engine.totals import Totals
 from posecal.stats.jackknife import (
@@ -92,7 +94,7 @@ def null(totals: Totals, metric: Metric, cells: Cells = None) -> Null:
     Returns
     -------
     Null
-        NaN p where there are too few sequences.
+        NaN p where there are too few sequences, and where :func:`weights_allow_no_test`.
     """
     if metric.deviation is None:
         raise ValueError(f"{metric.name} is no calibration error")
@@ -101,7 +103,7 @@ def null(totals: Totals, metric: Metric, cells: Cells = None) -> Null:
     whole = replace(metric.deviation, first=None, last=None)
     errors = _errors_of(totals, metric, cells, curves)
     test = sign_flips(deviations, counts, whole, offset=metric.offset, errors=errors)
-    if are_points(totals, metric, cells):
+    if are_points(totals, metric, cells) or weights_allow_no_test(totals):
         return Null(test.observed, math.nan, math.nan, math.nan, math.nan, test.sequences)
     return test
 
@@ -165,7 +167,7 @@ def joint_p_values(totals: Totals, metric: Metric, cells: Cells = None) -> Float
     """
     joints = int((totals.counts[metric.statistic.name][:, :-1] > 0).any(axis=0).sum())
     few = joints > LEVEL * n_patterns(totals.n_sequences, joints * LEVELS.size)
-    if few or are_points(totals, metric, cells):
+    if few or are_points(totals, metric, cells) or weights_allow_no_test(totals):
         return np.full(len(totals.spec.joints), np.nan)
     deviations, counts = sequence_deviations(totals, metric.statistic, cells, metric.offset)
     return sign_flips_of_each(deviations[:, :-1], counts[:, :-1], offset=metric.offset)
@@ -181,6 +183,21 @@ def effective_hypotheses(totals: Totals) -> float:
     """Mean over poses of the effective number of hypotheses: N where all have the same weight, and none is absent."""
     known = EFFECTIVE_NUMBER.name in totals.sums
     return float(totals.mean(EFFECTIVE_NUMBER)) if known else float(totals.spec.n_hypotheses)
+
+
+def measured_spec(totals: Totals) -> DataSpec:
+    """What is measured, with the mean effective number of hypotheses where poses have different ones."""
+    spec = totals.spec
+    varies = spec.is_ragged or spec.has_weights
+    return replace(spec, n_effective=effective_hypotheses(totals)) if varies else spec
+
+
+def weights_allow_no_test(totals: Totals) -> bool:
+    """Whether weights are unequal and of so small an effective number that calibrated models have an ECE above 0.
+
+    No p-value knows of that: ranks of weighted hypotheses are right only in the limit of a large effective number.
+    """
+    return totals.spec.has_weights and effective_hypotheses(totals) < FEW_HYPOTHESES
 
 
 def unbiased_squared_error(totals: Totals, statistic: Statistic, cells: Cells = None) -> float:

@@ -129,6 +129,18 @@ def test_copies_of_unlike_numbers_leave_absent_ones() -> None:
     assert report["mpjpe"] == pytest.approx(posecal.metrics.mpjpe(x, Y, unit="mm", axes="NMKD").mean())
 
 
+def test_absent_hypotheses_have_no_share() -> None:
+    x = np.concatenate([X, np.full((4, *X.shape[1:]), np.nan)])
+    x[1, 0], x[2, 1] = x[0, 0], np.nan
+    distinct, weights = posecal.collapse_copies(x)
+    assert weights[:, 0].tolist() == [2 / 6, 1 / 6, 1 / 6, 1 / 6, 1 / 6, 0]
+    assert weights[:, 1].tolist() == [1 / 5] * 5 + [0]
+    np.testing.assert_array_equal(distinct[:5, 1], X[[0, 1, 3, 4, 5], 1])
+    np.testing.assert_array_equal(weights[:, 2:], np.full((6, M - 2), 1 / 6))
+    x[:, 3] = np.nan
+    assert not posecal.collapse_copies(x)[1][:, 3].any()
+
+
 def test_collapsed_copies_have_the_numbers_of_the_draws() -> None:
     options: dict[str, Any] = {"unit": "mm", "axes": "NMKD", "root_joint": "none", "metrics": "default, scores"}
     copied = np.repeat(X, 20, axis=0)

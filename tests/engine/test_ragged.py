@@ -92,8 +92,12 @@ def test_poses_of_one_hypothesis_have_no_rank() -> None:
     options: dict[str, Any] = {"unit": "mm", "axes": "NMKD", "root_joint": "none", "metrics": "all"}
     whole, part = posecal.evaluate(x, Y, **options), posecal.evaluate(x[:, 9:], Y[9:], **options)
     for name in ("ece", "coordinate_pit", "average_rank", "tarp", "energy_score", "radius_50"):
-        same = name != "radius_50"  # of one hypothesis it is 0
-        assert (whole[name] == pytest.approx(part[name], rel=1e-9)) == same, name
+        assert whole[name] == pytest.approx(part[name], rel=1e-9), name
+    assert any(
+        remark.startswith("9 poses of 90 have one hypothesis") and remark.endswith("are those of the other 81.")
+        for remark in whole.remarks
+    )
+    assert not any("have one hypothesis" in remark for remark in part.remarks)
 
 
 def test_weights_decide_the_weighted_pose() -> None:

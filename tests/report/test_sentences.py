@@ -66,6 +66,14 @@ def test_nothing_is_judged_of_hypotheses_that_are_all_the_same() -> None:
     assert len(list(sentences(replace(same, spreads=True)))) == 3
 
 
+def test_nothing_is_judged_of_weights_of_a_small_effective_number() -> None:
+    few = evidence(NAN, area_of(-0.03, -0.04, -0.02), rank_tests=ranks(a=NAN), few_by_weights=3.14)
+    assert list(sentences(few)) == [
+        "Not judged: weights of an effective N of 3.1 leave a calibrated model an ECE above 0; here it is 0.040."
+    ]
+    assert spoken(replace(few, few_by_weights=NAN))[0] == "no test, one side"
+
+
 def test_beyond_chance_is_below_one_percent() -> None:
     assert STRONG == 0.01
     assert first(evidence(0.0099, area_of(-0.03))) == (
