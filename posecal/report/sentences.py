@@ -1,8 +1,7 @@
 """What a summary may say: a table of rules, each with the evidence that it needs and its sentence.
 
-In each group of rules the first that holds applies, and no other. A sentence never says more than the report shows:
-what is not shown is not called calibrated, what p-values between 0.01 and 0.05 suggest is called weak evidence, and
-where an interval of the report excludes what a calibrated model has, that is said.
+In each group of rules the first that holds applies. A sentence never says more than the report shows: what is not
+shown is not called calibrated, p-values between 0.01 and 0.05 are weak evidence, and intervals are not contradicted.
 """
 
 from __future__ import annotations

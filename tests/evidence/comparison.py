@@ -86,7 +86,7 @@ def part_of(comparison: Comparison, models: int, metrics: str) -> Comparison:
     """Compare the first models by some of the metrics; what is known of each model is not computed again."""
     totals = [replace(some, protocol=Protocol(metrics=metrics)) for some in comparison.totals[:models]]
     part = compare_totals(totals, MODELS[:models])
-    known = {key: value for key, value in comparison._memory.items() if key[0] in {"value", "without", "present"}}
+    known = {key: value for key, value in comparison._memory.items() if key[0] in {"value", "without", "sizes"}}
     part._memory.update(known)
     return part
 
