@@ -295,7 +295,8 @@ def test_the_error_of_a_hypothesis_by_its_number_is_left_out_where_some_are_abse
     best = np.where(LIVE, scores, 0).argmax(axis=0)
     error = np.linalg.norm(X[best, np.arange(M)] - Y, axis=-1).mean(axis=1)
     assert 0.1 < by_score["failure_rate"] < 0.9
-    assert by_score["failure_rate"] == pytest.approx((error > 75).mean())
+    spread = effective_number(absent.get("weights", LIVE * 1.0).T) >= 1.5  # others have none that errors could follow
+    assert by_score["failure_rate"] == pytest.approx((error > 75)[spread].mean())
 
 
 def test_remarks_say_what_the_weights_are_worth_and_that_scores_are_no_weights() -> None:
