@@ -147,8 +147,8 @@ def perfect_sampler(
     over : str
         The summary over joints; see :func:`posecal.ece`.
     draws : int
-        Test sets drawn, from a fixed seed; fewer where several joints make :data:`MAX_VALUES` values, at least
-        :data:`FEWEST_DRAWS`.
+        Test sets drawn, from a fixed seed; fewer where several joints make ``MAX_VALUES`` values, at least
+        ``FEWEST_DRAWS``.
 
     Returns
     -------

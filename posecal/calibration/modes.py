@@ -211,7 +211,7 @@ def joint_modes(
 
     See Also
     --------
-    posecal.fit_spread : Which rescales hypotheses about their modes with ``about="modes"``.
+    posecal.recalibration.fit_spread : Which rescales hypotheses about their modes with ``about="modes"``.
 
     Examples
     --------

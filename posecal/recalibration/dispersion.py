@@ -57,7 +57,7 @@ def find_modes(
     Parameters
     ----------
     hypotheses, truth, threads, **described
-        As for :func:`posecal.fit_spread`.
+        As for :func:`posecal.recalibration.fit_spread`.
 
     Returns
     -------

@@ -119,7 +119,7 @@ def judge_spread(
     Parameters
     ----------
     hypotheses, truth, per_joint, about, threads, **described
-        As for :func:`posecal.fit_spread`.
+        As for :func:`posecal.recalibration.fit_spread`.
     protocol : Protocol or str, optional
         What is measured; the default metrics by default. Energy score, CRPS and signed area always are: objections
         to the map rest on them.
