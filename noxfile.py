@@ -16,13 +16,14 @@ PYTHONS = nox.project.python_versions(PYPROJECT)
 NOT_LOWEST = ("posecal", "torch", "safetensors", "mypy", "ruff", "pandas-stubs", "scipy-stubs", "import-linter")
 """Left out of the lowest versions: PyTorch, for its size, and what only reads code."""
 NOT_WITH_LOWEST = (
+    "--ignore=tests/evidence",
     "--ignore=tests/models",
     "--ignore=tests/benchmarks",
     "--ignore=tests/helpers/two_ranks.py",
-    "--deselect=tests/test_docs.py::test_a_pages_examples_run_in_order[models]",
+    "--ignore=tests/test_docs.py",
     "--deselect=tests/test_structure.py::test_imports_keep_to_the_layers_of_pyproject",
 )
-"""Arguments of pytest that leave out the tests that need PyTorch or import-linter."""
+"""Arguments of pytest that leave out tests of PyTorch, import-linter, pages and simulations."""
 OLD_WARNINGS = ("-W", "ignore::DeprecationWarning", "-W", "ignore::PendingDeprecationWarning")
 """Old libraries call what newer ones have deprecated; that is no fault of posecal."""
 

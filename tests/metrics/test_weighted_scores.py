@@ -1,5 +1,7 @@
 """Weighted scores against scoringrules' weighted ensembles, and weighted distances against plain loops."""
 
+from inspect import signature
+
 import numpy as np
 import pytest
 import scoringrules
@@ -13,6 +15,7 @@ X, Y = RANDOM.normal(0, 50, (N, M, K, 3)), RANDOM.normal(0, 50, (M, K, 3))
 W = RANDOM.dirichlet(np.ones(N), M).T
 
 
+@pytest.mark.skipif("ens_w" not in signature(scoringrules.es_ensemble).parameters, reason="an older scoringrules")
 def test_the_part_of_the_spread_is_that_of_scoringrules_made_fair() -> None:
     """Theirs is not fair: its spread is over all pairs, of which Σ w² are no two draws."""
     x, y, w = X.reshape(N, M, -1).swapaxes(0, 1), Y.reshape(M, -1), W.T
