@@ -73,7 +73,7 @@ def scores(replicates: int) -> list[tuple[str, ...]]:
                 right = score(*perfect, unit="mm", axes="NMKD")
                 error = f"{right.mean():.2f} ± {right.std() / np.sqrt(len(right)):.2f}"
                 what = f"{name}, proposal × {width:g}, N = {N}"
-                rows.append((what, f"{plain.mean():.2f}", f"{now.mean():.2f}", error))
+                rows.append((what, f"{plain.mean():.2f}", f"{np.nanmean(now):.2f}", error))
     return rows
 
 
