@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from posecal.engine.totals import Totals
     from posecal.errors import PosecalError, PoseDataError, PoseFileError
     from posecal.evaluation import Evaluation, compare, evaluate
-    from posecal.recalibration import cross_fitted, fit_radius, fit_spread
+    from posecal.recalibration import fit_radius, fit_spread, judge_spread
     from posecal.registry import register, unregister
     from posecal.report.explain import explain
     from posecal.report.report import Report
@@ -59,7 +59,7 @@ _MODULES = {
     "posecal.engine.totals": ("Totals",),
     "posecal.errors": ("PoseDataError", "PoseFileError", "PosecalError"),
     "posecal.evaluation": ("Evaluation", "compare", "evaluate"),
-    "posecal.recalibration": ("cross_fitted", "fit_radius", "fit_spread"),
+    "posecal.recalibration": ("fit_radius", "fit_spread", "judge_spread"),
     "posecal.registry": ("register", "unregister"),
     "posecal.report.explain": ("explain",),
     "posecal.report.report": ("Report",),
@@ -92,12 +92,12 @@ __all__ = [
     "collapse_copies",
     "compare",
     "convert",
-    "cross_fitted",
     "ece",
     "evaluate",
     "explain",
     "fit_radius",
     "fit_spread",
+    "judge_spread",
     "load_totals",
     "merge_totals",
     "metrics",

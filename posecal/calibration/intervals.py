@@ -251,6 +251,7 @@ def _mean(block: Block, of: Callable[[Block, float], FloatArray], level: float) 
 
 _COVERAGE = partial(
     Metric,
+    needs=("alike hypotheses",),
     unit="",
     direction="none",
     family="calibration",
@@ -262,6 +263,7 @@ _COVERAGE = partial(
 )
 _WIDTH = partial(
     Metric,
+    needs=("alike hypotheses",),
     unit="mm",
     direction="none",
     family="sharpness",

@@ -131,7 +131,7 @@ class GaussianPrediction:
         if len(bad):
             raise PoseDataError(
                 f"{name}: below 0, or not of sum 1, in {len(bad):,} of {shape[1]:,} frames (first: "
-                f"{first_few(bad[:9].tolist())}); expected weights of at least 0 and sum 1."
+                f"{first_few(bad.tolist())}); expected weights of at least 0 and sum 1."
             )
         return np.asarray(weights / total)
 
@@ -293,7 +293,7 @@ class GaussianPrediction:
             expected = "above 0" if self.kind == "sigma" else "symmetric and positive definite"
             raise PoseDataError(
                 f"{self.name}{word}: not {expected} in {len(bad):,} of {number:,} frames (first: "
-                f"{first_few([frames[row] for row in bad[:9]])}); expected so of every joint but the root, in the "
+                f"{first_few([frames[row] for row in bad])}); expected so of every joint but the root, in the "
                 f"{'' if self.kind == 'sigma' else 'squared '}unit of the mean."
             )
 

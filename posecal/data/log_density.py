@@ -127,6 +127,6 @@ def _refuse_non_finite(name: str, values: FloatArray, lacking: BoolArray, frames
         infinite = " An infinite log density makes the NLL of all poses infinite." * bool(np.isinf(values).any())
         raise PoseDataError(
             f"{name}: log_prob is not finite in {len(bad):,} of {len(values):,} frames (first: "
-            f"{first_few([frames[row] for row in bad[:9]])}); expected nats.{infinite} Give the model a density above "
+            f"{first_few([frames[row] for row in bad])}); expected nats.{infinite} Give the model a density above "
             "0 everywhere, such as a mixture with a wide component, or leave these frames out."
         )

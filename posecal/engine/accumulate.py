@@ -87,7 +87,7 @@ class Accumulator:
         self._segments = Segments(protocol.segment_length if needs_segments else 0)
         self._last: tuple[str, int] | None = None  # sequence and order of the last pose; None where it was dropped
         self._remarks = PoseRemarks()
-        self._found = {} if prepared is None else {"coordinate range": prepared.hash}
+        self._prepared_hashes = {} if prepared is None else {"coordinate range": prepared.hash}
         self._failure = ""  # what stopped a batch when some of it was counted
 
     def add(
@@ -119,7 +119,7 @@ class Accumulator:
         """
         self._refuse_after_failure()
         if data.reference is not None and hasattr(data.reference.hypotheses, "hash"):
-            self._found["climatology"] = data.reference.hypotheses.hash
+            self._prepared_hashes["climatology"] = data.reference.hypotheses.hash
         numbers = self._sequence_numbers(data)
         try:
             self._add(data, numbers, progress, pending)
@@ -186,7 +186,7 @@ class Accumulator:
             cell_of=number[np.concatenate(final._cell_of)] if final._per_pose else np.zeros(0, dtype=np.intp),
             pose_hashes=hashes,
             own_metrics=self.own_metrics,
-            found=dict(self._found),
+            prepared_hashes=dict(self._prepared_hashes),
         )
 
     def select_pending(self, chosen: BoolArray) -> None:

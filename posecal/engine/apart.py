@@ -78,7 +78,7 @@ def without_apart(parts: Sequence[Totals]) -> tuple[Sequence[Totals], list[str]]
         holds = any(statistic.startswith(part.statistics) for totals in parts for statistic in totals.sums)
         if name == "climatology" and not any(totals.spec.reference == name for totals in parts):
             continue  # of another model it does not matter which poses are together
-        found = [totals.found.get(name) for totals in parts]
+        found = [totals.prepared_hashes.get(name) for totals in parts]
         differ = len(parts) > 1 and holds and (None in found or len({*found}) > 1)
         if differ or any(name in totals.spec.apart for totals in parts):
             apart.append(name)
@@ -101,7 +101,7 @@ def _without(totals: Totals, apart: tuple[str, ...]) -> Totals:
         protocol=replace(totals.protocol, metrics=", ".join(words)),
         sums={name: totals.sums[name] for name in kept},
         counts={name: totals.counts[name] for name in kept},
-        found={name: value for name, value in totals.found.items() if name not in apart},
+        prepared_hashes={name: value for name, value in totals.prepared_hashes.items() if name not in apart},
     )
 
 

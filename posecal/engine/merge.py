@@ -77,7 +77,7 @@ def merge_totals(parts: Sequence[Totals], names: Sequence[str] | None = None) ->
         has_sequences=has_sequences,
         pose_hashes=smallest_hashes([part.pose_hashes for part in parts]),
         own_metrics=first.own_metrics,
-        found=first.found,
+        prepared_hashes=first.prepared_hashes,
     )
     new = (remark for remark in (*lost, uncut, _cut_sequences(parts)) if remark and remark not in total.remarks)
     total.remarks = (*total.remarks, *new)

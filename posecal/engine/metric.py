@@ -28,7 +28,14 @@ Family = Literal["accuracy", "calibration", "rank_tests", "scores", "sharpness"]
 Over = Literal["median", "mean", "worst"]
 
 Need = Literal[
-    "lengths", "three axes", "positions", "three hypotheses", "whole poses", "coordinate range", "climatology"
+    "lengths",
+    "three axes",
+    "positions",
+    "three hypotheses",
+    "alike hypotheses",
+    "whole poses",
+    "coordinate range",
+    "climatology",
 ]
 
 MetricFunction = Callable[..., npt.ArrayLike]

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 from posecal.data.units import PERIODS
 from posecal.engine.metric import Curve, Metric, Need
-from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec, Scope
 from posecal.errors import first_few
 
@@ -16,6 +15,7 @@ NEEDS: dict[Need, str] = {
     "three axes": "positions of three coordinates",
     "positions": "positions, not angles",
     "three hypotheses": "at least 3 hypotheses",
+    "alike hypotheses": "hypotheses of equal weight",
     "whole poses": "where = all and joints = all, because a log density is of the whole pose",
     "coordinate range": "one coordinate range; each of the results that were merged has its own",
     "climatology": "one climatology; each of the results that were merged has its own",
@@ -26,7 +26,6 @@ OF_ALL_POSES: tuple[Need, ...] = ("coordinate range", "climatology")
 """Those that are found from all poses that are evaluated together."""
 
 _AS_MANY = "as many hypotheses of every pose"
-_EQUAL = "hypotheses of equal weight"
 
 _OF_ANGLES = "; angles: circular mean, distances the shorter way round, order from the point opposite the mean"
 _OF_CHORDS = "; angles: distances are chords of a circle of a circumference of 360 deg"
@@ -41,29 +40,26 @@ def unmet(metric: Metric | Curve, scope: Scope) -> tuple[str, ...]:
     met = {"lengths": spec.unit == "mm", "three axes": spec.n_coordinates == 3, "positions": spec.unit not in PERIODS}
     met |= {
         "three hypotheses": spec.n_hypotheses > 2,
+        "alike hypotheses": True,  # of others more is said below
         "whole poses": scope.is_whole,
         **{part: part not in spec.apart for part in OF_ALL_POSES},
     }
-    if (spec.is_ragged or spec.has_weights) and not _takes_weights(metric, scope.protocol):
-        return (_AS_MANY if spec.is_ragged else _EQUAL,)
+    if (spec.is_ragged or spec.has_weights) and not _takes_weights(metric):
+        return (_AS_MANY if spec.is_ragged else NEEDS["alike hypotheses"],)
     if spec.has_weights and isinstance(metric, Metric) and metric.function is not None:
-        return (_EQUAL,)
+        return (NEEDS["alike hypotheses"],)
     return (*(NEEDS[need] for need in metric.needs if not met[need]), *([lack] if lack else []))
 
 
-def _takes_weights(metric: Metric | Curve, protocol: Protocol) -> bool:
+def _takes_weights(metric: Metric | Curve) -> bool:
     """Whether a metric is right for poses with different numbers of hypotheses, and for weighted ones.
 
-    What follows one hypothesis from frame to frame, is of one by its number, or of a chosen number of them is not; nor
-    is what has another expected value for each N, or is made of pairs of hypotheses without their weights.
+    What follows one hypothesis from frame to frame is not, nor what has another expected value for each N; of others
+    the metric says so itself.
     """
-    if isinstance(metric, Curve):
-        return metric.name != "errors_by_n"
-    follows_one = metric.statistic.earlier or metric.statistic.by_segment or metric.sequences_per_batch
-    of_some = any(word in metric.name for word in ("min_mpjpe_at_", "mode_", "interval_", "brier"))
-    by_number = protocol.single_pose == "mode" and protocol.mode != "score"
-    of_some |= by_number and metric.statistic.name == "predicted_spread_and_error"
-    return not follows_one and not of_some and metric.offset is None
+    if isinstance(metric, Metric) and (metric.sequences_per_batch or metric.offset is not None):
+        return False
+    return not (metric.statistic.earlier or metric.statistic.by_segment or "alike hypotheses" in metric.needs)
 
 
 def in_unit(metric: Metric, spec: DataSpec) -> Metric:

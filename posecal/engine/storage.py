@@ -57,7 +57,7 @@ def save_totals(totals: Totals, path: str | os.PathLike[str]) -> None:
         "remarks": [remark_as_json(remark) for remark in totals.remarks],
         "n_frames": totals.n_frames,
         "has_sequences": totals.has_sequences,
-        "found": totals.found,
+        "prepared_hashes": totals.prepared_hashes,
         "own_metrics": [metric.description for metric in totals.own_metrics],
         "statistics": list(totals.sums),
         "per_pose": list(totals.per_pose),
@@ -117,7 +117,7 @@ def load_totals(path: str | os.PathLike[str]) -> Totals:
             cell_of=members["cell_of"],
             pose_hashes=members["pose_hashes"],
             own_metrics=tuple(Metric.from_description(texts) for texts in about["own_metrics"]),
-            found=about.get("found", {}),  # of files before it
+            prepared_hashes=about.get("prepared_hashes", {}),  # of files before it
         )
         _check_members(totals, about)
         if digest != digest_of(members):
@@ -186,7 +186,7 @@ def _check_types(totals: Totals) -> None:
     kinds |= {"n_hypotheses": int, "joints": tuple}
     wrong = [name for name, kind in kinds.items() if type(getattr(spec, name)) is not kind]
     words: list[Any] = [totals.version, *totals.remarks, *spec.joints, *spec.labels, *spec.preranks, *spec.apart]
-    words += [*totals.found, *totals.found.values()]
+    words += [*totals.prepared_hashes, *totals.prepared_hashes.values()]
     arrays: dict[str, list[npt.NDArray[Any]]] = {
         "i": [totals.poses, totals.cell_of, *totals.counts.values()],
         "U": [*totals.cells.values()],

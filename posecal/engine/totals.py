@@ -65,7 +65,7 @@ class Totals:
         Of the true poses; see :func:`posecal.engine.pose_hashes.pose_hashes`.
     own_metrics : tuple of Metric
         The user's metrics that the sums are of.
-    found : dict of str
+    prepared_hashes : dict of str
         Hashes of what was found from all poses together, by the need of metrics that it meets.
     """
 
@@ -83,7 +83,7 @@ class Totals:
     cell_of: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     pose_hashes: PoseHashes = field(default_factory=lambda: np.zeros((0, 2), dtype=np.uint64))
     own_metrics: tuple[Metric, ...] = ()
-    found: dict[str, str] = field(default_factory=dict)
+    prepared_hashes: dict[str, str] = field(default_factory=dict)
     _shared: dict[Hashable, tuple[Cells, FloatArray]] = field(default_factory=dict, init=False, compare=False)
 
     def __getstate__(self) -> dict[str, Any]:

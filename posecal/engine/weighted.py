@@ -11,12 +11,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray
 from posecal.data.weights import EQUAL, are_unequal
-
-Indices = npt.NDArray[np.intp]
+from posecal.engine.sums import Indices
 
 LEAST_SPREAD = 1.5
 """Poses of a smaller effective number count as such of one hypothesis: what is left of a spread is that of rounding."""

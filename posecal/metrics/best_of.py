@@ -187,6 +187,7 @@ def subset_metrics(scope: Scope) -> Iterator[Metric]:
                 f"error; error: {error_words(scope)}",
                 statistic=statistic,
                 finish=entry(index),
+                needs=("alike hypotheses",),
             )
 
 
@@ -200,4 +201,5 @@ def subset_curve(scope: Scope) -> Curve:
         definition=f"mean over poses and over all subsets of n of the N={N} hypotheses of the smallest error; error: "
         f"{error_words(scope)}",
         statistic=_errors_by_n(scope),
+        needs=("alike hypotheses",),
     )

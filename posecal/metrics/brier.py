@@ -247,7 +247,7 @@ def brier_metrics(scope: Scope) -> Iterator[Metric]:
         "p: share of hypotheses of which each lies within it of the median of the others"
     )
     counted = partial(brier_counts, joints=scope.moving, threshold=threshold)
-    needs: tuple[Need, ...] = ("three hypotheses",)
+    needs: tuple[Need, ...] = ("three hypotheses", "alike hypotheses")
     make = partial(_BRIER, needs=("lengths", *needs) if threshold == Protocol().pck_threshold else needs)
     yield make(
         name="brier",

@@ -13,12 +13,14 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
+from posecal.calibration.ranks import shared_ranks
 from posecal.data.arrays import BoolArray, FloatArray, checked_number
 from posecal.engine.bounds import SHARE
 from posecal.engine.metric import Metric, Need, Statistic
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import Scope
-from posecal.metrics.risk_coverage import Indices, known_pairs, run_numbers
+from posecal.engine.sums import Indices
+from posecal.metrics.risk_coverage import known_pairs, run_numbers
 
 
 def failure_auroc(spread: npt.ArrayLike, error: npt.ArrayLike, threshold: float = 150.0) -> float:
@@ -68,12 +70,11 @@ def failure_auroc(spread: npt.ArrayLike, error: npt.ArrayLike, threshold: float 
     failed = e > threshold
     n = int(failed.sum())
     pairs = n * (len(e) - n)
-    return float((_ranks_within(s)[failed].sum() - n * (n - 1) / 2) / pairs) if pairs else math.nan
+    return float((shared_ranks(s)[failed].sum() - n * (n - 1) / 2) / pairs) if pairs else math.nan
 
 
-def _ranks_within(values: FloatArray, group: npt.NDArray[np.generic] | None = None) -> FloatArray:
+def _ranks_within(values: FloatArray, group: npt.NDArray[np.generic]) -> FloatArray:
     """Rank of each value among those of its group, from 0; ties share the mean."""
-    group = np.zeros(len(values), dtype=np.intp) if group is None else group
     order = np.lexsort((values, group))
     run, own = run_numbers(group[order], values[order]), run_numbers(group[order])
     size = np.bincount(own)
@@ -89,7 +90,7 @@ def failure_auroc_without(
 ) -> FloatArray:
     """ROC AUC of failures without the poses of each sequence in turn, (S,); exact, from two sorts of all poses."""
     S, failed = int(sequence.max(initial=-1)) + 1, error > threshold
-    below = _ranks_within(spread) - _ranks_within(spread, failed)  # of the other class, for each pose
+    below = shared_ranks(spread) - _ranks_within(spread, failed)  # of the other class, for each pose
     lost = np.bincount(sequence, np.where(failed, below, failed.sum() - below), minlength=S)
     size = np.bincount(sequence, minlength=S)
     own = np.bincount(sequence, failed, minlength=S)
@@ -135,7 +136,7 @@ def failure_metrics(scope: Scope, of_poses: Statistic, about: str) -> Iterator[M
         finish=lambda values: failure_auroc(values[:, 0], values[:, 1], threshold),
         leave_out=lambda values, sequence: failure_auroc_without(values[:, 0], values[:, 1], sequence, threshold),
         range="0 to 1 (every failure has a larger spread than every success); 0.5: no relation",
-        reading="Whether a wide spread gives a failure away. Missing where no pose fails, or every pose does: "
+        reading="Whether a wide spread predicts a failure. Missing where no pose fails, or every pose does: "
         "failure_rate says how many fail, and the fewer of either, the wider the interval.",
         source="Hendrycks and Gimpel, arXiv:1610.02136",
     )

@@ -252,9 +252,8 @@ def mpjpe_metrics(scope: Scope) -> Iterator[Metric]:
     variants: tuple[tuple[str, Alignment], ...]
     variants = ("", "none"), ("pa_", scope.protocol.align), ("n_", scope.protocol.scale)
     for prefix, align in variants:
-        needs = _NEEDS[prefix]
         for metric in (*_of_hypotheses(scope, prefix, align), *_of_one_pose(scope, prefix, align)):
-            yield replace(metric, needs=needs)
+            yield replace(metric, needs=(*metric.needs, *_NEEDS[prefix]))
 
 
 def _label(prefix: str, label: str) -> str:
@@ -377,4 +376,5 @@ def _of_one_pose(scope: Scope, prefix: str, align: Alignment) -> Iterator[Metric
             ),
             finish=entry(0),
             headline=not prefix and of == "mean_pose",
+            needs=("alike hypotheses",) if of == "mode" else (),
         )

@@ -1,6 +1,6 @@
-"""Risk–coverage: the error of the poses that are kept when those of large predicted spread are turned down.
+"""Risk–coverage: the error of the poses that are kept when those of large predicted spread are rejected.
 
-A model that knows where it fails can leave those poses to a person. Here poses are kept in the order of their predicted
+A rejected pose is left to a person, say. Poses are kept in the order of their predicted
 spread: the mean error of what is kept, at every share that is kept.
 """
 
@@ -16,9 +16,8 @@ import numpy.typing as npt
 from posecal.data.arrays import FloatArray, real_array
 from posecal.engine.bounds import POSITIVE
 from posecal.engine.metric import Metric, Statistic
+from posecal.engine.sums import Indices
 from posecal.errors import PoseDataError
-
-Indices = npt.NDArray[np.intp]
 
 
 def known_pairs(spread: npt.ArrayLike, error: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -283,7 +282,7 @@ def risk_metrics(of_poses: Statistic, about: str) -> Iterator[Metric]:
         finish=lambda values: aurc(*values.T),
         leave_out=lambda values, sequence: aurc_without(values[:, 0], values[:, 1], sequence),
         range="0 upwards; the mean error of all where the spread says nothing",
-        reading="The error that is left to a user who turns down poses of large spread, over all shares that may be "
+        reading="The error that is left to a user who rejects poses of large spread, over all shares that may be "
         "kept. Models of smaller errors have a smaller area, whatever their spread: see excess_aurc.",
     )
     yield _RISK(
@@ -295,6 +294,6 @@ def risk_metrics(of_poses: Statistic, about: str) -> Iterator[Metric]:
         finish=lambda values: excess_aurc(*values.T),
         leave_out=lambda values, sequence: excess_aurc_without(values[:, 0], values[:, 1], sequence),
         range="0 (spread orders poses as their errors do) upwards",
-        reading="What is lost by turning poses down by their spread instead of their error. A perfect sampler stays "
+        reading="What is lost by rejecting poses by their spread instead of their error. A perfect sampler stays "
         "above 0, since an error is one draw.",
     )

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import cast
 
@@ -19,14 +19,13 @@ from posecal.calibration.ranks import shared_ranks
 from posecal.data.arrays import FloatArray
 from posecal.engine.block import Block
 from posecal.engine.bounds import CORRELATION, POSITIVE
-from posecal.engine.metric import Metric, Statistic
+from posecal.engine.metric import Metric, Need, Statistic
 from posecal.engine.scope import Scope
+from posecal.engine.sums import Indices
 from posecal.metrics.failures import failure_metrics
 from posecal.metrics.position import OfPoses, pose_errors
 from posecal.metrics.risk_coverage import known_pairs, risk_metrics, run_numbers
 from posecal.metrics.sharpness import predicted_spread
-
-Indices = npt.NDArray[np.intp]
 
 DROPPED: FloatArray = np.arange(20) / 20
 """Shares of poses that the sparsification curve drops: 0, 0.05, … 0.95."""
@@ -326,24 +325,25 @@ def ause_without(spread: FloatArray, error: FloatArray, sequence: Indices) -> Fl
 
 _UNCERTAINTY = partial(Metric, unit="", family="sharpness", bounds=POSITIVE)
 
-_WORDS: dict[str, str] = {"mean_pose": "mean pose", "median_pose": "median pose", "mode": "mode"}
-
 
 def uncertainty_metrics(scope: Scope) -> Iterator[Metric]:
     """Orders of poses by predicted spread and by error: correlation, sparsification, risk–coverage, failures."""
     protocol = scope.protocol
     of = cast(OfPoses, protocol.single_pose)
     index = int(protocol.mode) if of == "mode" and protocol.mode != "score" else None
+    alike: tuple[Need, ...] = () if index is None else ("alike hypotheses",)  # numbers are others where some are absent
+    for metric in _order_metrics(scope, of, index):
+        yield replace(metric, needs=(*metric.needs, *alike))
 
+
+def _order_metrics(scope: Scope, of: OfPoses, index: int | None) -> Iterator[Metric]:
     def spread_and_error(block: Block) -> FloatArray:
         error = pose_errors(block, "none", of, scope.body, index)[:, 0]
         return np.stack([predicted_spread(block, scope.moving), error], axis=1, dtype=np.float64)
 
     statistic = Statistic("predicted_spread_and_error", spread_and_error, per_pose=True)
-    about = (
-        f"predicted spread (mean standard deviation of {scope.counted(scope.moving)}) and error of the {_WORDS[of]} "
-        f"(mean over {scope.counted(scope.body)})"
-    )
+    pose, moving, body = of.replace("_", " "), scope.counted(scope.moving), scope.counted(scope.body)
+    about = f"predicted spread (mean standard deviation of {moving}) and error of the {pose} (mean over {body})"
     yield _UNCERTAINTY(
         name="spread_error_correlation",
         label="rank correlation of spread and error",

@@ -1,7 +1,7 @@
 """Recalibration without training: a spread factor, or conformal radii, fitted and judged on disjoint sequences."""
 
 from posecal.recalibration.dispersion import find_modes, fit_spread
-from posecal.recalibration.held_out import HeldOut, cross_fitted, judge_spread
+from posecal.recalibration.held_out import HeldOut, judge_spread
 from posecal.recalibration.maps import apply_map, read_map, write_map
 from posecal.recalibration.radius import RadiusMap, fit_radius, held_out_coverage
 from posecal.recalibration.spread_map import SpreadMap
@@ -11,7 +11,6 @@ __all__ = [
     "RadiusMap",
     "SpreadMap",
     "apply_map",
-    "cross_fitted",
     "find_modes",
     "fit_radius",
     "fit_spread",

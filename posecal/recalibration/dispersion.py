@@ -226,7 +226,8 @@ def fit_spread(
 
     Notes
     -----
-    Judge it on other sequences: :func:`cross_fitted`. Differs from the published code: none; ours.
+    Judge it on other sequences: :func:`posecal.recalibration.judge_spread`. Differs from the published code: none;
+    ours.
 
     Examples
     --------

@@ -166,55 +166,6 @@ def judge_spread(
     return HeldOut(fitted, folds, factors, before, Report(merge_totals(totals)), new_ece)
 
 
-def cross_fitted(
-    hypotheses: Source | PoseData,
-    truth: Source | None = None,
-    /,
-    *,
-    protocol: Protocol | str | None = None,
-    folds: int = 5,
-    per_joint: bool = False,
-    about: About = "median",
-    threads: int | None = None,
-    **described: Any,
-) -> tuple[Report, Report, list[FloatArray]]:
-    """Evaluate a spread factor on sequences that it was not fitted on.
-
-    Parameters
-    ----------
-    hypotheses, truth, protocol, folds, per_joint, about, threads, **described
-        As for :func:`posecal.recalibration.judge_spread`.
-
-    Returns
-    -------
-    before, after : Report
-        Over all poses: as they are, and each rescaled by the factor of the other parts.
-    factors : list of arrays (K,)
-        Of each part.
-
-    Raises
-    ------
-    PoseDataError
-        For one hypothesis, and fewer sequences than parts.
-
-    Notes
-    -----
-    Scores, accuracy and coverage are those of new sequences. The ECE of ``after`` is smaller than theirs, because
-    deviations of the parts cancel; :func:`posecal.recalibration.judge_spread` bounds it.
-    """
-    judged = judge_spread(
-        hypotheses,
-        truth,
-        protocol=protocol,
-        folds=folds,
-        per_joint=per_joint,
-        about=about,
-        threads=threads,
-        **described,
-    )
-    return judged.before, judged.after, judged.factors
-
-
 def _parts_within(data: PoseData, fold_of: Rows) -> tuple[Rows, Rows]:
     """Cut each fold between its sequences: the part of each pose (M,), and the fold of each part (P,)."""
     if "sequence" not in data.labels:

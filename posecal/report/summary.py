@@ -21,7 +21,7 @@ from posecal.errors import first_few, for_python
 from posecal.metrics.likelihood import LIKELIHOODS, likelihood_remarks, moments_statistic
 from posecal.metrics.occlusion import occlusion_words
 from posecal.registry import left_out
-from posecal.report.evidence import evidence_of
+from posecal.report.evidence import STRONG, evidence_of
 from posecal.report.format import counted
 from posecal.report.sentences import sentences
 from posecal.stats.resampling import MIN_SEQUENCES
@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 
 FEW_SEQUENCES = 20
 """With fewer sequences than this the report says what p-values assume: rare bad ones may be missing from so few."""
+
+_SYMMETRY = "p-values assume that sequences err to either side alike"
 
 _FEW_BY_WEIGHTS = (
     f" Below an effective N of {FEW_HYPOTHESES}, the ECE of a calibrated model is up to about 0.6 / effective N, and "
@@ -181,8 +183,11 @@ def _of_symmetry(report: Report) -> str:
     """Say what p-values assume, and between which values that of the ECE is without one of the sequences."""
     p = report.once(("p without each",), lambda: p_without_each(report.totals, report.metrics["ece"]))
     known = p[~np.isnan(p)]
-    moves = f"; without one sequence, the ECE's is {known.min():.3f} to {known.max():.3f}" if len(known) else ""
-    return f"p-values assume errors to both sides alike{moves}."
+    if not len(known):
+        return f"{_SYMMETRY}."
+    low, high = (f"{p:.2f}" if p >= STRONG else f"below {STRONG:g}" for p in (known.min(), known.max()))
+    moves = f"stays {high}" if low == high else f"is {low} to {high}"
+    return f"{_SYMMETRY}; without any one sequence, that of the ECE {moves}."
 
 
 def summarize(report: Report) -> list[str]:

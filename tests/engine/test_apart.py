@@ -68,7 +68,7 @@ def test_shards_with_one_coordinate_range_are_one_run() -> None:
 def test_the_coordinate_range_of_one_run_is_that_of_all_poses() -> None:
     x, y = arrays()
     whole = PoseData(x, y, labels={"sequence": NAMES}, unit="mm")
-    assert one_run().totals.found == {"coordinate range": prepare(whole).hash}
+    assert one_run().totals.prepared_hashes == {"coordinate range": prepare(whole).hash}
     moved = PoseData(x, y + 0.001, labels={"sequence": NAMES}, unit="mm")
     renamed = PoseData(x, y, labels={"sequence": np.char.add("s", NAMES)}, unit="mm")
     assert len({prepare(some).hash for some in (whole, moved, renamed)}) == 3
@@ -92,7 +92,11 @@ def test_what_is_left_out_stays_so_as_more_is_merged(tmp_path: Any) -> None:
     some = merge_totals([first, second])
     save_totals(some, tmp_path / "some.npz")
     loaded = load_totals(tmp_path / "some.npz")
-    assert (loaded.spec.apart, loaded.found) == (some.spec.apart, some.found) == (("coordinate range",), {})
+    assert (
+        (loaded.spec.apart, loaded.prepared_hashes)
+        == (some.spec.apart, some.prepared_hashes)
+        == (("coordinate range",), {})
+    )
     for order in ([loaded, third], [third, loaded]):
         merged = merge_totals(order)
         assert merged.signature == merge_totals([first, second, third]).signature
@@ -104,7 +108,7 @@ def test_results_that_do_not_say_what_they_found_are_taken_to_differ(tmp_path: A
     """As those of posecal 0.1.0."""
     some = parts()
     for totals in some:
-        totals.found = {}
+        totals.prepared_hashes = {}
     assert merge_totals(some).spec.apart == ("coordinate range",)
     assert "tarp_box" in Report(merge_totals(some[:1])).metrics
     assert merge_totals(parts(metrics="default")).spec.apart == ()

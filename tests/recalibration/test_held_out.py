@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from posecal.engine.protocol import Protocol
-from posecal.recalibration import cross_fitted, fit_spread, judge_spread
+from posecal.recalibration import fit_spread, judge_spread
 from posecal.recalibration.dispersion import FACTORS, curve_sums
 from posecal.recalibration.folds import folds_of
 from posecal.recalibration.held_out import _curve_at, _ece_of_new, _parts_within
@@ -25,7 +25,8 @@ FEW = Protocol(metrics="ece, signed_area, min_mpjpe")
 def test_held_out_sequences_are_calibrated_by_the_factor_of_the_others() -> None:
     x, y = gaussian(4, 12, 240, 3, spread=0.5)
     pairs = pairs_of(x, y, labels={"sequence": sequences(240, 24)})
-    before, after, factors = cross_fitted(pairs, protocol=FEW, folds=3, threads=1)
+    judged = judge_spread(pairs, protocol=FEW, folds=3, threads=1)
+    before, after, factors = judged.before, judged.after, judged.factors
     assert before.test("ece").p <= 1e-3
     assert after.test("ece").p > 0.01
     assert before["signed_area"] < -0.1 < after["signed_area"] < 0.1
@@ -44,10 +45,9 @@ def test_held_out_sequences_are_calibrated_by_the_factor_of_the_others() -> None
 def test_calibrating_a_spread_that_is_too_narrow_for_the_best_of_n_costs_minmpjpe() -> None:
     # In 3 K = 48 dimensions the best of 10 is better for a spread that is too narrow: what the paper says.
     x, y = gaussian(5, 10, 60, 16, spread=0.4)
-    before, after, _ = cross_fitted(
-        pairs_of(x, y, labels={"sequence": sequences(60, 12)}), protocol=FEW, folds=2, threads=1
-    )
-    assert after["min_mpjpe"] > before["min_mpjpe"]
+    pairs = pairs_of(x, y, labels={"sequence": sequences(60, 12)})
+    judged = judge_spread(pairs, protocol=FEW, folds=2, threads=1)
+    assert judged.after["min_mpjpe"] > judged.before["min_mpjpe"]
 
 
 def test_what_speaks_against_a_map_is_measured_beside_any_protocol() -> None:

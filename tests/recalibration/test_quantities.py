@@ -74,7 +74,8 @@ def test_factors_that_are_tried_on_blocks_are_those_that_are_applied() -> None:
 
 def test_held_out_sequences_of_angles_are_judged() -> None:
     x, y = too_narrow(15, 2)
-    before, after, factors = posecal.cross_fitted(x, y, unit="deg", labels={"sequence": SEQUENCE})
+    judged = posecal.judge_spread(x, y, unit="deg", labels={"sequence": SEQUENCE})
+    before, after, factors = judged.before, judged.after, judged.factors
     assert after["ece"] < 0.1 < before["ece"]
     assert after.metrics["mpjpe"].unit == "deg"
     assert all(1.7 < factor[0] < 2.3 for factor in factors)

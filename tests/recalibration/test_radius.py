@@ -11,9 +11,9 @@ from scipy import stats
 from posecal.engine.protocol import Protocol
 from posecal.errors import PoseDataError
 from posecal.recalibration import (
-    cross_fitted,
     fit_radius,
     held_out_coverage,
+    judge_spread,
 )
 from posecal.recalibration.folds import folds_of
 from tests.helpers.random_worlds import skewed
@@ -88,8 +88,8 @@ def test_by_default_a_tenth_may_lie_outside_and_there_are_five_parts() -> None:
     data = pairs_of(*skewed(28, 4, 60, 2), labels={"sequence": sequences(60, 12)})
     np.testing.assert_array_equal(fit_radius(data).radii, fit_radius(data, alpha=0.1).radii)
     np.testing.assert_array_equal(held_out_coverage(data), held_out_coverage(data, alpha=0.1, folds=5))
-    after = cross_fitted(data, protocol=FEW)[1]
-    assert after.render("json") == cross_fitted(data, protocol=FEW, folds=5)[1].render("json")
+    after = judge_spread(data, protocol=FEW).after
+    assert after.render("json") == judge_spread(data, protocol=FEW, folds=5).after.render("json")
 
 
 def test_a_joint_that_never_counts_has_no_radius() -> None:

@@ -17,10 +17,10 @@ from posecal.errors import PoseDataError, for_python
 from posecal.recalibration import (
     RadiusMap,
     SpreadMap,
-    cross_fitted,
     fit_radius,
     fit_spread,
     held_out_coverage,
+    judge_spread,
 )
 from posecal.recalibration.dispersion import FACTORS, best_factors
 from posecal.recalibration.folds import folds_of
@@ -149,14 +149,14 @@ def test_joints_that_no_factor_calibrates_are_named() -> None:
 
 def test_one_hypothesis_has_no_spread_to_rescale() -> None:
     x, y = skewed(11, 1, 6, 2)
-    for call in (fit_spread, cross_fitted):
+    for call in (fit_spread, judge_spread):
         with pytest.raises(PoseDataError, match=r"hypotheses: 1 hypothesis; recalibration needs at least 2"):
             call(pairs_of(x, y))
     assert fit_spread(pairs_of(*gaussian(11, 2, 200, 2))).factors.shape == (2,)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-@pytest.mark.parametrize("fit", [fit_spread, cross_fitted, fit_radius, held_out_coverage])
+@pytest.mark.parametrize("fit", [fit_spread, judge_spread, fit_radius, held_out_coverage])
 def test_coordinates_that_are_not_finite_are_refused_where_they_count(
     fit: Any, value: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -179,7 +179,7 @@ def test_options_that_don_t_describe_data_are_refused_with_the_nearest() -> None
     with pytest.raises(PoseDataError, match=r"^option: 'unti' is not known\. Did you mean unit\?$"):
         fit_spread(x, y, unti="mm")
     with pytest.raises(PoseDataError, match=r"^option: 'metrics' is not known\. Known: axes, "):
-        cross_fitted(x, y, metrics="ece")
+        judge_spread(x, y, metrics="ece")
 
 
 def test_two_arrays_are_fitted_as_pose_data_are() -> None:
@@ -196,7 +196,7 @@ def test_two_arrays_are_fitted_as_pose_data_are() -> None:
     assert fit_spread(data.replace(labels={})).sequences == 0
     np.testing.assert_array_equal(fit_radius(x, y, **how).radii, fit_radius(data).radii)
     np.testing.assert_array_equal(held_out_coverage(x, y, **how), held_out_coverage(data))
-    assert cross_fitted(x, y, folds=2, **how)[1]["ece"] == cross_fitted(data, folds=2)[1]["ece"]
+    assert judge_spread(x, y, folds=2, **how).after["ece"] == judge_spread(data, folds=2).after["ece"]
     with pytest.raises(PoseDataError, match=r"^truth: missing; expected true poses"):
         fit_spread(x)
 
@@ -351,7 +351,7 @@ def test_other_coordinate_frames_are_named() -> None:
         fit_spread(flipped, y, **described)
 
 
-@pytest.mark.parametrize("fit", [fit_spread, fit_radius, cross_fitted, held_out_coverage])
+@pytest.mark.parametrize("fit", [fit_spread, fit_radius, judge_spread, held_out_coverage])
 @pytest.mark.parametrize("kind", ["NaN in many frames", "NaN in one frame of many", "weight 0"])
 def test_absent_hypotheses_are_refused_by_their_name(fit: Any, kind: str) -> None:
     x, y, described = some_people()

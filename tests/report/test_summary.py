@@ -205,7 +205,8 @@ def test_below_twenty_sequences_what_p_values_assume_is_remarked_on_and_how_that
     report = report_of()
     (remark,) = (remark for remark in report.remarks if remark.startswith("p-values assume"))
     p = p_without_each(report.totals, report.metrics["ece"])
-    words = f"both sides alike; without one sequence, the ECE's is {p.min():.3f} to {p.max():.3f}."
+    low, high = (f"{value:.2f}" if value >= 0.01 else "below 0.01" for value in (p.min(), p.max()))
+    words = f"either side alike; without any one sequence, that of the ECE is {low} to {high}."
     assert remark.endswith(words)
 
 
@@ -221,4 +222,4 @@ def test_p_values_of_six_to_nineteen_sequences_have_the_remark(sequences: int, a
         root_joint="none",
     )
     remarks = [remark for remark in report.remarks if remark.startswith("p-values assume")]
-    assert (len(remarks), sum("without one" in remark for remark in remarks)) == (assumed, moves)
+    assert (len(remarks), sum("without any one" in remark for remark in remarks)) == (assumed, moves)
