@@ -21,16 +21,28 @@ from tests.mutation.mutants import Mutant, mutants_of
 from tests.mutation.runner import BaselineError, Outcome, Runner
 
 ALSO = {
-    "posecal/calibration/": ("test_definitions.py", "test_laws.py", "test_registry.py", "test_wrong_arguments.py"),
+    "posecal/calibration/": (
+        "test_definitions.py",
+        "test_laws.py",
+        "test_registry.py",
+        "test_stacked_means.py",
+        "test_wrong_arguments.py",
+    ),
     "posecal/data/": ("test_layout.py", "test_pose_data.py", "test_unreadable_files.py"),
     "posecal/engine/": ("test_definitions.py", "test_laws.py"),
     "posecal/geometry/": ("test_definitions.py", "test_laws.py"),
-    "posecal/metrics/": ("test_definitions.py", "test_laws.py", "test_registry.py", "test_wrong_arguments.py"),
+    "posecal/metrics/": (
+        "test_definitions.py",
+        "test_laws.py",
+        "test_registry.py",
+        "test_stacked_means.py",
+        "test_wrong_arguments.py",
+    ),
     "posecal/calibration/curve.py": ("test_error.py",),
     "posecal/calibration/ranks.py": ("test_exactness.py",),
     "posecal/engine/accumulate.py": ("test_averaged.py", "test_batches.py", "test_call.py", "test_failures.py"),
     "posecal/engine/chunks.py": ("test_batches.py",),
-    "posecal/engine/metric.py": ("test_own_metrics.py",),
+    "posecal/engine/metric.py": ("test_own_metrics.py", "test_stacked_means.py"),
     "posecal/engine/prepare.py": ("test_batches.py", "test_call.py", "test_failures.py"),
     "posecal/evaluation/": ("test_batches.py", "test_call.py", "test_failures.py"),
     "posecal/report/report.py": ("test_sheet.py", "test_text.py"),
@@ -38,7 +50,7 @@ ALSO = {
     "posecal/stats/jackknife.py": ("test_uncertainty.py",),
     "posecal/stats/resampling.py": ("test_uncertainty.py",),
     "posecal/metrics/uncertainty.py": ("test_orders.py",),
-    "posecal/registry.py": ("test_own_metrics.py", "test_explain.py"),
+    "posecal/registry.py": ("test_own_metrics.py", "test_registering.py", "test_explain.py"),
 }
 """Test files, wherever they lie, that check every module of a folder, or another one, beside each module's own."""
 
