@@ -261,7 +261,8 @@ def _coverages(scope: Scope) -> Iterator[Metric]:
     )
     n, several = scope.spec.n_in_balls, scope.spec.n_coordinates > 1  # of one, intervals stand for balls
     for percent in COVERAGES:
-        index, known = percent * (LEVELS.size - 1) // 100, is_resolved(percent / 100, n)
+        known = is_resolved(percent / 100, n)
+        index = percent * (LEVELS.size - 1) // 100
         yield _COVERAGE(
             name=f"coverage_{percent}",
             label=f"coverage at {percent} %",

@@ -20,6 +20,9 @@ from tests import mutation
 from tests.mutation.mutants import Mutant, mutants_of
 from tests.mutation.runner import BaselineError, Outcome, Runner
 
+_OF_METRICS = ("test_definitions.py", "test_laws.py", "test_registry.py", "test_stacked_means.py")
+_OF_METRICS += ("test_wrong_arguments.py",)
+
 ALSO = {
     "posecal/calibration/": (
         "test_definitions.py",
