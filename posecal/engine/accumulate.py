@@ -21,7 +21,7 @@ from posecal.data.pose_data import PoseData
 from posecal.engine.block import block_length
 from posecal.engine.cells import CellIndex
 from posecal.engine.chunks import Chunk, Indices, join_chunks, read_chunks
-from posecal.engine.measure import EFFECTIVE_NUMBER, HAS_SPREAD, Measured, measure_block, measure_segment
+from posecal.engine.measure import Measured, measure_block, measure_segment, of_plain_poses
 from posecal.engine.metric import Metric, Statistic
 from posecal.engine.pose_hashes import PoseHashes, add_hashes, pose_hashes, repeated_remarks, smallest_hashes
 from posecal.engine.pose_remarks import PoseRemarks
@@ -204,9 +204,8 @@ class Accumulator:
         other, names = copy.deepcopy(self), {statistic.name for statistic in statistics}
         other.spec, other.statistics = spec, tuple(statistics)
         other._sums = {name: sums for name, sums in other._sums.items() if name in names}
-        n = float(self.spec.n_hypotheses)  # of the poses so far
-        for statistic, value in ((EFFECTIVE_NUMBER, n), (HAS_SPREAD, float(n > 1))):
-            other._sums.setdefault(statistic.name, (value * other._poses, other._poses.copy()))
+        for name, value in of_plain_poses(self.spec.n_hypotheses).items():  # the poses so far
+            other._sums.setdefault(name, (value * other._poses, other._poses.copy()))
         other._per_pose = {name: values for name, values in other._per_pose.items() if name in names}
         other._cell_of = other._cell_of if other._per_pose else []
         other._pending = [with_weights(chunk, spec) for chunk in other._pending]

@@ -78,5 +78,11 @@ EFFECTIVE_NUMBER = Statistic("effective_hypotheses", lambda block: block.n_effec
 HAS_SPREAD = Statistic("has_spread", lambda block: np.full(len(block.truth), float(block.has_spread)))
 """Whether each pose has more than one hypothesis that counts; of plain ones it is not measured."""
 
+
+def of_plain_poses(n_hypotheses: int) -> dict[str, float]:
+    """Give what these two are for every pose whose hypotheses all count alike, by name."""
+    return {EFFECTIVE_NUMBER.name: float(n_hypotheses), HAS_SPREAD.name: float(n_hypotheses > 1)}
+
+
 SUM_OF_TRUE_POSES = Statistic("truth", _weighted_sum_of_truth)
 """Weighted sum of a true pose's coordinates: not a metric, but the check that two results have the same truth."""

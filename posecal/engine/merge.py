@@ -10,7 +10,7 @@ import numpy as np
 
 from posecal.data.remarks import Count, Example, Remark, join_remarks
 from posecal.engine.apart import without_apart, without_own_cuts
-from posecal.engine.measure import EFFECTIVE_NUMBER, HAS_SPREAD
+from posecal.engine.measure import of_plain_poses
 from posecal.engine.pose_hashes import MOST_HASHES, shared_poses, smallest_hashes
 from posecal.engine.totals import Totals, difference_of_signatures, different_metrics
 from posecal.errors import PoseDataError, first_few, option, raise_all
@@ -121,7 +121,7 @@ def _of_names(part: Totals, parts: Sequence[Totals]) -> Totals:
     for other in parts:
         spec = spec.together_with(other.spec)
     names = set.intersection(*({*other.sums} for other in parts))
-    of_plain = {EFFECTIVE_NUMBER.name: float(spec.n_hypotheses), HAS_SPREAD.name: float(spec.n_hypotheses > 1)}
+    of_plain = of_plain_poses(spec.n_hypotheses)
     of_n = {name: part.sums.get(name, value * part.poses) for name, value in of_plain.items()}
     number = {name: part.counts.get(name, part.poses) for name in of_plain}
     kept = set.intersection(*({*other.per_pose} for other in parts))

@@ -64,8 +64,8 @@ def compare(
 
     Notes
     -----
-    Between two models that are equally good, some metric names a better one in at most 7 % of simulated runs: 5 % by
-    the primary metrics, and little more by the others.
+    Between models that are equally good, some metric names a better one in at most 7 % of comparisons: 5 % by the
+    primary metrics, and 2 % by all others.
 
     Examples
     --------

@@ -11,7 +11,7 @@ from posecal.calibration.modes import Modes
 from posecal.errors import for_python, option
 from posecal.recalibration.held_out import HeldOut
 from posecal.recalibration.spread_map import SpreadMap
-from posecal.report.format import counted, number, p_value, short_number
+from posecal.report.format import counted, number, p_value, several, short_number
 from posecal.report.sheet import Sheet, Table
 from posecal.stats.resampling import LEVEL
 
@@ -48,7 +48,7 @@ def spread_sheet(
     moving = {joint: factor for joint, factor in spread_map.by_joint.items() if factor != 1}
     fitted, about = f"fitted on {counted(spread_map.poses, 'pose')}", ""
     if spread_map.modal:
-        about = f", about the modes of {_several(spread_map.modal)}"
+        about = f", about the modes of {several(spread_map.modal)}"
     sentences, tables = list[str](), list[Table]()
     if len({round(factor, 9) for factor in moving.values()}) == 1:
         sentences.append(f"Spread factor {next(iter(moving.values())):.4f} for all joints{about}, {fitted}.")
@@ -63,7 +63,7 @@ def spread_sheet(
             tables.append(Table("Fitted poses", ("the poses that it was fitted on", "before", "after"), changed))
         if spread_map.objections:
             sentences.append(f"Not recommended: {' and '.join(spread_map.objections)}.")
-        sentences.append("Not judged: --split says what it does to sequences that it was not fitted on.")
+        sentences.append("Judged on these poses alone: --split says what it does to sequences that it was not fitted on.")
     else:
         before, after = judged.before, judged.after
         metrics = [before.metrics[name] for name in HELD_OUT if name in before.metrics]
@@ -123,7 +123,7 @@ def _of_modes(joints: tuple[str, ...], modes: Modes | None, unit: str) -> Iterat
     if modes is None or not modes.several.any():
         return
     shares, apart = modes.share[modes.several], modes.apart[modes.several]
-    named = _several([joint for joint, several in zip(joints, modes.several, strict=True) if several])
+    named = several([joint for joint, has_some in zip(joints, modes.several, strict=True) if has_some])
     distance = f"{short_number(float(np.median(apart)), unit)} {unit}".rstrip()
     least, most = f"{shares.min():.0%}", f"{shares.max():.0%}"
     share = least if least == most else f"{least} to {most}"
@@ -131,13 +131,6 @@ def _of_modes(joints: tuple[str, ...], modes: Modes | None, unit: str) -> Iterat
         f"Several modes at {named}: in {share} of poses, about {distance} apart. A factor about their median moves the "
         f"modes themselves; {option('about', 'modes')} rescales each about its own centre."
     )
-
-
-def _several(names: Iterable[str], most: int = 6) -> str:
-    names = list(names)
-    if len(names) > most:
-        return f"{', '.join(names[:most])} and {len(names) - most} more"
-    return ", ".join(names[:-1]) + (" and " if len(names) > 1 else "") + names[-1]
 
 
 def radius_sheet(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 MISSING = "–"
 
@@ -89,3 +90,16 @@ def counted(number: int, one: str, many: str = "") -> str:
     ('1 pose', '2,000 poses', '2 hypotheses')
     """
     return f"{number:,} {one if number == 1 else many or f'{one}s'}"
+
+
+def several(names: Sequence[str], most: int = 6) -> str:
+    """Name up to so many of a few things, and count the others.
+
+    Examples
+    --------
+    >>> several(["Head", "Hip", "Neck"]), several(["Head", "Hip", "Neck"], most=2)
+    ('Head, Hip and Neck', 'Head, Hip and 1 more')
+    """
+    if len(names) > most:
+        return f"{', '.join(names[:most])} and {len(names) - most} more"
+    return ", ".join(names[:-1]) + (" and " if len(names) > 1 else "") + names[-1]

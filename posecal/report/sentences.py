@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from posecal.report.evidence import NEITHER, OVER, STRONG, UNDER, Estimate, Evidence, side_of
-from posecal.report.format import counted, p_value, span
+from posecal.report.format import counted, p_value, several, span
 from posecal.stats.resampling import LEVEL
 
 BOTH_SIDES = 0.05
@@ -203,15 +203,9 @@ def _joints(e: Evidence) -> bool:
 
 
 def _joint_by_joint(e: Evidence) -> str:
-    named = [f"{side}{',' * (side == NEITHER)} at {_several(joints)}" for side, joints in _named_joints(e).items()]
+    named = [f"{side}{',' * (side == NEITHER)} at {several(joints)}" for side, joints in _named_joints(e).items()]
     hidden = "; the median over joints hides it" if _not_shown(e) else ""
     return f"Joint by joint: {', '.join(named)} (adjusted for {counted(len(e.joints), 'joint')}){hidden}."
-
-
-def _several(joints: list[str], most: int = 6) -> str:
-    if len(joints) > most:
-        return f"{', '.join(joints[:most])} and {len(joints) - most} more"
-    return ", ".join(joints[:-1]) + (" and " if len(joints) > 1 else "") + joints[-1]
 
 
 def _mean_of_joints(e: Evidence) -> str:

@@ -11,18 +11,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from posecal.calibration.curve import joint_median, signed_area
 from posecal.calibration.ranks import LEVELS
 from posecal.data.arrays import FloatArray
 from posecal.engine.metric import Metric, Statistic
-from posecal.engine.sums import mean_of
+from posecal.engine.sums import Indices, mean_of
 from posecal.engine.totals import Totals
 from posecal.stats.resampling import MIN_SEQUENCES
 from posecal.stats.uncertainty import sequence_deviations
-
-Indices = npt.NDArray[np.intp]
 
 MIN_FRAMES = 10
 """Sequences of fewer frames are not looked at: a single pose has a signed area anywhere from −0.5 to 0.5."""

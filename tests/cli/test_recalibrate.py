@@ -68,7 +68,7 @@ def test_each_joint_gets_its_factor() -> None:
     text = done(*FIT, "narrow.npz", "true.npz", "-o", "joints.json", "--per-joint")
     assert "A spread factor for each of 4 joints" in text
     assert all(joint in text for joint in MODELS_JOINTS)
-    assert "Not judged: --split says" in " ".join(text.split())
+    assert "Judged on these poses alone: --split says" in " ".join(text.split())
 
 
 def test_radii_are_fitted_judged_and_applied() -> None:

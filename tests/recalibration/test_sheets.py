@@ -30,7 +30,7 @@ def test_one_spread_factor_is_a_sentence_and_several_are_a_table() -> None:
     several = spread_sheet(spread_map(1, 1.25, 0.5, poses=1))
     assert several.sentences[0] == "A spread factor for each of 2 joints, fitted on 1 pose."
     assert several.tables[0].rows == [("Head", "1.2500"), ("RKnee", "0.5000")]
-    assert several.sentences[1].startswith("Not judged: ")
+    assert several.sentences[1].startswith("Judged on these poses alone: ")
     about = spread_sheet(spread_map(1, 2, 2, modal=("Head", "RKnee")))
     assert about.sentences[0].startswith("Spread factor 2.0000 for all joints, about the modes of Head and RKnee, fit")
 
