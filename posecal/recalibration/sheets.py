@@ -63,7 +63,8 @@ def spread_sheet(
             tables.append(Table("Fitted poses", ("the poses that it was fitted on", "before", "after"), changed))
         if spread_map.objections:
             sentences.append(f"Not recommended: {' and '.join(spread_map.objections)}.")
-        sentences.append("Judged on these poses alone: --split says what it does to sequences that it was not fitted on.")
+        held_out = "--split says what it does to sequences that it was not fitted on"
+        sentences.append(f"Judged on these poses alone: {held_out}.")
     else:
         before, after = judged.before, judged.after
         metrics = [before.metrics[name] for name in HELD_OUT if name in before.metrics]
