@@ -178,12 +178,16 @@ class Comparison:
         """Give the largest calibration error that a calibrated sampler would show here: its 95 % quantile.
 
         Each model's own deviations give nearly the same one; this is their median, a guide for the eye. Whether a model
-        is beyond it by chance says :meth:`calibrated`.
+        is beyond it by chance says :meth:`calibrated`. Models that repeat one hypothesis have none.
         """
-        return float(np.median([self.test(metric, name).high for name in self.names]))
+        highs = [high for name in self.names if not math.isnan(high := self.test(metric, name).high)]
+        untested = any(map(weights_allow_no_test, self.totals)) or not highs
+        return math.nan if untested else float(np.median(highs))
 
     def calibrated(self, metric: str = "ece") -> list[str]:
         """Name the models whose calibration error is not beyond what chance would show them.
+
+        Models that repeat one hypothesis have no test, and are not among them.
 
         Raises
         ------
@@ -191,7 +195,7 @@ class Comparison:
             With too few sequences for a test, and for a metric that has none.
         """
         p = {name: self.test(metric, name).p for name in self.names}
-        if any(math.isnan(value) for value in p.values()):
+        if math.isnan(self.feasible(metric)):
             what = f"{self.totals[0].units()}; expected at least {MIN_SEQUENCES}"
             if any(map(weights_allow_no_test, self.totals)):
                 what = f"weighted hypotheses of so small an effective N; expected at least {FEW_HYPOTHESES}"
@@ -247,11 +251,11 @@ class Comparison:
         if form != "json":
             raise PoseDataError(f"format: {form!r} is not known. {did_you_mean(form, FORMATS)}")
         values = [
-            {"metric": name, "model": model, "value": _plain(self.value(name, model)), "rank": self.rank(name, model)}
+            {"metric": name, "model": model, "value": plain(self.value(name, model)), "rank": self.rank(name, model)}
             for name in self.metrics
             for model in self.names
         ]
-        differences = [{key: _plain(value) for key, value in asdict(d).items()} for d in self.differences]
+        differences = [{key: plain(value) for key, value in asdict(d).items()} for d in self.differences]
         about = {"signature": self.totals[0].signature, "models": self.names, "primary": self.primary}
         return json_lines({**about, "remarks": self.remarks_in(words), "values": values, "differences": differences})
 
@@ -310,7 +314,8 @@ class Comparison:
             yield replace(pair, p=math.nan) if untested else pair
 
 
-def _plain(value: object) -> object:
+def plain(value: object) -> object:
+    """Give None for NaN, which JSON lacks."""
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
