@@ -6,6 +6,7 @@ import csv
 import io
 import json
 from pathlib import Path
+from runpy import run_path
 
 import pytest
 
@@ -85,3 +86,15 @@ def test_a_form_is_one_of_a_few(board: Leaderboard) -> None:
         PoseDataError, match=r"^format: 'htm' is not known\. Known: text, csv, json, latex, markdown\.$"
     ):
         board.render("htm")
+
+
+def test_the_tables_of_the_documentation_are_those_of_its_folder() -> None:
+    page = Path(__file__).parents[2] / "docs" / "leaderboard.md"
+    text, generated = page.read_text(encoding="utf-8"), run_path(str(page.with_name("generate.py")))["generated"]
+    assert text == generated(text), "run python docs/generate.py"
+    assert text.count("| cGNF") > 2
+
+
+def test_the_folder_of_the_documentation_is_small() -> None:
+    folder = Path(__file__).parents[2] / "docs" / "leaderboard"
+    assert sum(path.stat().st_size for path in folder.iterdir()) < 1.5e6
