@@ -126,6 +126,8 @@ def checked_entry(table: Mapping[str, object], name: str) -> Entry:
         is_hash = key.name.endswith("_sha256")
         if not isinstance(value, str) or not value.strip() or (is_hash and not _SHA256.fullmatch(value)):
             problems.append(f"{name}: {key.name} is {value!r}; expected {about}.")
+        elif value != value.encode(errors="ignore").decode():
+            problems.append(f"{name}: {key.name} is {value!r}; expected text in UTF-8.")
         elif key.name == "preset" and value not in PRESETS:
             problems.append(f"{name}: preset {value!r} is not known. {did_you_mean(value, PRESETS)}")
     raise_all(problems, PoseFileError)

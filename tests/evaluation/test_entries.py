@@ -88,6 +88,12 @@ def test_all_that_is_wrong_with_an_entry_is_said_at_once() -> None:
     ]
 
 
+def test_a_name_is_text_that_a_file_can_hold() -> None:
+    table = {**ABOUT, "name": "a\udce9", "hypotheses_sha256": "0" * 64, "result_sha256": "0" * 64}
+    with pytest.raises(PoseFileError, match=r"^a\.toml: name is 'a.udce9'; expected text in UTF-8\.$"):
+        checked_entry(table, "a.toml")
+
+
 # --- a folder of them ---------------------------------------------------------------------------------------------
 
 
