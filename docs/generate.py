@@ -1,4 +1,4 @@
-"""Write the tables of the pages anew, from the metrics and joint sets themselves: ``python docs/generate.py``."""
+"""Write the tables of the pages anew, from metrics, joint sets and saved results: ``python docs/generate.py``."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from dataclasses import fields
 from pathlib import Path
 from typing import cast
 
+import posecal
 from posecal.data.skeleton import JOINT_SET_TABLE, Skeleton
 from posecal.engine.metric import Family
 from posecal.engine.protocol import CHOICES, Protocol
 from posecal.report.explain import metrics_table
 from posecal.report.sentences import RULES
 
-PAGES = tuple(Path(__file__).with_name(f"{name}.md") for name in ("metrics", "joints", "report"))
+PAGES = tuple(Path(__file__).with_name(f"{name}.md") for name in ("metrics", "joints", "report", "leaderboard"))
 
 
 def table(*rows: Iterable[str]) -> str:
@@ -64,6 +65,15 @@ def rules(_: str) -> str:
     return table(("about", "rule", "holds where"), *((rule.group, rule.name, rule.when) for rule in RULES))
 
 
+def models(folder: str) -> str:
+    """Write the pages of the test sets of a leaderboard, each under its title."""
+    pages = []
+    for sheet in posecal.leaderboard(Path(__file__).with_name(folder)).sheets():
+        title, _, page = sheet.markdown().partition("\n\n")
+        pages.append(f"### {title}\n\n{page.replace('### ', '#### ')}")
+    return "\n\n".join(pages)
+
+
 def _values(option: str, form: str) -> str:
     return ", ".join(f"`{choice}`" for choice in CHOICES[option]) if option in CHOICES else form
 
@@ -75,9 +85,10 @@ def generated(text: str) -> str:
         "options": options,
         "joint_sets": joint_sets,
         "rules": rules,
+        "models": models,
     }
     return re.sub(
-        r"(<!-- (metrics|options|joint_sets|rules): (\w+) -->\n).*?(<!-- end -->)",
+        r"(<!-- (metrics|options|joint_sets|rules|models): (\w+) -->\n).*?(<!-- end -->)",
         lambda marked: f"{marked[1]}\n{tables[marked[2]](marked[3])}\n\n{marked[4]}",
         text,
         flags=re.DOTALL,
@@ -87,3 +98,7 @@ def generated(text: str) -> str:
 if __name__ == "__main__":
     for page in PAGES:
         page.write_text(generated(page.read_text(encoding="utf-8")), encoding="utf-8")
+    board = posecal.leaderboard(Path(__file__).with_name("leaderboard"))
+    posecal.plot.save(
+        posecal.plot.draw_comparison(board.comparisons), Path(__file__).with_name("pictures") / "leaderboard.svg"
+    )

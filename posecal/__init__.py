@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from posecal.engine.storage import load_totals, save_totals
     from posecal.engine.totals import Totals
     from posecal.errors import PosecalError, PoseDataError, PoseFileError
-    from posecal.evaluation import Evaluation, compare, evaluate
+    from posecal.evaluation import Evaluation, Leaderboard, add_entry, compare, evaluate, leaderboard
     from posecal.recalibration import fit_radius, fit_spread, judge_spread
     from posecal.registry import register, unregister
     from posecal.report.explain import explain
@@ -58,7 +58,7 @@ _MODULES = {
     "posecal.engine.storage": ("load_totals", "save_totals"),
     "posecal.engine.totals": ("Totals",),
     "posecal.errors": ("PoseDataError", "PoseFileError", "PosecalError"),
-    "posecal.evaluation": ("Evaluation", "compare", "evaluate"),
+    "posecal.evaluation": ("Evaluation", "Leaderboard", "add_entry", "compare", "evaluate", "leaderboard"),
     "posecal.recalibration": ("fit_radius", "fit_spread", "judge_spread"),
     "posecal.registry": ("register", "unregister"),
     "posecal.report.explain": ("explain",),
@@ -76,6 +76,7 @@ __all__ = [
     "Comparison",
     "Evaluation",
     "GaussianPrediction",
+    "Leaderboard",
     "Metric",
     "PoseData",
     "PoseDataError",
@@ -86,6 +87,7 @@ __all__ = [
     "Skeleton",
     "Statistic",
     "Totals",
+    "add_entry",
     "calibration",
     "calibration_curve",
     "climatology",
@@ -98,6 +100,7 @@ __all__ = [
     "fit_radius",
     "fit_spread",
     "judge_spread",
+    "leaderboard",
     "load_totals",
     "merge_totals",
     "metrics",

@@ -67,6 +67,7 @@ def test_help_and_version_bring_no_numpy(tmp_path: Path) -> None:
         "print(found, file=sys.stderr)"
     )
     calls = ["--help", "--version", "evaluate/--help", "report/--help", "merge/--help", "plot/--help"]
+    calls += ["leaderboard/--help", "leaderboard/add/--help"]
     calls += ["plot/poses/--help", "compare/--help", "recalibrate/fit/--help", "presets/--help", "demo/--help"]
     assert python(code, tmp_path, *calls).stderr == "[]\n"
 

@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from posecal.cli import compare, convert, evaluate, plots, recalibrate
+from posecal.cli import compare, convert, evaluate, leaderboard, plots, recalibrate
 from posecal.cli.running import command, exit_codes, wrong_call
 
 app = typer.Typer(
@@ -51,6 +51,7 @@ def options(
 command(app)(evaluate.evaluate)
 command(app)(evaluate.report)
 command(app)(compare.compare)
+app.add_typer(leaderboard.app, name="leaderboard")
 app.add_typer(recalibrate.app, name="recalibrate")
 app.add_typer(plots.app, name="plot")
 command(app)(convert.convert)

@@ -39,6 +39,9 @@ from posecal.errors import PoseDataError
 LIKELIHOODS = ("nll", "nll_per_dimension", "log_likelihood_skill")
 """The metrics of this module."""
 
+MOMENTS = "log_density_and_moments"
+"""How the name begins of the statistic whose sums hold moments of true poses."""
+
 MOST_DIMENSIONS = 96
 """Poses of more coordinates have no climatology's Gaussian: the products of all pairs would take too much memory."""
 
@@ -218,7 +221,7 @@ def moments_statistic(scope: Scope) -> Statistic | None:
         return None
     joints = np.setdiff1d(np.arange(len(spec.joints)), resting_joints(spec.root))
     return Statistic(
-        f"log_density_and_moments_{spec.dimensions}",
+        f"{MOMENTS}_{spec.dimensions}",
         partial(log_density_and_moments, joints=joints, bones=_bones(spec)),
         derive=partial(_with_climatology, spec=spec),
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from posecal.errors import PoseDataError
@@ -14,6 +15,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from posecal.stats.comparison import Comparison
+
+
+BOTH = "min_mpjpe", "ece"
+"""The metrics of the two axes."""
+
+CAPTION = "Bars: 95 % over sequences. Green: ECEs up to the 95 % quantile of a calibrated sampler's, by sign-flips."
 
 
 def accuracy_and_calibration(comparison: Comparison, *, ax: Axes | None = None) -> Axes:
@@ -38,14 +45,12 @@ def accuracy_and_calibration(comparison: Comparison, *, ax: Axes | None = None) 
         Where the models report no minMPJPE or no ECE.
     """
     ax = given(ax)
-    for name in ("min_mpjpe", "ece"):
+    for name in BOTH:
         if name not in comparison.metrics:
             raise PoseDataError(f"comparison: no {name}; expected both min_mpjpe and ece.")
     limit = comparison.feasible()
     if not math.isnan(limit):
         ax.axvspan(0, limit, color=GREEN, alpha=0.12, lw=0, gid="feasible")
-        words, at = " ◂ calibrated, but for chance", ax.get_xaxis_transform()
-        ax.text(limit, 0.01, words, transform=at, ha="left", va="bottom", fontsize=7, color=GREEN)
     markers = "osD^vP*X"
     for number, name in enumerate(comparison.names):
         x, y = comparison.value("ece", name), comparison.value("min_mpjpe", name)
@@ -57,23 +62,35 @@ def accuracy_and_calibration(comparison: Comparison, *, ax: Axes | None = None) 
     most = max(comparison.value("ece", name) for name in comparison.names)
     unit = comparison.metrics["min_mpjpe"].unit
     ax.set(xlabel="ECE (exchangeable)", ylabel=f"minMPJPE [{unit}]" if unit else "minMPJPE")
-    ax.set_xlim(0, 1.35 * max(most, 0.03 if math.isnan(limit) else limit))
+    right = 1.35 * max(most, 0.03 if math.isnan(limit) else limit)
+    ax.set_xlim(0, right)
+    if not math.isnan(limit):
+        within = limit > right / 2  # and no place beside it
+        words = "calibrated, but for chance " if within else " ◂ calibrated, but for chance"
+        side = "right" if within else "left"
+        ax.text(limit, 0.01, words, transform=ax.get_xaxis_transform(), ha=side, va="bottom", fontsize=7, color=GREEN)
     return ax
 
 
-def draw_comparison(comparison: Comparison) -> Figure:
-    """Draw :func:`accuracy_and_calibration` as a figure with its caption, without a display."""
+def draw_comparison(comparison: Comparison | Mapping[str, Comparison]) -> Figure:
+    """Draw :func:`accuracy_and_calibration` as a figure with its caption, without a display.
+
+    Several comparisons, by their titles, stand side by side, but for those that lack one of the two metrics.
+    """
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
+    titled = comparison if isinstance(comparison, Mapping) else {"": comparison}
+    shown = {title: one for title, one in titled.items() if {*BOTH} <= {*one.metrics}} or titled
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(4.4, 3.7))
-        ax = figure.add_subplot()
-        accuracy_and_calibration(comparison, ax=ax)
-        figure.subplots_adjust(left=0.14, right=0.96, top=0.97, bottom=0.27)
-        words = (
-            "Bars: 95 % over sequences. Green: ECEs up to the 95 % quantile of a calibrated sampler's, by sign-flips."
-        )
-        lines = [line for text in (words, comparison.totals[0].signature) for line in textwrap.wrap(text, 92)]
-        figure.text(0.03, 0.02, "\n".join(lines), fontsize=5.6, linespacing=1.35, color="#444444")
+        figure = Figure(figsize=(4.4 * len(shown), 3.7))
+        axes = figure.subplots(1, len(shown), squeeze=False)[0]
+        for number, (ax, (title, one)) in enumerate(zip(axes, shown.items(), strict=True)):
+            accuracy_and_calibration(one, ax=ax)
+            ax.set_title(title)
+            lines = [line for text in (CAPTION, one.totals[0].signature) for line in textwrap.wrap(text, 92)]
+            x = (number + 0.03) / len(shown)
+            figure.text(x, 0.02, "\n".join(lines), fontsize=5.6, linespacing=1.35, color="#444444")
+        top = 0.92 if any(shown) else 0.97
+        figure.subplots_adjust(left=0.14 / len(shown), right=1 - 0.04 / len(shown), top=top, bottom=0.27, wspace=0.24)
     return figure

@@ -47,13 +47,13 @@ def comparison_sheet(comparison: Comparison, words: Callable[[str], str] = for_p
     parts = {"primary metric": primary, "other metric": others}
     tables = [_values(comparison, heading, metrics) for heading, metrics in parts.items() if metrics]
     if len(names) > 2:
-        tables.append(_pairs(comparison, primary))
+        tables.append(pairs_table(comparison, primary))
     return Sheet(
         f"{' against '.join(names)} · the same M = {first.poses.sum():,} poses, paired by {first.units()}",
-        sentences=_sentences(comparison),
+        sentences=sentences(comparison),
         remarks=list(comparison.remarks_in(words)),
         tables=tables,
-        definitions=_definitions(comparison, [*primary, *others]),
+        definitions=definitions(comparison, [*primary, *others]),
         footer=f"signature: {first.signature}",
     )
 
@@ -77,25 +77,25 @@ def _values(comparison: Comparison, heading: str, metrics: Iterable[Metric]) -> 
     return Table(title, (heading, "", *columns), rows, ("", "better"), best=best)
 
 
-def _pairs(comparison: Comparison, metrics: Iterable[Metric]) -> Table:
+def pairs_table(comparison: Comparison, metrics: Iterable[Metric]) -> Table:
     """Lay out the differences of every pair of models, or of the pairs with the best one."""
     rows = []
     for metric in metrics:
         differences = comparison.differences_of(metric.name)
         if len(differences) > MOST_PAIRS:
-            best = _nearest(comparison, metric)
+            best = best_first(comparison, metric)[0]
             differences = tuple(one for one in differences if best in (one.first, one.second))
         rows += [(metric.label, f"{one.first} − {one.second}", *_tested(one, metric)) for one in differences]
     return Table("Pairs", ("pair", "models", *TESTED), rows, ("models", "better"))
 
 
-def _nearest(comparison: Comparison, metric: Metric) -> str:
-    """Name the model with the best number, beyond chance or not."""
+def best_first(comparison: Comparison, metric: Metric) -> list[str]:
+    """Sort the models by a number, beyond chance or not; those without one come last."""
     sign = -1 if metric.direction == "higher" else 1
     values = {name: sign * comparison.value(metric.name, name) for name in comparison.names}
     if metric.direction == "zero":
         values = {name: abs(value) for name, value in values.items()}
-    return min(values, key=lambda name: (math.isnan(values[name]), values[name]))
+    return sorted(values, key=lambda name: (math.isnan(values[name]), values[name]))
 
 
 def _tested(difference: Difference, metric: Metric) -> tuple[str, ...]:
@@ -112,34 +112,35 @@ def _width(interval: tuple[float, float]) -> float:
     return math.inf if math.isnan(low) else high - low
 
 
-def _definitions(comparison: Comparison, metrics: Iterable[Metric]) -> list[tuple[str, str]]:
+def definitions(comparison: Comparison, metrics: Iterable[Metric]) -> list[tuple[str, str]]:
     """Say what p-values are adjusted for, and of which metrics the distances from 0 are compared."""
     n_pairs = math.comb(len(comparison.names), 2)
     n_primary, n_all = (counted(len(some) * n_pairs, "test") for some in (comparison.primary, comparison.metrics))
     others = f", others over all {n_all}" if n_primary != n_all else ""
     rule = f"Holm's, primary metrics over {n_primary}{others} (metrics × pairs of models)"
     level = f"{LEVEL:g}, of other metrics {LEVEL_OF_OTHERS:g}" if others else f"{LEVEL:g}"
-    definitions = [("adjusted p", f"{rule}. A model is called better where it is below {level}.")]
+    words = [("adjusted p", f"{rule}. A model is called better where it is below {level}.")]
     at_zero = [metric.label for metric in metrics if metric.direction == "zero"]
     if at_zero:
-        definitions.append((", ".join(at_zero), "best at 0; differences are of the distances from 0."))
-    return definitions
+        words.append((", ".join(at_zero), "best at 0; differences are of the distances from 0."))
+    return words
 
 
-def _sentences(comparison: Comparison) -> list[str]:
+def sentences(comparison: Comparison) -> list[str]:
     """Name the best model by accuracy, calibration and score, and the models that are not miscalibrated.
 
     Nothing is said about calibration where the coordinate frames of a model differ.
     """
-    sentences, differ = [], any(map(frames_differ, comparison.totals))
-    for name in dict.fromkeys((*comparison.chosen, *("energy_score", "ece", "min_mpjpe"))):
+    words, differ = [], any(map(frames_differ, comparison.totals))
+    several = len(comparison.names) > 1
+    for name in dict.fromkeys((*comparison.chosen, *("energy_score", "ece", "min_mpjpe"))) if several else ():
         metric = comparison.metrics.get(name)
         if metric is not None and metric.direction != "none" and not (differ and metric.family == "calibration"):
-            sentences.append(f"{metric.label}: {_best(comparison, name)}.")
+            words.append(f"{metric.label}: {_best(comparison, name)}.")
     if not differ and "ece" in comparison.metrics and not math.isnan(comparison.feasible()):
         models = ", ".join(comparison.calibrated()) or "none"
-        sentences.append(f"No miscalibration shown on average: {models}.")
-    return sentences
+        words.append(f"No miscalibration shown on average: {models}.")
+    return words
 
 
 def _best(comparison: Comparison, metric: str) -> str:

@@ -21,14 +21,14 @@ from posecal.calibration.error import FEW_HYPOTHESES
 from posecal.data.arrays import FloatArray
 from posecal.data.texts import json_lines, printable_table
 from posecal.engine.metric import Metric
-from posecal.engine.totals import Totals, difference_of_signatures, different_metrics
-from posecal.errors import PoseDataError, did_you_mean, for_python, option, printable
+from posecal.engine.totals import Totals
+from posecal.errors import PosecalError, PoseDataError, attempt, did_you_mean, for_python, printable, raise_all
 from posecal.registry import metrics_of, unmeasured
 from posecal.stats.jackknife import Interval, jackknife, leave_one_out, sequence_sizes
 from posecal.stats.multiplicity import PRIMARY, adjust, check_primary, default_primary
 from posecal.stats.pairs import Difference, Pair, pairs
 from posecal.stats.resampling import LEVEL, MIN_SEQUENCES, Null
-from posecal.stats.same_poses import PosesThatCount, check_same_poses, not_compared, poses_that_count
+from posecal.stats.same_poses import PosesThatCount, check_comparable, not_compared, poses_that_count
 from posecal.stats.uncertainty import effective_hypotheses, measured_spec, null, weights_allow_no_test
 
 if TYPE_CHECKING:
@@ -178,25 +178,43 @@ class Comparison:
         """Give the largest calibration error that a calibrated sampler would show here: its 95 % quantile.
 
         Each model's own deviations give nearly the same one; this is their median, a guide for the eye. Whether a model
-        is beyond it by chance says :meth:`calibrated`.
+        is beyond it by chance says :meth:`calibrated`. Models that repeat one hypothesis have none.
         """
-        return float(np.median([self._null(metric, name).high for name in self.names]))
+        highs = [high for name in self.names if not math.isnan(high := self.test(metric, name).high)]
+        untested = any(map(weights_allow_no_test, self.totals)) or not highs
+        return math.nan if untested else float(np.median(highs))
 
     def calibrated(self, metric: str = "ece") -> list[str]:
         """Name the models whose calibration error is not beyond what chance would show them.
+
+        Models that repeat one hypothesis have no test, and are not among them.
 
         Raises
         ------
         PoseDataError
             With too few sequences for a test, and for a metric that has none.
         """
-        p = {name: self._null(metric, name).p for name in self.names}
-        if any(math.isnan(value) for value in p.values()):
+        p = {name: self.test(metric, name).p for name in self.names}
+        if math.isnan(self.feasible(metric)):
             what = f"{self.totals[0].units()}; expected at least {MIN_SEQUENCES}"
             if any(map(weights_allow_no_test, self.totals)):
                 what = f"weighted hypotheses of so small an effective N; expected at least {FEW_HYPOTHESES}"
             raise PoseDataError(f"calibrated: {metric} has no test on {what}.")
         return [name for name, value in p.items() if value >= LEVEL]
+
+    def test(self, metric: str, model: str) -> Null:
+        """Test a model's calibration error, or another number that has a test, against a calibrated sampler's.
+
+        Raises
+        ------
+        PoseDataError
+            For a metric that has none.
+        """
+        one, totals = self._find(metric, model)
+        if one.deviation is None:
+            tested = [name for name, other in self.metrics.items() if other.deviation is not None]
+            raise PoseDataError(f"test: {metric} is no calibration error or rank test. {did_you_mean(metric, tested)}")
+        return self._once(("null", metric, model), lambda: null(totals, one))
 
     def rank(self, metric: str, model: str) -> int:
         """Give a model's rank: 1 and how many are better beyond chance."""
@@ -233,11 +251,11 @@ class Comparison:
         if form != "json":
             raise PoseDataError(f"format: {form!r} is not known. {did_you_mean(form, FORMATS)}")
         values = [
-            {"metric": name, "model": model, "value": _plain(self.value(name, model)), "rank": self.rank(name, model)}
+            {"metric": name, "model": model, "value": plain(self.value(name, model)), "rank": self.rank(name, model)}
             for name in self.metrics
             for model in self.names
         ]
-        differences = [{key: _plain(value) for key, value in asdict(d).items()} for d in self.differences]
+        differences = [{key: plain(value) for key, value in asdict(d).items()} for d in self.differences]
         about = {"signature": self.totals[0].signature, "models": self.names, "primary": self.primary}
         return json_lines({**about, "remarks": self.remarks_in(words), "values": values, "differences": differences})
 
@@ -261,13 +279,6 @@ class Comparison:
     def _sizes(self, metric: str, model: str) -> FloatArray:
         one, totals = self._find(metric, model)
         return self._once(("sizes", metric, model), lambda: sequence_sizes(totals, one))
-
-    def _null(self, metric: str, model: str) -> Null:
-        one, totals = self._find(metric, model)
-        if one.deviation is None:
-            tested = [name for name, other in self.metrics.items() if other.deviation is not None]
-            raise PoseDataError(f"test: {metric} is no calibration error or rank test. {did_you_mean(metric, tested)}")
-        return self._once(("null", metric, model), lambda: null(totals, one))
 
     def _compare(self, metric: str) -> Iterator[Difference]:
         direction, primary = self._find(metric, self.names[0])[0].direction, metric in self.primary
@@ -303,7 +314,8 @@ class Comparison:
             yield replace(pair, p=math.nan) if untested else pair
 
 
-def _plain(value: object) -> object:
+def plain(value: object) -> object:
+    """Give None for NaN, which JSON lacks."""
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
@@ -332,18 +344,10 @@ def compare_totals(totals: Sequence[Totals], names: Sequence[str], primary: Sequ
     if len(totals) < 2:
         raise PoseDataError(f"compare: {len(totals)} model; expected at least 2.")
     names = [name if names.index(name) == at else f"{name} #{at + 1}" for at, name in enumerate(names)]
-    first = totals[0]
+    problems: list[str | PosecalError] = []
     for name, other in zip(names[1:], totals[1:], strict=True):
-        if other.signature != first.signature:
-            differ_in_n = other.spec.n_hypotheses != first.spec.n_hypotheses
-            hint = f"; {option('n_hypotheses')} takes as many hypotheses of each" if differ_in_n else ""
-            raise PoseDataError(
-                f"{names[0]} and {name} were not made alike: {difference_of_signatures(first, other)}. "
-                f"Evaluate both with the same options{hint}."
-            )
-        if metrics := different_metrics(first, other):
-            raise PoseDataError(f"{names[0]} and {name} define {metrics} differently; expected the same metrics.")
-        check_same_poses(first, other, names[0], name)
+        attempt(problems, check_comparable, totals[0], other, names[0], name)
+    raise_all(problems)
     comparison = Comparison(tuple(names), tuple(totals), tuple(primary))
-    check_primary(primary, comparison.metrics, first)
+    check_primary(primary, comparison.metrics, totals[0])
     return comparison

@@ -1,4 +1,4 @@
-"""Whether models are compared on the same poses: those that they were given, and those that count in each metric."""
+"""Whether models can be compared: made alike, on the same poses, and by as many of them in each metric."""
 
 from __future__ import annotations
 
@@ -10,8 +10,28 @@ import numpy as np
 from posecal.engine.measure import SUM_OF_TRUE_POSES
 from posecal.engine.metric import Statistic
 from posecal.engine.sums import Counts, sum_by
-from posecal.engine.totals import Totals
+from posecal.engine.totals import Totals, difference_of_signatures, different_metrics
 from posecal.errors import PoseDataError, option
+
+
+def check_comparable(first: Totals, other: Totals, name: str, other_name: str) -> None:
+    """Refuse two evaluations that were not made alike, or not of the same poses.
+
+    Raises
+    ------
+    PoseDataError
+        Where their options, joints, numbers of hypotheses, own metrics or poses differ.
+    """
+    if other.signature != first.signature:
+        differ_in_n = other.spec.n_hypotheses != first.spec.n_hypotheses
+        hint = f"; {option('n_hypotheses')} takes as many hypotheses of each" if differ_in_n else ""
+        raise PoseDataError(
+            f"{name} and {other_name} were not made alike: {difference_of_signatures(first, other)}. "
+            f"Evaluate both with the same options{hint}."
+        )
+    if metrics := different_metrics(first, other):
+        raise PoseDataError(f"{name} and {other_name} define {metrics} differently; expected the same metrics.")
+    check_same_poses(first, other, name, other_name)
 
 
 def check_same_poses(first: Totals, other: Totals, name: str, other_name: str) -> None:

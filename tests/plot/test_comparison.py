@@ -51,3 +51,19 @@ def test_the_figure_carries_the_signature() -> None:
     found = pair()
     words = "".join("".join(text.get_text().split()) for text in draw_comparison(found).texts)
     assert "".join(found.totals[0].signature.split()) in words
+
+
+def test_several_comparisons_stand_side_by_side_with_their_titles() -> None:
+    found = pair()
+    figure = draw_comparison({"one": found, "other": pair("min_mpjpe"), "third": found})
+    assert [ax.get_title() for ax in figure.axes] == ["one", "third"]  # the other has no ECE
+    assert figure.get_figwidth() == 2 * draw_comparison(found).get_figwidth()
+
+
+def test_the_region_is_named_beside_it_or_within_where_there_is_no_place(ax: Axes) -> None:
+    for models, side in ((["right"], "right"), (NAMES, "left")):
+        ax.clear()
+        totals = [report_of(spread).totals for spread in (1.0, 0.5)[: len(models)]]
+        accuracy_and_calibration(Comparison(tuple(models), tuple(totals)), ax=ax)
+        (words,) = (text for text in ax.texts if "calibrated, but for chance" in text.get_text())
+        assert words.get_horizontalalignment() == side

@@ -133,6 +133,6 @@ def test_two_models_on_the_same_sequences_have_nearly_one_null() -> None:
     median = np.median(x, axis=0)
     narrow = report(median + 0.2 * (x - median), y)
     both = posecal.compare({"as drawn": report(x, y), "narrow": narrow})
-    (one, other) = (both._null("ece", name).high for name in both.names)
+    (one, other) = (both.test("ece", name).high for name in both.names)
     assert max(one, other) < 1.5 * min(one, other)
     assert both.feasible() == pytest.approx((one + other) / 2)

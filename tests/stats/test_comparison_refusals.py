@@ -29,6 +29,12 @@ def test_results_that_were_not_made_alike_are_refused_with_what_differs() -> Non
         compare_totals([totals_of(X, Y), totals_of(X, Y, best="sequence")], ["a", "b"])
 
 
+def test_all_models_that_can_t_be_compared_are_named_at_once() -> None:
+    models = {"a": totals_of(X, Y), "b": totals_of(X[:5], Y), "c": totals_of(X, Y), "d": totals_of(X, Y + 5.0)}
+    with pytest.raises(PoseDataError, match=r"^2 problems:\n  - a and b were not made alike: .*\n  - a and d were "):
+        compare_totals([*models.values()], [*models])
+
+
 def test_other_poses_are_refused_with_how_many_there_are() -> None:
     half = {"sequence": LABELS["sequence"][: M // 2]}
     with pytest.raises(PoseDataError, match=r"a and b hold other poses: 48 in 8 sequences and 24 in 4"):
@@ -143,9 +149,18 @@ def test_models_are_called_calibrated_by_their_own_test(three: Comparison) -> No
     assert "right" in three.calibrated()
 
 
+def test_a_model_that_repeats_one_hypothesis_leaves_the_others_their_test() -> None:
+    point = np.repeat(X.mean(axis=0)[None], len(X), axis=0)
+    alone, both = (
+        compare_totals([totals_of(x, Y, "ece") for x in models], "abc") for models in ([X] * 3, [X, point, X])
+    )
+    assert both.calibrated() == ["a", "c"]
+    assert both.feasible() == alone.feasible()
+
+
 def test_at_the_level_itself_a_test_does_not_reject() -> None:
     pair = compare_totals([totals_of(X, Y, "ece"), totals_of(X + 1, Y, "ece")], ["a", "b"])
-    test = pair._null("ece", "a")
+    test = pair.test("ece", "a")
     for name, p in (("a", LEVEL), ("b", LEVEL * 0.999)):
         pair._memory["null", "ece", name] = replace(test, p=p)
     assert pair.calibrated() == ["a"]
