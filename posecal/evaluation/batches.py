@@ -27,6 +27,7 @@ from posecal.engine.pose_hashes import dropped_remarks
 from posecal.engine.prepare import (
     Prepared,
     add_spread_labels,
+    all_within,
     lack_of_scored,
     refuse_non_finite_hypotheses,
     select_scored,
@@ -242,8 +243,11 @@ class Evaluation:
         if len(data.truth):
             pending: Pending = "all" if hold_back else "none" if complete else "rest"
             count = partial(self._count, data, progress, pending, has_mask)
-            ragged = has_absent(data)
+            is_plain = not complete and data.scores is None and data.weights is None and all_within(data)
+            ragged = not is_plain and has_absent(data)
             try:
+                if not (complete or is_plain or ragged):  # else all poses are checked as they are measured
+                    refuse_non_finite_hypotheses(data)
                 remarks.append(count(ragged))
             except PoseDataError:
                 if ragged or not has_absent_anywhere(data):
@@ -259,8 +263,6 @@ class Evaluation:
         """Add poses that count to the sums, and give a remark on them, or none."""
         complete = pending == "none"
         spec = DataSpec.of(data, has_mask=has_mask, preranks=tuple(self._preranks), is_ragged=ragged)
-        if not complete and not ragged:  # all poses are checked as they are measured
-            refuse_non_finite_hypotheses(data)
         remark = live_remark(data) if ragged else ""
         data = add_spread_labels(data, self.by, predicted_spread, self._threads, is_all=complete)
         if self._accumulator is None:
