@@ -274,9 +274,8 @@ class Evaluation:
         self._accumulator = accumulator
         self._frame_check.add(data)
         if pending == "all":
-            names = data.frame_id.tolist()
+            self._frames |= dict.fromkeys(names := data.frame_id.tolist())
             self._held = [*self._held, *names][-accumulator.n_pending :]
-            self._frames |= dict.fromkeys(names)
         return remark
 
     def totals(self) -> Totals:
@@ -294,8 +293,7 @@ class Evaluation:
         """
         if self._lack:
             raise PoseDataError(self._lack)
-        parts = self._parts()
-        if not parts:
+        if not (parts := self._parts()):
             raise PoseDataError("evaluation: no batch so far; expected at least one update before compute.")
         totals = parts[0] if len(parts) == 1 else merge_totals(parts)
         totals.n_frames = self._n_frames

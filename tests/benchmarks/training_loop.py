@@ -72,14 +72,14 @@ def main() -> None:
     }
     is_gpu = device.startswith("cuda")
     name = torch.cuda.get_device_name() if is_gpu else "CPU"
-    print(f"PyTorch {torch.__version__}, {name}, 1 thread of the host; medians")
+    print(f"PyTorch {torch.__version__}, {name}, 1 thread of the host; medians, and in training steps")
     base = 0.0
     for what, call in calls.items():
         run = finished(call) if is_gpu else call
         run()
         took = seconds(run, 3 if call is sample else 9, threads=2 if is_gpu else 1)  # of more than one: by the clock
         base = base or took
-        print(f"{what:44} {took * 1e3:9.1f} ms {took / base:7.3f} training steps", flush=True)
+        print(f"{what:44} {took * 1e3:9.1f} ms {took / base:7.3f}", flush=True)
 
 
 if __name__ == "__main__":
