@@ -12,6 +12,9 @@ from posecal.data.remarks import Count, Example, Remark
 from posecal.data.skeleton import Skeleton, known_set
 from posecal.errors import PoseDataError, option
 
+FRAMES = 8
+"""Of how many frames, the first ones, the units of hypotheses are judged."""
+
 _FACTOR = 50.0
 """Poses that differ so much in size are in two units."""
 
@@ -45,7 +48,7 @@ def check_units(
     data : PoseData
         Hypotheses and truth.
     some : array (N, m, K, D)
-        Hypotheses of some frames.
+        Hypotheses of :data:`FRAMES` frames, or of all where there are fewer.
     unit, true_unit : str or None
         Units that hypotheses and truth declare themselves.
     declared : Declarations
@@ -62,7 +65,6 @@ def check_units(
         Where an undeclared unit can't be millimetres, or the two are in different units.
     """
     *_, k, d = data.shape
-    some = some[:, :8]
     if data.unit == "deg":
         return _angle_remarks(data, some, "rad" in (unit, true_unit, declared.unit, declared.truth_unit))
     remarks = _mixed_sizes(data)
@@ -121,7 +123,7 @@ def refuse_tiny(hypotheses: FloatArray, truth: FloatArray) -> None:
     PoseDataError
         With the parameter to pass.
     """
-    true_size, size = pose_size(truth), pose_size(hypotheses[:, :8][:12].reshape(-1, *truth.shape[1:]))
+    true_size, size = pose_size(truth), pose_size(hypotheses[:12, :FRAMES].reshape(-1, *truth.shape[1:]))
     right = f"{option('unit', 'mm')} if it is right"
     if 0 < true_size < TINY:
         raise PoseDataError(f"{metres_message('truth', true_size)} Pass {option('unit', 'm')}, or {right}.")
@@ -149,9 +151,9 @@ def _mixed_sizes(data: PoseData) -> list[str]:
         return []
     some = _sample(data.truth if data.where is None else np.where(data.where[..., None], data.truth, np.nan))
     some = some[np.isfinite(some).all(axis=(1, 2))]
-    sizes = np.median(np.abs(some - np.median(some, axis=1, keepdims=True)).max(axis=2), axis=1)
+    sizes = _median(np.abs(some - _median(some, axis=1)[:, None]).max(axis=2), axis=1)
     sizes = sizes[sizes > 0]
-    far = int((np.abs(np.log(sizes / np.median(sizes))) > np.log(_FACTOR)).sum()) if len(sizes) else 0
+    far = int((np.abs(np.log(sizes / _median(sizes))) > np.log(_FACTOR)).sum()) if len(sizes) else 0
     if not far:
         return []
     words = f" of {data.names[1]} differs from that of most over {_FACTOR:g} times. Are all in one unit?"
@@ -201,7 +203,14 @@ def pose_size(poses: FloatArray) -> float:
         some = some[np.isfinite(some).all(axis=(1, 2))]
         if not len(some):
             return 0.0
-        return float(np.median(np.sqrt(((some - some.mean(axis=1, keepdims=True)) ** 2).sum(axis=2).mean(axis=1))))
+        return float(_median(np.sqrt(((some - some.mean(axis=1, keepdims=True)) ** 2).sum(axis=2).mean(axis=1))))
+
+
+def _median(values: FloatArray, axis: int = 0) -> FloatArray:
+    """Median of finite values along an axis: of few, several times faster than NumPy's."""
+    ordered, middle = np.sort(values, axis=axis), values.shape[axis] // 2
+    low = middle if values.shape[axis] % 2 else middle - 1
+    return np.asarray((ordered.take(low, axis=axis) + ordered.take(middle, axis=axis)) / 2)
 
 
 def _sample(poses: FloatArray) -> FloatArray:

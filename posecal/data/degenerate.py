@@ -28,6 +28,9 @@ _FEWEST_COORDINATES = 6
 _FILL = 1000.0
 """Three coordinates of this size, in any unit, are not equal by chance."""
 
+_FACTORS = np.sqrt([2.0, 3.0, 5.0])
+"""What coordinates are weighted by, so that sums of other coordinates are equal by chance only."""
+
 _PIXELS = 20.0
 """Coordinates with a standard deviation above this are none of metres."""
 
@@ -156,7 +159,10 @@ class Fills:
         equal = poses[..., 0] == poses[..., 1]
         for joint in resting:
             equal[:, :, joint] &= poses[:, :, joint, 0] != 0
-        n, m, k = np.unravel_index(np.flatnonzero(equal), equal.shape)
+        found = np.flatnonzero(equal)
+        if not len(found):
+            return
+        n, m, k = np.unravel_index(found, equal.shape)
         values = poses[n, m, k]
         is_fill = (values == values[:, :1]).all(axis=1) & counted[n, m]
         is_fill &= values.any(axis=1) | others[m, k].any(axis=1)
@@ -209,7 +215,10 @@ class Repeats:
         _, m, k, d = poses.shape
         self._k = k
         self._coordinates += poses[..., 0, :].size
-        keys = (poses[0] * np.random.default_rng(0).normal(size=d)).sum(axis=2)
+        keys = (poses[0] * _FACTORS[:d]).sum(axis=2)
+        ordered = np.sort(keys, axis=1)
+        if not (ordered[:, 1:] == ordered[:, :-1]).any():
+            return
         order = np.argsort(keys, axis=1, kind="stable")
         keys = np.take_along_axis(keys, order, axis=1)
         rows, places = np.nonzero(keys[:, 1:] == keys[:, :-1])

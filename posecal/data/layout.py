@@ -195,8 +195,10 @@ class Layout:
         sizes = self.sizes(array.shape)
         frames = sizes.get("T", sizes["M"])
         ends = np.flatnonzero((np.diff(poses) != 1) | (poses[1:] % frames == 0)) + 1
+        if not len(ends):
+            return self._consecutive(array, sizes, int(poses[0]), len(poses))
         runs = [self._consecutive(array, sizes, int(run[0]), len(run)) for run in np.split(poses, ends)]
-        return runs[0] if len(runs) == 1 else np.concatenate(runs, axis=self.core.index("M"))
+        return np.concatenate(runs, axis=self.core.index("M"))
 
     def store(self, array: npt.NDArray[F], clip_length: int | None = None) -> npt.NDArray[F]:
         """Give an array (N, M, K, D) or (M, K, D) in this layout, as :meth:`read` reads it, without iterations.
@@ -234,6 +236,8 @@ class Layout:
         some = array.part(
             tuple(chosen.get(group, slice(0, size)) for group, size in zip(self.groups, array.shape, strict=True))
         )
+        if self.text == self.core:
+            return some
         letters = "".join(self.groups).replace("C", "D")
         lengths = {letter: part.stop - part.start for letter, part in chosen.items()}
         split = some.reshape([lengths.get(letter, sizes[letter]) for letter in letters])

@@ -1,4 +1,4 @@
-"""Arrays of HDF5 and zarr, read in place some poses at a time."""
+"""Arrays of HDF5 and zarr, and tensors on another device, read in place some poses at a time."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from posecal.data.arrays import real_array
 from posecal.data.child_process import run_in_child
 from posecal.errors import PoseDataError, PoseFileError, refuse_unreadable
 
@@ -24,6 +25,8 @@ _LEAST_CLAIMED = 1 << 24
 
 Of zarr, that is what its metadata takes: each chunk is a file, and one after another would be looked for."""
 _EXTRA = {"h5py": "convert", "zarr": "zarr"}
+_COPIED = 32 * 1024 * 1024
+"""Bytes up to which a tensor is copied to the host as a whole: its poses are looked at more than once."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +79,45 @@ class DatasetArray:
             return np.asarray(self.dataset[where])
         except Exception as error:  # noqa: BLE001  the libraries raise of every kind
             raise PoseFileError(f"{self.name}: can't be read ({error}). Was the file closed, or cut off?") from None
+
+
+@dataclass(frozen=True)
+class DeviceArray:
+    """A tensor on another device, as a :class:`posecal.data.layout.LazyArray`: parts are copied to the host.
+
+    Attributes
+    ----------
+    tensor : torch.Tensor
+        It stays where it is.
+    name : str
+        What messages call it.
+    """
+
+    tensor: Any
+    name: str
+
+    def __post_init__(self) -> None:
+        self.part((slice(0, 0),))  # refuses other than real numbers
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The length of every axis."""
+        return tuple(self.tensor.shape)
+
+    @property
+    def dtype(self) -> np.dtype[np.generic]:
+        """The type that its numbers have on the host."""
+        return self.part((slice(0, 0),)).dtype
+
+    def part(self, where: tuple[slice, ...]) -> npt.NDArray[np.generic]:
+        """Copy a range of every axis."""
+        return real_array(self.tensor[where], self.name)
+
+
+def is_large_on_device(source: object) -> bool:
+    """Whether this is a tensor of PyTorch that lies on another device and is not copied as a whole."""
+    place = getattr(getattr(source, "device", None), "type", "cpu")
+    return hasattr(source, "detach") and place != "cpu" and getattr(source, "nbytes", 0) > _COPIED
 
 
 def _walk(path: Path) -> None:

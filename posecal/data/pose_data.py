@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray, as_array, as_label_arrays, as_labels, as_marks, as_scores
-from posecal.data.checks import check_units
+from posecal.data.checks import FRAMES, check_units
 from posecal.data.declarations import Declarations
 from posecal.data.draws import DrawnHypotheses, with_draws
 from posecal.data.gaussian import GaussianPrediction
@@ -21,15 +21,12 @@ from posecal.data.log_density import as_dimensions, as_log_prob
 from posecal.data.match import Matcher
 from posecal.data.read import read_poses
 from posecal.data.root import AnyRoot
-from posecal.data.stored_poses import Hypotheses, Labels, Rows, StoredPoses, sample_rows
+from posecal.data.stored_poses import Hypotheses, Labels, Rows, StoredPoses
 from posecal.data.weights import as_weights
 from posecal.errors import PosecalError, PoseDataError, attempt, raise_all
 
 T = TypeVar("T")
 Source = npt.ArrayLike | str | os.PathLike[str] | GaussianPrediction
-
-_FRAMES = 16
-"""Of how many frames the units of hypotheses are judged."""
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -210,7 +207,9 @@ class PoseData:
         declared |= {"joints": joints, "root_joint": root_joint, "missing": missing, "shared_joints": shared_joints}
         declared |= {"n_hypotheses": n_hypotheses, "skeleton": skeleton}
         declared = {name: value for name, value in declared.items() if value is not None}
-        possible = {k: v for k, v in declared.items() if attempt(problems, partial(Declarations, **{k: v}))}
+        possible, declarations = declared, attempt([], partial(Declarations, **declared))
+        if declarations is None:
+            possible = {k: v for k, v in declared.items() if attempt(problems, partial(Declarations, **{k: v}))}
         wrong = declared.keys() - possible.keys()
         predicted = attempt(problems, read_poses, hypotheses, "hypotheses")
         true = attempt(problems, read_poses, truth, "truth")
@@ -250,7 +249,7 @@ class PoseData:
             where=arrays.get("where"),
             fps=true.fps if fps is None else fps,
         )
-        matched = match_poses(predicted, true, Declarations(**possible), problems)
+        matched = match_poses(predicted, true, declarations or Declarations(**possible), problems)
         if not isinstance(predicted.array, DrawnHypotheses) and (draws, seed) != (None, None):
             remark = f"{predicted.name} holds hypotheses: none are drawn, whatever draws and seed are."
             matched = matched.replace(remarks=(*matched.remarks, remark))
@@ -331,8 +330,7 @@ def match_poses(
     declared = declarations or Declarations()
     matcher = Matcher(hypotheses, truth, declared, problems)
     data = _with_attributes(PoseData, **matcher.attributes())
-    rows = sample_rows(len(data.truth), _FRAMES)
-    some = data.hypotheses.select(rows).read(0, len(rows))
+    some = data.hypotheses.read(0, min(len(data.truth), FRAMES))
     remarks = attempt(matcher.problems, check_units, data, some, hypotheses.unit, truth.unit, declared) or []
     raise_all(matcher.problems)
     return data.replace(remarks=(*data.remarks, *remarks))

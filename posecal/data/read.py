@@ -20,7 +20,15 @@ from posecal.data.draws import STATED, DrawnHypotheses, is_stated, open_distribu
 from posecal.data.file_array import Source, open_array, open_member, opened
 from posecal.data.gaussian import GaussianPrediction
 from posecal.data.layout import HYPOTHESES, MemoryArray
-from posecal.data.lazy import LIBRARIES, DatasetArray, is_dataset, open_datasets, split_address
+from posecal.data.lazy import (
+    LIBRARIES,
+    DatasetArray,
+    DeviceArray,
+    is_dataset,
+    is_large_on_device,
+    open_datasets,
+    split_address,
+)
 from posecal.data.stored_poses import COMMON_LABELS, StoredPoses
 from posecal.data.weights import as_weights
 from posecal.errors import PosecalError, PoseDataError, PoseFileError, attempt, raise_all, refuse_unreadable
@@ -68,6 +76,8 @@ def read_poses(source: npt.ArrayLike | str | os.PathLike[str] | GaussianPredicti
     checked_choice(role, "role", _NAMES)
     if is_dataset(source):
         return StoredPoses(role, DatasetArray(source))
+    if is_large_on_device(source):
+        return StoredPoses(role, DeviceArray(source, role))
     if isinstance(source, GaussianPrediction):
         return StoredPoses(role, DrawnHypotheses(source), HYPOTHESES)
     if not isinstance(source, (str, os.PathLike)):

@@ -359,10 +359,12 @@ class Accumulator:
 
     def _join_cells(self, moved: Indices) -> None:
         """Give cells their new numbers, adding up those that are one now."""
+        order = np.argsort(moved, kind="stable")
+        starts = np.flatnonzero(np.diff(moved[order], prepend=-1))  # each new number occurs
 
         def joined(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
             total = np.zeros_like(values)
-            np.add.at(total, moved, values[: len(moved)])
+            total[: len(starts)] = np.add.reduceat(values[order], starts, axis=0)
             return total
 
         self._grow(len(moved))

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -161,35 +162,32 @@ class CellIndex:
         moved : array of int (C,) or None
             Where cells were joined: the new number of each earlier cell.
         """
-        before = list(self._rows)
-        columns = self.names
+        columns, run_length = self.names, self._run_length
+        sequence: npt.NDArray[Any]
         if self.has_sequences:
             sequence = labels["sequence"]
             self._drop_splitting(sequence, labels)
         else:
-            numbers = self._poses + np.arange(n_poses)
             while self._poses + n_poses > MAX_RUNS * self._run_length:
                 self._run_length *= 2
-                before = [(str(int(row[0]) // 2), *row[1:]) for row in before]
-            sequence = (numbers // self._run_length).astype(np.str_)
+            sequence = (self._poses + np.arange(n_poses)) // self._run_length
         self._poses += n_poses
-        kept = [columns.index(name) for name in self.names]
-        before = [tuple(row[column] for column in kept) for row in before]
         moved = None
-        if before != list(self._rows):
+        if self._rows and (self.names != columns or self._run_length != run_length):
+            kept = [columns.index(name) for name in self.names]
+            before = [tuple(row[column] for column in kept) for row in self._rows]
+            if not self.has_sequences:
+                joined = self._run_length // run_length
+                before = [(str(int(row[0]) // joined), *row[1:]) for row in before]
             self._rows = {}
             moved = np.array([self._rows.setdefault(row, len(self._rows)) for row in before], dtype=np.intp)
         values = [sequence, *(labels[name] for name in self.names[1:])]
-        codes = np.zeros(n_poses, dtype=np.int64)
-        for column in values:
-            names, inverse = np.unique(column, return_inverse=True)
-            codes = np.unique(codes * len(names) + inverse, return_inverse=True)[1]
-        _, first, inverse = np.unique(codes, return_index=True, return_inverse=True)
-        numbers = np.empty(len(first), dtype=np.intp)
-        for code in np.argsort(first):
-            row = tuple(str(column[first[code]]) for column in values)
-            numbers[code] = self._rows.setdefault(row, len(self._rows))
-        return numbers[inverse], moved
+        changes = np.ones(n_poses, dtype=bool)
+        changes[1:] = np.any([column[1:] != column[:-1] for column in values], axis=0)
+        first = np.flatnonzero(changes)
+        rows = zip(*(column[first].astype(np.str_).tolist() for column in values), strict=True)
+        numbers = np.array([self._rows.setdefault(row, len(self._rows)) for row in rows], dtype=np.intp)
+        return np.repeat(numbers, np.diff(first, append=n_poses)), moved
 
     def _drop_splitting(self, sequence: npt.NDArray[np.str_], labels: Labels) -> None:
         """Drop the optional labels that split a sequence."""

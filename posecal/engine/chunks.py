@@ -99,9 +99,9 @@ def join_chunks(chunks: Sequence[Chunk]) -> Chunk:
     for name in joined:
         parts = [getattr(chunk, name) for chunk in chunks]
         if parts[0] is not None:
-            axis = int(name in _HYPOTHESES)
-            poses_first = np.concatenate([part.swapaxes(0, axis) for part in parts])
-            joined[name] = np.ascontiguousarray(poses_first).swapaxes(0, axis)
+            axis, shape = int(name in _HYPOTHESES), list(parts[0].shape)
+            shape[axis] = sum(part.shape[axis] for part in parts)
+            joined[name] = np.concatenate(parts, axis, out=np.empty(shape, np.result_type(*parts)))
     return Chunk(**joined)
 
 

@@ -192,7 +192,8 @@ def _differ_in_size(x: FloatArray, y: FloatArray, where: BoolArray | None) -> Bo
     """Find hypotheses (N, m) that differ from the truth in the size of a triangle of joints as two units do."""
     ends = [0, y.shape[1] // 2, y.shape[1] - 1]
     size, true_size = (
-        np.linalg.norm(some[..., ends, :] - some[..., np.roll(ends, 1), :], axis=-1).sum(axis=-1) for some in (x, y)
+        np.linalg.norm(some[..., ends, :] - some[..., [ends[-1], *ends[:-1]], :], axis=-1).sum(axis=-1)
+        for some in (x, y)
     )
     found = (size > 0) & (true_size > 0) & ((size > _FACTOR * true_size) | (true_size > _FACTOR * size))
     return np.asarray(found if where is None else found & where[:, ends].all(axis=1))

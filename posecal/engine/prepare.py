@@ -232,6 +232,19 @@ def refuse_non_finite(data: PoseData, name: str, bad: Indices) -> None:
         )
 
 
+def all_within(data: PoseData) -> bool:
+    """Whether all coordinates of hypotheses, and of the reference's, are finite and not too large: in one fast pass."""
+    for some in (data,) if data.reference is None else (data, data.reference):
+        for chunk in read_chunks(some.replace(reference=None)):
+            x = chunk.hypotheses
+            x = x.transpose(np.argsort(x.strides)[::-1])  # as it lies in memory
+            x = x.reshape(len(x), -1)
+            with np.errstate(over="ignore", invalid="ignore"):
+                if not np.vecdot(x, x).max() < _limit(data) ** 2:  # True for NaN
+                    return False
+    return True
+
+
 def refuse_non_finite_hypotheses(data: PoseData) -> None:
     """Refuse a batch with coordinates that are not finite, or its reference's, before any of it is counted.
 
@@ -240,12 +253,12 @@ def refuse_non_finite_hypotheses(data: PoseData) -> None:
     PoseDataError
         Where a joint that counts has one.
     """
+    if all_within(data):
+        return
     for some in (data,) if data.reference is None else (data, data.reference):
         start, bad = 0, np.zeros((0, 2), dtype=np.intp)
         for chunk in read_chunks(some.replace(reference=None)):
-            flat = chunk.hypotheses.reshape(-1)
-            if not np.vdot(flat, flat) < _limit(data) ** 2:  # one fast pass; true of nearly every batch
-                places = np.argwhere(is_outside(chunk.hypotheses, _limit(data)).any(axis=(0, 3)))
-                bad = np.concatenate([bad, places + np.array([start, 0])])
+            places = np.argwhere(is_outside(chunk.hypotheses, _limit(data)).any(axis=(0, 3)))
+            bad = np.concatenate([bad, places + np.array([start, 0])])
             start += len(chunk)
         refuse_non_finite(data, some.names[0], bad if data.where is None else bad[data.where[tuple(bad.T)]])

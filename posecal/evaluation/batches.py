@@ -27,6 +27,7 @@ from posecal.engine.pose_hashes import dropped_remarks
 from posecal.engine.prepare import (
     Prepared,
     add_spread_labels,
+    all_within,
     lack_of_scored,
     refuse_non_finite_hypotheses,
     select_scored,
@@ -242,8 +243,11 @@ class Evaluation:
         if len(data.truth):
             pending: Pending = "all" if hold_back else "none" if complete else "rest"
             count = partial(self._count, data, progress, pending, has_mask)
-            ragged = has_absent(data)
+            is_plain = not complete and data.scores is None and data.weights is None and all_within(data)
+            ragged = not is_plain and has_absent(data)
             try:
+                if not (complete or is_plain or ragged):  # else all poses are checked as they are measured
+                    refuse_non_finite_hypotheses(data)
                 remarks.append(count(ragged))
             except PoseDataError:
                 if ragged or not has_absent_anywhere(data):
@@ -259,8 +263,6 @@ class Evaluation:
         """Add poses that count to the sums, and give a remark on them, or none."""
         complete = pending == "none"
         spec = DataSpec.of(data, has_mask=has_mask, preranks=tuple(self._preranks), is_ragged=ragged)
-        if not complete and not ragged:  # all poses are checked as they are measured
-            refuse_non_finite_hypotheses(data)
         remark = live_remark(data) if ragged else ""
         data = add_spread_labels(data, self.by, predicted_spread, self._threads, is_all=complete)
         if self._accumulator is None:
@@ -272,9 +274,8 @@ class Evaluation:
         self._accumulator = accumulator
         self._frame_check.add(data)
         if pending == "all":
-            names = data.frame_id.tolist()
+            self._frames |= dict.fromkeys(names := data.frame_id.tolist())
             self._held = [*self._held, *names][-accumulator.n_pending :]
-            self._frames |= dict.fromkeys(names)
         return remark
 
     def totals(self) -> Totals:
@@ -292,8 +293,7 @@ class Evaluation:
         """
         if self._lack:
             raise PoseDataError(self._lack)
-        parts = self._parts()
-        if not parts:
+        if not (parts := self._parts()):
             raise PoseDataError("evaluation: no batch so far; expected at least one update before compute.")
         totals = parts[0] if len(parts) == 1 else merge_totals(parts)
         totals.n_frames = self._n_frames

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+import posecal
 from posecal.data.arguments import checked
 from posecal.data.arrays import as_array, as_labels, checked_number, checked_root
 from posecal.data.pose_data import PoseData
@@ -122,6 +124,48 @@ def test_pose_data_takes_tensors() -> None:
     np.testing.assert_array_equal(coordinates(tensors), coordinates(expected))
     for name in ("truth", "where", "scores", "occluded", "frame_id"):
         np.testing.assert_array_equal(getattr(tensors, name), getattr(expected, name))
+
+
+class Distant:
+    """A tensor of another device, which says how many bytes were copied from it at most."""
+
+    device = SimpleNamespace(type="cuda")
+    most = 0
+
+    def __init__(self, tensor: Any) -> None:
+        self.tensor, self.shape, self.nbytes = tensor, tensor.shape, tensor.nbytes
+
+    def __getitem__(self, where: Any) -> Distant:
+        return Distant(self.tensor[where])
+
+    def detach(self) -> Distant:
+        return self
+
+    def cpu(self) -> Any:
+        Distant.most = max(Distant.most, self.nbytes)
+        return self.tensor
+
+
+def test_a_large_tensor_of_another_device_is_copied_some_poses_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    random = np.random.default_rng(0)
+    y = random.normal(0, 300, (4000, 5, 3)).astype(np.float32)
+    x = torch.tensor(y[:, None] + random.normal(0, 50, (4000, 20, 5, 3))).bfloat16()
+    options: dict[str, Any] = {"unit": "mm", "axes": "MNKD", "threads": 1}
+    expected = posecal.evaluate(x, y, **options).scalars()
+    monkeypatch.setattr("posecal.data.lazy._COPIED", x.nbytes - 1)
+    monkeypatch.setattr("posecal.engine.chunks.WINDOW_BYTES", x.nbytes // 3)
+    monkeypatch.setattr(Distant, "most", 0)
+    assert posecal.evaluate(Distant(x), y, **options).scalars() == pytest.approx(expected, rel=1e-12)
+    assert 0 < Distant.most < x.nbytes / 2
+    monkeypatch.setattr("posecal.data.lazy._COPIED", x.nbytes)  # which one copy takes at once
+    posecal.evaluate(Distant(x), y, **options)
+    assert Distant.most == x.nbytes
+
+
+def test_a_large_tensor_of_another_device_that_holds_no_real_numbers_is_refused() -> None:
+    tensor = torch.zeros(5_000_000, dtype=torch.complex64)
+    with pytest.raises(PoseDataError, match=r"^hypotheses: dtype complex64; expected real numbers such as float32"):
+        PoseData(Distant(tensor), truth())  # type: ignore[arg-type]
 
 
 def test_a_half_precision_tensor_is_measured_in_single() -> None:

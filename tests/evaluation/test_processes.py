@@ -13,6 +13,7 @@ import posecal
 
 ROOT = Path(__file__).parents[2]
 torch = pytest.importorskip("torch")
+pytest.importorskip("torchmetrics")
 
 
 @pytest.mark.slow
@@ -35,3 +36,7 @@ def test_two_processes_give_the_numbers_of_one(tmp_path: Path) -> None:
     assert any("1 pose came more than once" in remark for remark in numbers["remarks"])
     for name, value in one.scalars().items():
         assert numbers[name] == pytest.approx(value, rel=1e-6), name
+    for rank in range(2):  # the metric of torchmetrics gives all of them the same
+        of_metric = json.loads((tmp_path / f"metric of {rank}.json").read_text())
+        assert of_metric.pop("own poses") == 31
+        assert of_metric == pytest.approx(one.scalars(), rel=1e-6)

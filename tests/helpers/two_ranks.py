@@ -13,6 +13,7 @@ from torch.utils.data import DataLoader, Dataset
 from torch.utils.data.distributed import DistributedSampler
 
 import posecal
+from posecal.torch import PoseMetric
 
 M, N, K = 61, 8, 4
 
@@ -60,6 +61,12 @@ def run(rank: int, processes: int, folder: Path) -> None:
     if rank == 0:
         numbers = {"poses": int(report.totals.poses.sum()), "remarks": report.remarks, **report.scalars()}
         (folder / "numbers.json").write_text(json.dumps(numbers))
+    metric = PoseMetric(posecal.Evaluation(unit="mm", axes="MNKD"))
+    for batch in loader:
+        metric.update(model(batch["image"]), batch["pose"], sequence=batch["clip"], frame_id=batch["id"])
+    numbers = {name: value.item() for name, value in metric.compute().items()}
+    numbers["own poses"] = int(metric.evaluation.compute().totals.poses.sum())
+    (folder / f"metric of {rank}.json").write_text(json.dumps(numbers))
     dist.destroy_process_group()
 
 
