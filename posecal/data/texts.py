@@ -3,13 +3,25 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from posecal.errors import UNPRINTABLE, printable
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+def frame_of(rows: Iterable[Sequence[object]], columns: Sequence[str]) -> pd.DataFrame:
+    """Build a data frame that holds text as Python's own strings, whatever pandas would store it in.
+
+    Labels and file names may hold what is no valid Unicode, which the strings of Arrow refuse.
+    """
+    import pandas as pd
+
+    table = pd.DataFrame(list(rows), columns=list(columns), dtype=object)
+    kinds = {name: pd.api.types.infer_dtype(table[name], skipna=True) for name in columns}
+    return table.assign(**{name: table[name].infer_objects() for name in columns if kinds[name] != "string"})
 
 
 def printable_table(table: pd.DataFrame) -> pd.DataFrame:

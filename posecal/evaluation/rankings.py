@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from posecal.data.texts import json_lines, printable_table
+from posecal.data.texts import frame_of, json_lines, printable_table
 from posecal.data.write import write_file, written_together
 from posecal.engine.storage import load_totals
 from posecal.engine.totals import Totals
@@ -57,10 +57,8 @@ class Leaderboard:
     @cached_property
     def table(self) -> pd.DataFrame:
         """A data frame with a row for each test set, metric and model."""
-        import pandas as pd
-
         rows = [row for name, comparison in self.comparisons.items() for row in standings_rows(name, comparison)]
-        return pd.DataFrame(rows, columns=list(COLUMNS))
+        return frame_of([tuple(row.values()) for row in rows], COLUMNS)
 
     def render(
         self, form: str, *, width: int = 120, colour: bool = False, words: Callable[[str], str] = for_python

@@ -19,7 +19,7 @@ import numpy as np
 
 from posecal.calibration.error import FEW_HYPOTHESES
 from posecal.data.arrays import FloatArray
-from posecal.data.texts import json_lines, printable_table
+from posecal.data.texts import frame_of, json_lines, printable_table
 from posecal.engine.metric import Metric
 from posecal.engine.totals import Totals
 from posecal.errors import PosecalError, PoseDataError, attempt, did_you_mean, for_python, printable, raise_all
@@ -167,10 +167,8 @@ class Comparison:
     @property
     def table(self) -> pd.DataFrame:
         """The differences as a data frame: a row for each metric and pair of models."""
-        import pandas as pd
-
         columns = [column.name for column in fields(Difference)]
-        table = pd.DataFrame([asdict(difference) for difference in self.differences], columns=columns)
+        table = frame_of([tuple(asdict(difference).values()) for difference in self.differences], columns)
         table.attrs = {"remarks": list(self.remarks)}
         return table
 
