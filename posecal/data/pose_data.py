@@ -15,6 +15,7 @@ from posecal.data.arrays import BoolArray, FloatArray, as_array, as_label_arrays
 from posecal.data.checks import check_units
 from posecal.data.declarations import Declarations
 from posecal.data.draws import DrawnHypotheses, with_draws
+from posecal.data.fitted_poses import fitted_remarks
 from posecal.data.gaussian import GaussianPrediction
 from posecal.data.layout import HYPOTHESES
 from posecal.data.log_density import as_dimensions, as_log_prob
@@ -335,4 +336,5 @@ def match_poses(
     some = data.hypotheses.select(rows).read(0, len(rows))
     remarks = attempt(matcher.problems, check_units, data, some, hypotheses.unit, truth.unit, declared) or []
     raise_all(matcher.problems)
+    remarks += fitted_remarks(hypotheses.recalibrated_on, data.truth, hypotheses.name)
     return data.replace(remarks=(*data.remarks, *remarks))
