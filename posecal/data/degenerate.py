@@ -252,6 +252,7 @@ class Repeats:
                 Count(total if always else self._frames, "frame", of=total),
                 " (",
                 Example(first_few(pairs, 8)),
-                "), which so count twice in means over joints. The protocol's option joints chooses those to score.",
+                "), which so count more than once in means over joints. The protocol's option joints chooses those to "
+                "score.",
             )
         ]

@@ -241,8 +241,13 @@ def _choose(headers: dict[str, Header], name: str, role: Role) -> str:
         shape = headers[swapped[0]][0]
         raise PoseDataError(f"{name} holds {swapped[0]} {shape} and no {wanted}. The two files look swapped.")
     large = [key for key, (shape, _, _) in headers.items() if key not in _RESERVED and len(shape) > 1]
-    if len(large) == 1:
+    if len(large) == 1 and not (role == "hypotheses" and large[0] in STATED):
         return large[0]
+    if role == "hypotheses" and {*large} & {*STATED}:
+        raise PoseDataError(
+            f"{name} holds {', '.join(large)}; expected mean and covariance, or mean and sigma, of a distribution. A "
+            "pose that is a prediction by itself is stored as hypotheses."
+        )
     members = ", ".join(f"{key} {shape}" for key, (shape, _, _) in headers.items()) or "nothing"
     raise PoseDataError(f"{name} holds {members}; expected an array named {wanted}, or just one array of coordinates.")
 
