@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-import posecal
 from posecal.engine.metric import Metric
 from posecal.engine.totals import Totals
 from posecal.errors import PoseDataError, for_command_line, option
@@ -317,14 +316,3 @@ def test_each_metric_of_each_model_is_left_one_sequence_out_once(monkeypatch: py
     three.render("json")
     three.render("csv")
     assert sorted(asked) == ["mpjpe"] * 3 + ["signed_area"] * 3
-
-
-def test_few_hypotheses_and_frames_without_sequences_are_remarked_on_as_in_a_report() -> None:
-    random = np.random.default_rng(0)
-    truth = random.normal(0, 300, (40, 4, 3))
-    models = {name: truth + random.normal(0, 40, (5, 40, 4, 3)) for name in "ab"}
-    remarks = posecal.compare(models, truth, unit="mm").remarks
-    report = posecal.evaluate(models["a"], truth, unit="mm")
-    for start in ("no sequence labels: 40 frames", "N = 5 hypotheses are few: an ECE lies between 0 and 0.4"):
-        (remark,) = (remark for remark in remarks if remark.startswith(start))
-        assert remark in report.remarks
