@@ -51,8 +51,8 @@ def fitted_remarks(hashes: Hashes | None, truth: FloatArray, name: str) -> list[
     Examples
     --------
     >>> poses = np.arange(60.0).reshape(6, 5, 2)
-    >>> fitted_remarks(fitted_hashes(poses[:4]), poses, "new.npz")[0][:68]
-    'new.npz: recalibrated by a map that was fitted on 4 of 6 frames of t'
+    >>> fitted_remarks(fitted_hashes(poses[:4]), poses, "new.npz")[0][27:85]
+    'map that was fitted on poses of this evaluation (4 of 6 fr'
     >>> fitted_remarks(fitted_hashes(poses[:4]), poses[4:], "new.npz")
     []
     """
@@ -65,10 +65,10 @@ def fitted_remarks(hashes: Hashes | None, truth: FloatArray, name: str) -> list[
         return []
     return [
         Remark(
-            f"{name}: recalibrated by a map that was fitted on {'about ' * is_sample}",
+            f"{name}: recalibrated by a map that was fitted on poses of this evaluation ({'about ' * is_sample}",
             Count(number, "frame", of=len(own)),
-            " of these: calibration and scores are better here than on new poses. Compare it on poses that the map was "
-            "not fitted on.",
+            "): calibration and scores are better here than on new poses. Compare it on poses that the map was not "
+            "fitted on.",
         )
     ]
 

@@ -36,7 +36,9 @@ def said(remarks: tuple[str, ...]) -> list[str]:
 def test_poses_of_the_fit_are_counted() -> None:
     some = poses(50)
     (remark,) = fitted_remarks(fitted_hashes(some[:20]), some[10:], "new.npz")
-    assert remark.startswith("new.npz: recalibrated by a map that was fitted on 10 of 40 frames of these: ")
+    assert remark.startswith(
+        "new.npz: recalibrated by a map that was fitted on poses of this evaluation (10 of 40 frames): "
+    )
 
 
 def test_other_poses_get_no_remark() -> None:
@@ -51,7 +53,7 @@ def test_of_many_poses_a_sample_finds_them() -> None:
     assert len(hashes) == MOST
     assert (np.diff(hashes.astype(object)) > 0).all()
     (remark,) = fitted_remarks(hashes, some, "new.npz")
-    assert " on about " in remark
+    assert "(about " in remark
     number = int(remark.split("about ")[1].split(" ")[0].replace(",", ""))
     assert abs(number - 2000) < 4 * 4000 * (0.25 / (2 * MOST)) ** 0.5  # a binomial's deviation, with p = 1/2
 
@@ -73,7 +75,7 @@ def test_a_file_that_a_map_wrote_is_known_in_evaluation_and_comparison(tmp_path:
     apply_map(read_map(tmp_path / "map.json"), narrow, tmp_path / "wide.npz")
     data = posecal.PoseData(tmp_path / "wide.npz", truth)
     assert len(said(data.remarks)) == len(said(posecal.evaluate(data).remarks)) == 1
-    assert "fitted on 40 of 40 frames" in said(data.remarks)[0]
+    assert "(40 of 40 frames)" in said(data.remarks)[0]
     compared = posecal.compare({"narrow": narrow, "wide": tmp_path / "wide.npz"}, truth)
     (remark,) = said(compared.remarks)
     assert remark.startswith("wide: wide.npz: recalibrated by")
