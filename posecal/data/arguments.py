@@ -11,10 +11,15 @@ import numpy as np
 from posecal.data.arrays import BoolArray, FloatArray, checked_mask, real_array
 from posecal.data.checks import refuse_tiny
 from posecal.data.declarations import choose_layouts, refuse_ambiguous
+from posecal.data.degenerate import is_one_point, refuse_one_point
+from posecal.data.fitted_poses import FEWEST_COORDINATES
 from posecal.data.layout import HYPOTHESES, Layout, MemoryArray, plausible_layouts
 from posecal.data.stored_poses import StoredPoses, in_millimetres
 from posecal.data.units import PERIODS, quantity
 from posecal.errors import PoseDataError, option
+
+_MOST_POINTS = 0.5
+"""Where so many true poses are one point, as in worked examples, they are meant."""
 
 _DECLARED: ContextVar[str | None] = ContextVar("declared", default=None)
 
@@ -90,7 +95,7 @@ def checked(
     ------
     PoseDataError
         Where a dtype or a shape is wrong, or layout or unit are open; shapes are named with the letters that they
-        break.
+        break. And where all joints of some true poses, fewer than half of them, lie in one point.
     """
     x, y = real_array(hypotheses, "hypotheses"), real_array(truth, "truth")
     if axes is not None:
@@ -129,4 +134,7 @@ def checked(
     x, y = (in_millimetres(array, factor) if factor != 1 or array.dtype.kind != "f" else array for array in (x, y))
     if unit is None and not is_declared:
         refuse_tiny(x, y)
-    return x, y, None if where is None else checked_mask(where, y.shape[:2])
+    mask = None if where is None else checked_mask(where, y.shape[:2])
+    if not is_declared and y[0].size >= FEWEST_COORDINATES and is_one_point(y, mask).mean() < _MOST_POINTS:
+        refuse_one_point(y, mask, np.arange(len(y)).astype(np.str_), "truth")
+    return x, y, mask

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from posecal.data.arrays import FloatArray
+from posecal.data.arrays import BoolArray, FloatArray
 from posecal.data.degenerate import FEWEST_JOINTS
 from posecal.data.remarks import Count, Example, Remark
 from posecal.data.skeleton import Skeleton, known_set
@@ -24,6 +24,9 @@ _FEWEST_ANGLES = 100
 if TYPE_CHECKING:
     from posecal.data.declarations import Declarations
     from posecal.data.pose_data import PoseData
+
+_POSES = 4096
+"""True poses whose size is measured together."""
 
 BONES = (50.0, 700.0)
 """A median bone length outside this range, in mm, is remarked on."""
@@ -149,15 +152,30 @@ def _mixed_sizes(data: PoseData) -> list[str]:
     """Remark on true poses that differ in size as two units do."""
     if data.truth.shape[1] < FEWEST_JOINTS or data.truth.shape[2] < 2:
         return []
-    some = _sample(data.truth if data.where is None else np.where(data.where[..., None], data.truth, np.nan))
-    some = some[np.isfinite(some).all(axis=(1, 2))]
-    sizes = _median(np.abs(some - _median(some, axis=1)[:, None]).max(axis=2), axis=1)
-    sizes = sizes[sizes > 0]
-    far = int((np.abs(np.log(sizes / _median(sizes))) > np.log(_FACTOR)).sum()) if len(sizes) else 0
+    m = len(data.truth)
+    parts = (slice(start, start + _POSES) for start in range(0, m, _POSES))
+    sizes = np.concatenate(
+        [_sizes(data.truth[part], None if data.where is None else data.where[part]) for part in parts]
+    )
+    sizes = sizes[np.isfinite(sizes) & (sizes > 0)]
+    far = int((np.abs(np.log(sizes / np.median(sizes))) > np.log(_FACTOR)).sum()) if len(sizes) else 0
     if not far:
         return []
     words = f" of {data.names[1]} differs from that of most over {_FACTOR:g} times. Are all in one unit?"
-    return [Remark("the size of at least ", Count(far, "pose"), words)]
+    return [Remark("the size of ", Count(far, "pose", of=m), words)]
+
+
+def _sizes(poses: FloatArray, where: BoolArray | None) -> FloatArray:
+    """Median distance of the joints from their median, of the coordinate where it is largest, (m,); NaN if not known.
+
+    One joint that is far away changes nothing.
+    """
+    middle = poses.shape[1] // 2
+    poses = poses if where is None else np.where(where[..., None], poses, np.nan)
+    with np.errstate(invalid="ignore", over="ignore"):  # of coordinates that are refused later
+        centre = np.sort(poses.swapaxes(1, 2), axis=2)[..., middle]
+        away = np.abs(poses - centre[:, None]).max(axis=2)
+    return np.where(np.isfinite(away).all(axis=1), np.sort(away, axis=1)[:, middle], np.nan)
 
 
 def ratio_message(name: str, true_name: str, size: float, true_size: float) -> str:

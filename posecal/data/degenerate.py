@@ -31,6 +31,9 @@ _FILL = 1000.0
 _FACTORS = np.sqrt([2.0, 3.0, 5.0])
 """What coordinates are weighted by, so that sums of other coordinates are equal by chance only."""
 
+_SURE = 0.9
+"""Confidences of many joints reach this."""
+
 _PIXELS = 20.0
 """Coordinates with a standard deviation above this are none of metres."""
 
@@ -71,6 +74,25 @@ def column_problem(name: str, poses: npt.NDArray[Any], parameter: str, axes: str
         f"{name} has D = {d} coordinates{looks if is_confidence else ''}; expected at most 3 of a position. Pass "
         f"{declared} to leave out the last as a confidence, or store coordinates alone."
     )
+
+
+def third_column_remarks(name: str, metres: FloatArray, parameter: str, axes: str) -> list[str]:
+    """Remark on poses in metres, (..., 3), of which the last column may be a confidence: from 0 to 1, the others not.
+
+    A depth from a camera reaches beyond 1 m, heights reach it by standing persons, and what is relative to a joint is
+    negative as well; hands near a camera are the one other case.
+    """
+    with np.errstate(invalid="ignore"):  # joints that don't count may hold anything
+        finite = metres[np.isfinite(metres).all(axis=-1)]
+    if finite.shape[-1] < 3 or not len(finite):
+        return []
+    plane, last = finite[:, :2], finite[:, 2]
+    if not (last.min() >= 0 and _SURE <= last.max() <= 1 and (plane.min() < 0 or plane.max() > 1)):
+        return []
+    return [
+        f"{name}: the third coordinate lies within 0 to 1 m in all poses, as a confidence beside two coordinates does. "
+        f"If it is one, {option(parameter, axes)} leaves it out."
+    ]
 
 
 def is_one_point(poses: FloatArray, where: BoolArray | None) -> BoolArray:
@@ -261,6 +283,7 @@ class Repeats:
                 Count(total if always else self._frames, "frame", of=total),
                 " (",
                 Example(first_few(pairs, 8)),
-                "), which so count twice in means over joints. The protocol's option joints chooses those to score.",
+                "), which so count more than once in means over joints. The protocol's option joints chooses those to "
+                "score.",
             )
         ]

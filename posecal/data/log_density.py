@@ -117,6 +117,12 @@ def log_density(
         return None, 0, [f"NLL: left out, because {what}. Declare dimensions where it is of others."]
     found = number_of_coordinates(k, d, root) if declared is None else declared
     lacking, remarks = poses_that_lack(counts, len(rows))
+    own = number_of_coordinates(len(columns), d, root)
+    if found != own:
+        remarks.append(
+            f"NLL: dimensions = {found} is declared, and the poses have {own} coordinates without the root "
+            f"({len(columns)} joints × {d}): it is per dimension of {found}, and converted from the unit by as many."
+        )
     attempt(problems, _refuse_non_finite, poses.name, values[rows], lacking, frames)
     return np.where(lacking, np.nan, values[rows] - found * math.log(factor)), found, remarks
 

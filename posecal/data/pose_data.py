@@ -14,7 +14,9 @@ import numpy.typing as npt
 from posecal.data.arrays import BoolArray, FloatArray, as_array, as_label_arrays, as_labels, as_marks, as_scores
 from posecal.data.checks import FRAMES, check_units
 from posecal.data.declarations import Declarations
+from posecal.data.degenerate import third_column_remarks
 from posecal.data.draws import DrawnHypotheses, with_draws
+from posecal.data.fitted_poses import fitted_remarks
 from posecal.data.gaussian import GaussianPrediction
 from posecal.data.layout import HYPOTHESES
 from posecal.data.log_density import as_dimensions, as_log_prob
@@ -333,4 +335,7 @@ def match_poses(
     some = data.hypotheses.read(0, min(len(data.truth), FRAMES))
     remarks = attempt(matcher.problems, check_units, data, some, hypotheses.unit, truth.unit, declared) or []
     raise_all(matcher.problems)
+    if (truth.unit or declared.truth_unit or declared.unit) == "m":
+        remarks += third_column_remarks(truth.name, data.truth / 1000, "truth_axes", "MKC")
+    remarks += fitted_remarks(hypotheses.recalibrated_on, data.truth, hypotheses.name)
     return data.replace(remarks=(*data.remarks, *remarks))

@@ -18,6 +18,7 @@ from posecal.data.archive import Header, Member, open_archive
 from posecal.data.arrays import LABEL_KINDS, as_labels, as_marks, as_scores, as_text, checked_choice, real_array
 from posecal.data.draws import STATED, DrawnHypotheses, is_stated, open_distributions
 from posecal.data.file_array import Source, open_array, open_member, opened
+from posecal.data.fitted_poses import as_fitted_hashes
 from posecal.data.gaussian import GaussianPrediction
 from posecal.data.layout import HYPOTHESES, MemoryArray
 from posecal.data.lazy import (
@@ -41,7 +42,7 @@ _ALWAYS_READ = 1000
 """Values of a member that are read whatever there are of coordinates, so that messages can say what they are."""
 
 _MARKS = ("occluded", "visible")
-_OF_HYPOTHESES = ("scores", "weights", *density.MEMBERS)
+_OF_HYPOTHESES = ("scores", "weights", "recalibrated_on", *density.MEMBERS)
 _RESERVED = (*_MARKS, *_OF_HYPOTHESES, "axes", "unit", "joints", "frame_id", "fps", "valid", "parents")
 DECLARED = frozenset((*_RESERVED, *COMMON_LABELS))
 """Names under which something beside the coordinates is read, whatever its kind."""
@@ -232,6 +233,7 @@ def _declared(
         "weights": read(as_weights, "weights"),
         "valid": read(as_marks, "valid"),
         "fps": read(_number, "fps"),
+        "recalibrated_on": read(as_fitted_hashes, "recalibrated_on"),
     }
     raise_all(problems)
     return members
@@ -249,8 +251,13 @@ def _choose(headers: dict[str, Header], name: str, role: Role) -> str:
         shape = headers[swapped[0]][0]
         raise PoseDataError(f"{name} holds {swapped[0]} {shape} and no {wanted}. The two files look swapped.")
     large = [key for key, (shape, _, _) in headers.items() if key not in _RESERVED and len(shape) > 1]
-    if len(large) == 1:
+    if len(large) == 1 and not (role == "hypotheses" and large[0] in STATED):
         return large[0]
+    if role == "hypotheses" and {*large} & {*STATED}:
+        raise PoseDataError(
+            f"{name} holds {', '.join(large)}; expected mean and covariance, or mean and sigma, of a distribution. A "
+            "pose that is a prediction by itself is stored as hypotheses."
+        )
     members = ", ".join(f"{key} {shape}" for key, (shape, _, _) in headers.items()) or "nothing"
     raise PoseDataError(f"{name} holds {members}; expected an array named {wanted}, or just one array of coordinates.")
 

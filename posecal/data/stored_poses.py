@@ -60,6 +60,8 @@ class StoredPoses:
         The weight of each hypothesis, of sum 1 for each pose.
     fps : float or None
         Frames per second.
+    recalibrated_on : array (H,) or None
+        Hashes of the poses that the map was fitted on which recalibrated them; see :mod:`posecal.data.fitted_poses`.
     unread : mapping of tuples of int
         The shapes of other members of several axes, by name, which nothing reads.
     """
@@ -81,6 +83,7 @@ class StoredPoses:
     dimensions: int | None = None
     weights: FloatArray | None = None
     fps: float | None = None
+    recalibrated_on: npt.NDArray[np.uint64] | None = None
     unread: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
 
     @property

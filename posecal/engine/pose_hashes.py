@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
-from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import FloatArray
+from posecal.data.fitted_poses import FEWEST_COORDINATES, pose_words, row_hashes
 from posecal.data.remarks import Count, Remark
 from posecal.data.stored_poses import Labels
 from posecal.engine.cells import SPREAD
@@ -21,9 +21,6 @@ MOST_HASHES = 65_536
 
 _MOST_PARTS = 1000
 
-_FEWEST_COORDINATES = 9
-"""Poses of fewer, such as a joint's angle, may be equal by chance."""
-
 
 def pose_hashes(truth: FloatArray, labels: Labels, frame_id: npt.NDArray[np.str_] | None) -> PoseHashes:
     """Hash the poses, (M, 2): truth and labels of each, and the name of its frame, 0 where it has none.
@@ -31,14 +28,14 @@ def pose_hashes(truth: FloatArray, labels: Labels, frame_id: npt.NDArray[np.str_
     Poses of few coordinates, of which many may be equal, have 0 alone unless their frames have names.
     """
     hashes = np.zeros((len(truth), 2), dtype=np.uint64)
-    if truth[0].size < _FEWEST_COORDINATES and frame_id is None:
+    if truth[0].size < FEWEST_COORDINATES and frame_id is None:
         return hashes
-    hashes[:, 0] = _hash(truth.astype(np.float32) + np.float32(0))  # -0 as 0
+    hashes[:, 0] = row_hashes(pose_words(truth))
     for name, values in labels.items():
         if not SPREAD.match(name):  # of the hypotheses
-            hashes[:, 0] += _hash(values) * np.uint64(2 * zlib.crc32(name.encode(errors="surrogatepass")) + 1)
+            hashes[:, 0] += row_hashes(values) * np.uint64(2 * zlib.crc32(name.encode(errors="surrogatepass")) + 1)
     if frame_id is not None:
-        hashes[:, 1] = _hash(frame_id)
+        hashes[:, 1] = row_hashes(frame_id)
     return hashes
 
 
@@ -114,18 +111,3 @@ def _without_repeated(hashes: PoseHashes) -> PoseHashes:
     is_alone = np.ones(len(hashes), dtype=bool)
     is_alone[1:][equal] = is_alone[:-1][equal] = False
     return hashes[is_alone]
-
-
-def _hash(values: npt.NDArray[np.float32] | npt.NDArray[np.str_]) -> npt.NDArray[np.uint64]:
-    """Hash each row, (M,). Zeros at its end change nothing, so that text of any width has one hash."""
-    words = np.ascontiguousarray(values).view(np.uint32).reshape(len(values), -1).astype(np.uint64)
-    once, again = _factors(words.shape[1])
-    words *= once
-    words ^= words >> np.uint64(32)
-    return np.asarray((words * again).sum(axis=1, dtype=np.uint64))
-
-
-@lru_cache(maxsize=16)
-def _factors(number: int) -> PoseHashes:
-    """Give odd random numbers, (2, number), the same ones on each machine."""
-    return np.random.PCG64(0).random_raw(2 * number).reshape(number, 2).T | np.uint64(1)

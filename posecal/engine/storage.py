@@ -63,13 +63,15 @@ def save_totals(totals: Totals, path: str | os.PathLike[str]) -> None:
         "per_pose": list(totals.per_pose),
         "labels": list(totals.cells),
     }
-    members: dict[str, npt.NDArray[np.generic]] = {"about": np.array(json.dumps(about)), "poses": totals.poses}
+    members: dict[str, npt.NDArray[np.generic]] = {"poses": totals.poses}
     members |= {f"cell/{name}": values for name, values in totals.cells.items()}
     for name in totals.sums:
         members[f"sum/{name}"], members[f"count/{name}"] = totals.sums[name], totals.counts[name]
     members |= {f"per_pose/{name}": values for name, values in totals.per_pose.items()}
     members["cell_of"] = totals.cell_of.astype(np.int32)
     members["pose_hashes"] = totals.pose_hashes
+    about["shapes"] = _shapes(members)
+    members["about"] = np.array(json.dumps(about))
     members["digest"] = np.array(digest_of(members))
     write_file(path, lambda file: write_members(file, members, compressed=True))
 
@@ -119,6 +121,8 @@ def load_totals(path: str | os.PathLike[str]) -> Totals:
             own_metrics=tuple(Metric.from_description(texts) for texts in about["own_metrics"]),
             prepared_hashes=about.get("prepared_hashes", {}),  # of files before it
         )
+        if about.get("shapes", _shapes(members)) != _shapes(members):  # of files before it there are none
+            raise ValueError("members of other shapes")
         _check_members(totals, about)
         if digest != digest_of(members):
             raise PoseFileError(f"{name}: was changed since posecal wrote it (its digest is another). Evaluate again.")
@@ -140,6 +144,11 @@ def digest_of(members: Mapping[str, npt.NDArray[np.generic]]) -> str:
         found.update(f"{name} {array.dtype.str} {members[name].shape}\n".encode())
         found.update(array.tobytes())
     return found.hexdigest()
+
+
+def _shapes(members: Mapping[str, npt.NDArray[np.generic]]) -> dict[str, list[int]]:
+    """Give the shape of every member but the description itself."""
+    return {name: [*array.shape] for name, array in members.items() if name != "about"}
 
 
 def _check_path(path: object) -> None:
@@ -164,6 +173,7 @@ def _check_members(totals: Totals, about: dict[str, Any]) -> None:
     of_cells = [totals.poses, *totals.cells.values(), *totals.sums.values(), *totals.counts.values()]
     lengths = {len(values) for values in of_cells}, {len(values) for values in totals.per_pose.values()}
     outside = totals.cell_of.max(initial=-1) >= len(totals.poses) or totals.cell_of.min(initial=0) < 0
+    outside |= any(array.ndim != 1 for array in (totals.poses, totals.cell_of, *totals.cells.values()))
     if len(lengths[0]) > 1 or not lengths[1] <= {len(totals.cell_of)} or outside:
         raise ValueError("members of other lengths")
     if totals.pose_hashes.dtype != np.uint64 or totals.pose_hashes.shape[1:] != (2,):
@@ -171,6 +181,8 @@ def _check_members(totals: Totals, about: dict[str, Any]) -> None:
     if (totals.poses < 0).any() or len({*totals.spec.joints}) < len(totals.spec.joints):
         raise ValueError("negative numbers of poses, or repeated joints")
     for key, counts in totals.counts.items():
+        if counts.ndim not in (1, 2) or counts.shape != totals.sums[key].shape[: counts.ndim]:
+            raise ValueError(f"{key}: counts {counts.shape} of sums {totals.sums[key].shape}")
         most = totals.poses.reshape(-1, *[1] * (counts.ndim - 1))
         if (counts < 0).any() or (counts > most).any() or not (np.abs(totals.sums[key]) < _LARGEST).all():
             raise ValueError(f"{key}: counts beyond the poses, or sums that are not finite")

@@ -18,6 +18,7 @@ from posecal.calibration.curve import inside_table
 from posecal.calibration.modes import LEAST, Modes, centres_of_modes, split_modes, summarize_modes
 from posecal.calibration.ranks import LEVELS
 from posecal.data.arrays import BoolArray, FloatArray, checked_choice
+from posecal.data.fitted_poses import fitted_hashes
 from posecal.data.frames import frame_remark
 from posecal.data.pose_data import PoseData
 from posecal.data.stored_poses import Rows
@@ -251,6 +252,7 @@ def finished_map(
 ) -> SpreadMap:
     """Make a map of the factors that were fitted on some data, with what it changes there; ``before`` saves time."""
     fitted = len(data.truth), parts.number_of_sequences(data), data.root, data.unit, parts.remarks_of(data)
-    spread_map = SpreadMap(data.joints, factors, *fitted, modal=tuple(np.array(data.joints)[modal].tolist()))
+    about_modes, hashes = tuple(np.array(data.joints)[modal].tolist()), fitted_hashes(data.truth)
+    spread_map = SpreadMap(data.joints, factors, *fitted, modal=about_modes, fitted_on=hashes)
     before, after = before or report_of(data, threads), report_of(spread_map.rescale(data), threads)
     return replace(spread_map, changes=changes_between(before, after))

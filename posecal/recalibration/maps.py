@@ -15,6 +15,7 @@ import posecal
 from posecal.data.alone import resolve_hypotheses
 from posecal.data.arrays import FloatArray
 from posecal.data.declarations import Declarations, quantity_of
+from posecal.data.fitted_poses import smallest_hashes
 from posecal.data.read import read_poses
 from posecal.data.root import AnyRoot, Root, parse_root, root_name
 from posecal.data.texts import json_text
@@ -67,6 +68,7 @@ def write_map(map_: Map, path: str | os.PathLike[str], *, anyway: bool = False) 
     if isinstance(map_, SpreadMap):
         changes = {name: list(pair) for name, pair in map_.changes.items()}
         about |= {"kind": "spread", "factors": values, "about_modes": list(map_.modal), "changes": changes}
+        about["fitted_hashes"] = " ".join(f"{number:016x}" for number in map_.fitted_on.tolist())
     else:
         about |= {"kind": "radius", "alpha": map_.alpha, "scaled": map_.scaled, "radii": values}
     about["root"] = None if map_.root is None else root_name(map_.root, map_.joints)
@@ -137,7 +139,9 @@ def read_map(path: str | os.PathLike[str]) -> Map:
             if not set(modal) <= set(numbers):
                 raise PoseFileError(f"{name}: about_modes names joints without a factor; expected joints of the map.")
             changes = {str(metric): (float(a), float(b)) for metric, (a, b) in about["changes"].items()}
-            return SpreadMap(tuple(numbers), values, *fitted, modal=modal, changes=changes)
+            hashes = [int(text, 16) for text in about.get("fitted_hashes", "").split()]  # of files before: none
+            fitted_on = smallest_hashes(np.array(hashes, dtype=np.uint64))
+            return SpreadMap(tuple(numbers), values, *fitted, modal=modal, changes=changes, fitted_on=fitted_on)
         alpha, scaled = float(about["alpha"]), {False: False, True: True}[about["scaled"]]
         if (values < 0).any() or np.isinf(values).any() or not 0 < alpha < 1:
             raise PoseFileError(f"{name}: a radius is below 0 or alpha is {alpha:g}; expected 0 < alpha < 1.")
@@ -228,6 +232,8 @@ def apply_map(
                 pieces = (rescaled(part, values, root, period, about_modes).swapaxes(0, 1) for part in windows())
                 archive.add_pieces("hypotheses", (m, n, k, d), first.dtype, pieces)
                 members["axes"] = np.array("MNKD")
+                known = [some for some in (map_.fitted_on, poses.recalibrated_on) if some is not None]
+                members["recalibrated_on"] = smallest_hashes(np.concatenate(known))
             else:
                 parts = [balls(part, values, root, scaled=map_.scaled, period=period) for part in windows()]
                 members["centre"], members["radius"] = map(np.concatenate, zip(*parts, strict=True))

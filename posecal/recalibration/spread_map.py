@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from posecal.calibration.modes import centres_of_modes
 from posecal.data.arrays import BoolArray, FloatArray
+from posecal.data.fitted_poses import Hashes, fitted_remarks
 from posecal.data.pose_data import PoseData
 from posecal.data.root import AnyRoot, origin
 from posecal.data.stored_poses import Hypotheses, Rows
@@ -49,6 +50,8 @@ class SpreadMap:
     changes : mapping of tuples
         Metrics of the poses that it was fitted on, before and after: ``energy_score``, ``crps``, ``ece``,
         ``signed_area``, ``min_mpjpe``. In sample, so a little too good; empty where it was not fitted.
+    fitted_on : array (H,)
+        Hashes of the true poses that it was fitted on; see :mod:`posecal.data.fitted_poses`.
     """
 
     joints: tuple[str, ...]
@@ -60,6 +63,7 @@ class SpreadMap:
     data_remarks: tuple[str, ...] = ()
     modal: tuple[str, ...] = ()
     changes: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    fitted_on: Hashes = field(default_factory=lambda: np.zeros(0, dtype=np.uint64))
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -128,7 +132,9 @@ class SpreadMap:
         factors = parts.values_for_joints(self.joints, self.factors, data.joints, data.names[0])
         about_modes = parts.values_for_joints(self.joints, self.about_modes, data.joints, data.names[0])
         moved = RescaledHypotheses(data.hypotheses, factors, data.root, PERIODS.get(data.unit), about_modes)
-        return data.replace(hypotheses=moved, log_prob=None, dimensions=0)  # a density of another distribution
+        remarks = (*data.remarks, *fitted_remarks(self.fitted_on, data.truth, data.names[0]))
+        density = {"log_prob": None, "dimensions": 0}  # of another distribution
+        return data.replace(hypotheses=moved, remarks=remarks, **density)
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ from posecal.registry import metrics_of, unmeasured
 from posecal.stats.jackknife import Interval, jackknife, leave_one_out, sequence_sizes
 from posecal.stats.multiplicity import PRIMARY, adjust, check_primary, default_primary
 from posecal.stats.pairs import Difference, Pair, pairs
+from posecal.stats.remarks import remarks_on_numbers, remarks_on_sequences
 from posecal.stats.resampling import LEVEL, MIN_SEQUENCES, Null
 from posecal.stats.same_poses import PosesThatCount, check_comparable, not_compared, poses_that_count
 from posecal.stats.uncertainty import effective_hypotheses, measured_spec, null, weights_allow_no_test
@@ -88,7 +89,11 @@ class Comparison:
         """Give the remarks, with options named by ``for_python`` or ``for_command_line`` of :mod:`posecal.errors`."""
         models: dict[str, list[str]] = {}
         for name, totals in zip(self.names, self.totals, strict=True):
-            for remark in totals.remarks:
+            for remark in (
+                *totals.remarks,
+                *remarks_on_sequences(totals),
+                *remarks_on_numbers(totals, self.metrics),
+            ):
                 models.setdefault(words(remark), []).append(name)
         of_data = (
             remark if len(some) == len(self.names) else f"{', '.join(some)}: {remark}"

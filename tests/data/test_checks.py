@@ -74,9 +74,16 @@ def test_true_poses_of_two_units_are_remarked_on(number: int) -> None:
     y = np.random.default_rng(0).normal(0, 300, (40, 17, 3))
     y[40 - number :] /= 1000
     data = PoseData(np.stack([y, y + 1]), y, joints=JOINTS, unit="mm", axes="NMKD")
-    poses = "1 pose" if number == 1 else f"{number} poses"
-    words = f"the size of at least {poses} of truth differs from that of most over 50 times. Are all in one unit?"
-    assert [remark for remark in data.remarks if "at least" in remark] == [words] * (number > 0)
+    poses = f"{number} of 40 poses"
+    words = f"the size of {poses} of truth differs from that of most over 50 times. Are all in one unit?"
+    assert [remark for remark in data.remarks if "the size of" in remark] == [words] * (number > 0)
+
+
+def test_every_true_pose_is_looked_at_for_another_unit() -> None:
+    y = np.random.default_rng(0).normal(0, 300, (9000, 5, 3))
+    y[[1, 4099, 8999]] /= 1000
+    (remark,) = (each for each in PoseData(y[None], y, unit="mm", axes="NMKD").remarks if "the size of" in each)
+    assert remark.startswith("the size of 3 of 9,000 poses of truth differs")
 
 
 @pytest.mark.parametrize("where", [False, True])

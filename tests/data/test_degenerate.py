@@ -230,3 +230,26 @@ def test_clips_of_one_prediction_are_read_frame_by_frame() -> None:
     layout = Layout("MTKD", "NMKD")
     assert layout.shape(clips.shape) == (1, 6, 4, 2)
     np.testing.assert_array_equal(layout.read(MemoryArray(clips), np.arange(6)), clips.reshape(1, 6, 4, 2))
+
+
+@pytest.mark.parametrize(("third", "is_said"), [((0.2, 1.0), True), ((0.2, 0.8), False), ((-0.1, 1.0), False)])
+def test_a_third_column_that_may_be_a_confidence_beside_metres_is_remarked_on(
+    third: tuple[float, float], is_said: bool
+) -> None:
+    random = np.random.default_rng(0)
+    truth = random.normal(0, 0.4, (30, 5, 3))
+    truth[..., 2] = np.linspace(*third, 150).reshape(30, 5)
+    data = posecal.PoseData(truth + random.normal(0, 0.05, (4, 30, 5, 3)), truth, unit="m")
+    words = "truth: the third coordinate lies within 0 to 1 m in all poses, as a confidence"
+    found = [remark for remark in data.remarks if remark.startswith(words)]
+    assert len(found) == is_said
+    assert all("truth_axes" in remark for remark in found)
+
+
+def test_functions_of_arrays_refuse_some_true_poses_in_one_point() -> None:
+    random = np.random.default_rng(0)
+    truth = random.normal(0, 300, (30, 5, 3))
+    hypotheses = truth + random.normal(0, 50, (4, 30, 5, 3))
+    truth[[3, 8]] = 0
+    with pytest.raises(PoseDataError, match=r"^truth: in 2 of 30 frames \(first: 3, 8\) all joints lie in one point"):
+        posecal.metrics.min_mpjpe(hypotheses, truth)

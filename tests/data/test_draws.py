@@ -230,3 +230,10 @@ def test_a_world_that_is_stated_rightly_is_calibrated() -> None:
     # the entropy of each coordinate is log σ + log(2πe) / 2, and −log p has a variance of 1/2
     entropy = D * (np.log(sigma) + math.log(2 * math.pi * math.e) / 2).sum(axis=1).mean()
     assert report["nll"] == pytest.approx(entropy, abs=4.5 * math.sqrt(K * D / 2 / m))
+
+
+@pytest.mark.parametrize("name", ["mean", "sigma"])
+def test_a_part_of_a_distribution_is_no_hypothesis(name: str, tmp_path: Path) -> None:
+    np.savez(tmp_path / "h.npz", **{name: MEAN}, unit="mm")
+    with pytest.raises(PoseDataError, match=rf"^h.npz holds {name}; expected mean and covariance, or mean and sigma"):
+        posecal.PoseData(tmp_path / "h.npz", np.asarray(TRUTH), unit="mm")

@@ -54,6 +54,15 @@ def test_the_number_of_coordinates_can_be_declared() -> None:
     assert as_dimensions(np.array([48]), "dimensions") == 48
 
 
+def test_a_number_of_coordinates_that_the_poses_have_not_is_remarked_on() -> None:
+    for dimensions, is_said in ((15, False), (12, True), (48, True)):
+        remarks = data(root_joint="none", dimensions=dimensions).remarks
+        words = (
+            f"NLL: dimensions = {dimensions} is declared, and the poses have 15 coordinates without the root (5 joints"
+        )
+        assert any(remark.startswith(words) for remark in remarks) is is_said
+
+
 def test_without_a_density_there_is_none() -> None:
     found = posecal.PoseData(X, Y, unit="mm")
     assert (found.log_prob, found.dimensions) == (None, 0)
@@ -79,11 +88,11 @@ def test_what_is_not_finite_is_refused_with_the_first_frames() -> None:
 
 def test_a_file_s_members_are_matched_by_frame_id(tmp_path: Path) -> None:
     names, order = np.array(list("abcdef")), np.array([3, 1, 5, 0, 2, 4])
-    np.savez(tmp_path / "h.npz", hypotheses=X / 1000, unit="m", log_prob=LOG_PROB, dimensions=11, frame_id=names)
+    np.savez(tmp_path / "h.npz", hypotheses=X / 1000, unit="m", log_prob=LOG_PROB, dimensions=15, frame_id=names)
     np.savez(tmp_path / "t.npz", truth=Y[order] / 1000, unit="m", frame_id=names[order])
     found = posecal.PoseData(tmp_path / "h.npz", tmp_path / "t.npz")
-    np.testing.assert_allclose(found.log_prob, LOG_PROB[order] - 11 * math.log(1000))
-    assert found.dimensions == 11
+    np.testing.assert_allclose(found.log_prob, LOG_PROB[order] - 15 * math.log(1000))
+    assert found.dimensions == 15
     assert not [remark for remark in found.remarks if "log_prob" in remark or "dimensions" in remark]
 
 

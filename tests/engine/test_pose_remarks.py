@@ -175,8 +175,8 @@ def test_joints_that_equal_others_are_named_with_them() -> None:
     remarks = said(hypotheses(), y, "equal others")
     pairs = f"{JOINTS[5]} = {JOINTS[2]}, {JOINTS[9]} = {JOINTS[5]}"
     assert remarks == [
-        f"truth: joints equal others in 7 of 7 frames ({pairs}), which so count twice in means over joints. The "
-        "protocol's option joints chooses those to score."
+        f"truth: joints equal others in 7 of 7 frames ({pairs}), which so count more than once in means over "
+        "joints. The protocol's option joints chooses those to score."
     ]
 
 

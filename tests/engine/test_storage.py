@@ -15,7 +15,7 @@ import pytest
 
 from posecal.engine.metric import Metric, Statistic
 from posecal.engine.protocol import Protocol
-from posecal.engine.storage import is_result, load_totals, save_totals
+from posecal.engine.storage import digest_of, is_result, load_totals, save_totals
 from posecal.errors import PoseDataError, PoseFileError
 from posecal.registry import known_metrics
 from tests.helpers.example_totals import keeping, metric, totals
@@ -215,3 +215,33 @@ def test_a_result_is_not_written_into_a_folder_that_is_missing(tmp_path: Path) -
     with pytest.raises(PoseFileError, match=r"missing"):
         save_totals(totals(), tmp_path / "missing" / "result.npz")
     assert list(tmp_path.iterdir()) == []
+
+
+def reshaped(path: Path, name: str, *, is_told: bool) -> None:
+    """Give a member of a result another axis, and the file a right digest; perhaps say so in its description."""
+    with np.load(path) as stored:
+        members = {key: stored[key] for key in stored if key != "digest"}
+    members[name] = members[name][..., None]
+    if is_told:
+        about = json.loads(str(members["about"]))
+        about["shapes"][name] = [*members[name].shape]
+        members["about"] = np.array(json.dumps(about))
+    np.savez(path, **members, digest=np.array(digest_of(members)))
+
+
+@pytest.mark.parametrize("is_told", [False, True])
+@pytest.mark.parametrize("name", ["poses", "count/inside_exchangeable", "cell_of", "cell/sequence"])
+def test_a_result_that_was_reshaped_with_its_digest_is_refused(name: str, is_told: bool, tmp_path: Path) -> None:
+    path = tmp_path / "result.npz"
+    save_totals(world(8).totals(Protocol()), path)
+    reshaped(path, name, is_told=is_told)
+    with pytest.raises(PoseFileError, match=r"^result.npz: no result of posecal evaluate --save, or not a whole one"):
+        load_totals(path)
+
+
+def test_sums_that_were_reshaped_with_their_digest_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "result.npz"
+    save_totals(world(8).totals(Protocol()), path)
+    reshaped(path, "sum/inside_exchangeable", is_told=False)
+    with pytest.raises(PoseFileError, match=r"^result.npz: no result of posecal"):
+        load_totals(path)

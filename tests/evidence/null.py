@@ -152,7 +152,7 @@ TABLES = [
         null_rows,
         40,
     ),
-    Table("degenerate", ("data", "before", "now", "remark"), degenerate_rows, 1),
+    Table("degenerate", ("data", "before (quoted)", "now", "remark"), degenerate_rows, 1),
     Table(
         "few-hypotheses",
         ("N", "coverage at 90 %, before", "now", "right", "range of the ECE", "of the ECE (paper)"),

@@ -343,7 +343,7 @@ TABLES = [
         "sentences",
         (
             *("the model is", "worlds", "sentences", "right", "cautious", "wrong"),
-            *("reports with a wrong one, 0.1.0", "reports with a wrong one, now"),
+            *("reports with a wrong one, 0.1.0 (quoted)", "reports with a wrong one, now"),
         ),
         rows,
         60,

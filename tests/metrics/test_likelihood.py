@@ -256,9 +256,9 @@ def test_rigid_bones_are_found() -> None:
 
 
 def test_another_number_of_coordinates_has_no_climatology() -> None:
-    assert remarks(dimensions=9) == [
-        "log_likelihood_skill: no value, because the density is over 9 coordinates and the poses have 12."
-    ]
+    declared, skill = remarks(dimensions=9)
+    assert declared.startswith("NLL: dimensions = 9 is declared, and the poses have 12 coordinates without the root")
+    assert skill == "log_likelihood_skill: no value, because the density is over 9 coordinates and the poses have 12."
     assert math.isnan(report(dimensions=9)["log_likelihood_skill"])
 
 

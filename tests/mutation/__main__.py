@@ -51,6 +51,7 @@ ALSO = {
     "posecal/report/report.py": ("test_sheet.py", "test_text.py"),
     "posecal/report/table.py": ("test_report.py",),
     "posecal/stats/jackknife.py": ("test_uncertainty.py",),
+    "posecal/stats/remarks.py": ("test_summary.py",),
     "posecal/stats/resampling.py": ("test_uncertainty.py",),
     "posecal/metrics/uncertainty.py": ("test_orders.py",),
     "posecal/registry.py": ("test_own_metrics.py", "test_registering.py", "test_explain.py"),

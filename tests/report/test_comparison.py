@@ -158,7 +158,7 @@ def test_the_best_is_bold_with_its_ties_where_one_is_beaten(form: str) -> None:
 def test_a_comparison_has_the_remarks_of_its_models_and_no_word_on_calibration_where_frames_differ() -> None:
     random = np.random.default_rng(0)
     y = people(random, 40)
-    x = about(random, y, 8)
+    x = about(random, y, 20)
     models: dict[str, Any] = {"right": x, "other": x + 1, "flipped": x * [1, -1, -1]}
     about_data = {"unit": "mm", "joints": JOINTS, "labels": {"sequence": np.repeat(np.arange(10), 4)}}
     options: dict[str, Any] = {**about_data, "metrics": "min_mpjpe,ece", "primary": "min_mpjpe,ece"}

@@ -140,9 +140,9 @@ def test_results_without_the_energy_score_say_what_is_primary_instead() -> None:
     found = compare_totals(totals, ["a", "b"])
     assert found.primary == ("min_mpjpe", "ece")
     words = "primary metrics: min_mpjpe, ece; energy_score was not measured. Evaluate with "
-    assert found.remarks == (f'{words}metrics="default, scores".',)
-    assert found.remarks_in(for_command_line) == (f"{words}--metrics 'default, scores'.",)
-    assert compare_totals(totals, ["a", "b"], ["ece"]).remarks == ()
+    assert found.remarks[0] == f'{words}metrics="default, scores".'
+    assert found.remarks_in(for_command_line)[0] == f"{words}--metrics 'default, scores'."
+    assert not any("primary" in remark for remark in compare_totals(totals, ["a", "b"], ["ece"]).remarks)
 
 
 def test_no_model_is_better_on_fewer_than_six_sequences() -> None:
@@ -150,8 +150,9 @@ def test_no_model_is_better_on_fewer_than_six_sequences() -> None:
     found = compare_totals([totals_of(x, Y, labels=labels) for x in (X, X + 300)], ["a", "b"])
     assert all(math.isnan(d.p) and math.isnan(d.p_adjusted) and d.better is None for d in found.differences)
     assert found.differences_of("mpjpe")[0].high < 0
-    (remark,) = found.remarks
-    assert remark.startswith("no p-values on 5 sequences, and no model is called better; expected at least 6.")
+    assert found.remarks[0].startswith(
+        "no p-values on 5 sequences, and no model is called better; expected at least 6."
+    )
     assert found.rank("mpjpe", "b") == 1
 
 
@@ -249,6 +250,10 @@ def test_markdown_and_latex_hold_a_line_for_each_difference() -> None:
 
 POINTS = "in 2 of 40 frames every hypothesis is one point."
 OF_ALL = "the root Hip is taken."
+FEW = (
+    "N = 12 hypotheses are few: an ECE lies between 0 and 0.44; look at what a perfect sampler would show before "
+    "reading an ECE (paper)."
+)
 
 
 def with_remarks(**remarks: tuple[str, ...]) -> Comparison:
@@ -259,24 +264,25 @@ def with_remarks(**remarks: tuple[str, ...]) -> Comparison:
 
 def test_remarks_stand_after_the_names_of_their_models_and_once_where_they_are_of_all() -> None:
     found = with_remarks(right=(OF_ALL,), narrow=(POINTS, OF_ALL), off=(OF_ALL, POINTS))
-    assert found.remarks == (OF_ALL, f"narrow, off: {POINTS}")
+    assert found.remarks == (OF_ALL, FEW, f"narrow, off: {POINTS}")
     assert found.table.attrs == {"remarks": [*found.remarks]}
     pair = with_remarks(right=(f"Pass {option('unit', 'cm')}.",), narrow=())
-    assert pair.remarks == ('right: Pass unit="cm".',)
-    assert json.loads(pair.render("json", words=for_command_line))["remarks"] == ["right: Pass --unit cm."]
+    assert pair.remarks == ('right: Pass unit="cm".', FEW)
+    assert json.loads(pair.render("json", words=for_command_line))["remarks"] == ["right: Pass --unit cm.", FEW]
 
 
 def test_remarks_stand_in_every_form() -> None:
     found = with_remarks(right=(), narrow=(POINTS,))
-    (remark,) = found.remarks
-    assert json.loads(found.render("json"))["remarks"] == [remark]
+    few, remark = found.remarks
+    assert (few, remark) == (FEW, f"narrow: {POINTS}")
+    assert json.loads(found.render("json"))["remarks"] == [few, remark]
     rows = list(csv.DictReader(io.StringIO(found.render("csv"))))
-    assert [row["metric"] for row in rows] == ["min_mpjpe", "ece", "remark"]
+    assert [row["metric"] for row in rows] == ["min_mpjpe", "ece", "remark", "remark"]
     assert [value for value in rows[-1].values() if value] == ["remark", remark]
-    assert found.render("markdown").startswith(f"note: {remark}\n\n| metric")
-    assert found.render("latex").startswith(f"% note: {remark}\n\\begin")
-    assert str(found).splitlines()[0] == f"note: {remark}"
-    assert found._repr_html_().startswith(f"<p>note: {remark}</p>\n<table")
+    assert found.render("markdown").startswith(f"note: {few}\n\nnote: {remark}\n\n| metric")
+    assert found.render("latex").startswith(f"% note: {few}\n% note: {remark}\n\\begin")
+    assert str(found).splitlines()[:2] == [f"note: {few}", f"note: {remark}"]
+    assert found._repr_html_().startswith(f"<p>note: {few}</p>\n<p>note: {remark}</p>\n<table")
 
 
 def test_another_form_metric_or_model_is_refused(three: Comparison) -> None:
