@@ -12,7 +12,7 @@ import numpy.typing as npt
 from posecal.data.arrays import BoolArray, FloatArray
 from posecal.data.layout import Layout, LazyArray
 
-COMMON_LABELS = frozenset(("sequence", "subject", "action", "camera"))
+COMMON_LABELS = frozenset(("sequence", "clip", "subject", "action", "camera"))
 """Names under which a file can only mean a label of every pose."""
 
 Labels = Mapping[str, npt.NDArray[np.str_]]
@@ -60,6 +60,8 @@ class StoredPoses:
         The weight of each hypothesis, of sum 1 for each pose.
     fps : float or None
         Frames per second.
+    observed : array or None
+        The last observed pose before each clip.
     unread : mapping of tuples of int
         The shapes of other members of several axes, by name, which nothing reads.
     """
@@ -81,6 +83,7 @@ class StoredPoses:
     dimensions: int | None = None
     weights: FloatArray | None = None
     fps: float | None = None
+    observed: npt.NDArray[np.generic] | None = None
     unread: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
 
     @property
