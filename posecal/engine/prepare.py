@@ -44,11 +44,15 @@ class Prepared:
     clips: TrueClips | None = None
 
     @property
-    def hashes(self) -> dict[str, str]:
-        """By the need of metrics that it meets: equal where two were prepared with the same poses."""
+    def hash(self) -> str:
+        """Equal where two were prepared with poses of the same range."""
         ends = (np.asarray(end, dtype=np.float64).tobytes() for end in self.limits)
-        found = f"{zlib.crc32(b''.join([*ends, repr(self.sequences).encode(errors='surrogatepass')])):08x}"
-        return {"coordinate range": found, **({} if self.clips is None else {"true clips": self.clips.hash})}
+        return f"{zlib.crc32(b''.join([*ends, repr(self.sequences).encode(errors='surrogatepass')])):08x}"
+
+    @property
+    def hashes(self) -> dict[str, str]:
+        """Hashes of its parts, by the need of metrics that each meets."""
+        return {"coordinate range": self.hash, **({} if self.clips is None else {"true clips": self.clips.hash})}
 
 
 def prepare(data: PoseData) -> Prepared:

@@ -156,6 +156,15 @@ def mmfde(
     References
     ----------
     Yuan and Kitani, arXiv:2003.08386 (DLow).
+
+    Examples
+    --------
+    The same, for clips of one frame.
+
+    >>> import numpy as np
+    >>> truth = np.array([0.0, 4.0]).reshape(2, 1, 1)
+    >>> mmfde(np.ones((1, 2, 1, 1)), truth, np.zeros((2, 1, 1)), clip=[0, 1], axes="NMKD", unit="mm")
+    array([2., 2.])
     """
     return _multimodal(1, hypotheses, truth, observed, threshold, clip, root, axes, unit)
 
@@ -196,6 +205,16 @@ def apde(
     References
     ----------
     Barquero, Escalera and Palmero, arXiv:2211.14304 (BeLFusion).
+
+    Examples
+    --------
+    The two truths after one pose are 4 apart, the two hypotheses of each clip 3.
+
+    >>> import numpy as np
+    >>> truth, hypotheses = np.array([0.0, 4.0]).reshape(2, 1, 1), np.array([1.0, 4.0]).reshape(2, 1, 1, 1)
+    >>> options = {"clip": [0, 1], "axes": "NMKD", "unit": "mm"}
+    >>> apde(np.repeat(hypotheses, 2, axis=1), truth, np.zeros((2, 1, 1)), **options)
+    array([1., 1.])
     """
     return _multimodal(2, hypotheses, truth, observed, threshold, clip, root, axes, unit)
 
@@ -238,12 +257,14 @@ def motion_metrics(scope: Scope) -> Iterator[Metric]:
     make = partial(CLIP, headline=True, needs=("positions", "observed poses", "true clips"))
     of_sets = clip_statistic(scope, "multimodal_errors", multimodal_errors, threshold=p.mm_threshold, alone=alone)
     reading = "Other clips stand for what might have come as well. Depends on which clips are evaluated together."
-    for index, (name, over) in enumerate((("ADE", "over its frames of ‖x − s‖"), ("FDE", "of ‖x − s‖ at its end"))):
+    for index, (name, over) in enumerate(
+        (("ADE", "means over its frames of ‖x − s‖"), ("FDE", "‖x − s‖ at its last frame"))
+    ):
         yield make(
             name=f"mm{name.lower()}",
             label=f"MM{name}",
             brief=f"{name} of a set of truths",
-            definition=f"mean over clips and over s in S of the smallest of the N={N} means {over}; {sets}"
+            definition=f"mean over clips and over s in S of the smallest of the N={N} {over}; {sets}"
             + left_out * (not alone),
             statistic=of_sets,
             finish=entry(index),
