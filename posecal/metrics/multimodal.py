@@ -8,14 +8,16 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.arguments import checked
-from posecal.data.arrays import BoolArray, FloatArray, as_array, checked_number
+from posecal.data.arguments import quantity_of
+from posecal.data.arrays import BoolArray, FloatArray, checked_number, real_array
+from posecal.data.stored_poses import in_millimetres
 from posecal.engine.block import Block
 from posecal.engine.finish import entry
 from posecal.engine.metric import Metric
 from posecal.engine.scope import Scope
 from posecal.engine.sums import slices
 from posecal.engine.true_clips import KEY, TrueClips
+from posecal.errors import PoseDataError
 from posecal.geometry.distances import half_mean_distances
 from posecal.metrics.clips import at_last, clip_statistic, half_distance, of_clips
 from posecal.metrics.displacement import CLIP, DLOW, displacement_metrics
@@ -231,7 +233,9 @@ def _multimodal(
     unit: str | float | None,
 ) -> FloatArray:
     limit = checked_number(threshold, "threshold", lambda mm: 0 < mm < np.inf, "a length in mm, above 0")
-    poses = checked(as_array(observed, "observed")[None], observed, axes="NMKD", unit=unit)[1]
+    poses = in_millimetres(real_array(observed, "observed"), quantity_of(unit)[1])
+    if not np.isfinite(poses).all():
+        raise PoseDataError("observed: non-finite coordinates; expected the pose before each clip.")
 
     def statistic(block: Block, body: BoolArray, length: int) -> FloatArray:
         if which == 2:
