@@ -22,6 +22,7 @@ from posecal.metrics.cps import cps_curve, cps_metrics
 from posecal.metrics.likelihood import LIKELIHOODS, lack_of_likelihood, likelihood_metrics, moments_statistic
 from posecal.metrics.limbs import limb_metrics
 from posecal.metrics.mpjpe import mpjpe_metrics
+from posecal.metrics.multimodal import motion_metrics
 from posecal.metrics.occlusion import occlusion_metrics_of
 from posecal.metrics.pck import pck_curve, pck_metrics
 from posecal.metrics.proper import score_metrics
@@ -152,7 +153,7 @@ def _all_metrics(
     scope = Scope(protocol, spec)
     found = [*mpjpe_metrics(scope), *vertex_metrics(scope), *subset_metrics(scope), *pck_metrics(scope)]
     found += [*cps_metrics(scope), *velocity_metrics(scope), *world_metrics(scope), *limb_metrics(scope)]
-    found += root_metrics(scope)
+    found += [*root_metrics(scope), *motion_metrics(scope)]
     if spec.n_hypotheses > 1:
         found += [*calibration_metrics(scope), *interval_metrics(scope), *rank_test_metrics(scope, preranks)]
         found += [*score_metrics(scope), *brier_metrics(scope), *skill_metrics(scope)]
@@ -183,11 +184,8 @@ def _with_functions(metric: Metric) -> Metric:
 
 def _averaged(metric: Metric, protocol: Protocol) -> str:
     """Say what is averaged over groups: curves before an error is read off them, else the groups' numbers."""
-    what = (
-        "read off the mean of the curves"
-        if metric.family in {"calibration", "rank_tests"}
-        else "the mean of its values"
-    )
+    is_curve = metric.family in {"calibration", "rank_tests"}
+    what = "read off the mean of the curves" if is_curve else "the mean of its values"
     return f"{what} for each {protocol.average}"
 
 
@@ -222,8 +220,7 @@ def metrics_of(
     families = {metric.family for metric in known.values()}
     possible = {*known, "default", "all", *families.intersection(GROUPS)}
     raise_all(f"metrics: {word} {_lacks(word, protocol, spec, known)}" for word in words if word not in possible)
-    free = {metric.statistic.name for metric in known.values() if metric.headline}
-    free |= {"errors_by_n", "inside_reference", "radii"}
+    free = {m.statistic.name for m in known.values() if m.headline} | {"errors_by_n", "inside_reference", "radii"}
     return {
         name: metric
         for name, metric in known.items()
@@ -277,9 +274,8 @@ def reserved_names() -> frozenset[str]:
 @cache
 def _known_anywhere() -> frozenset[str]:
     """Names of the metrics of data that have everything."""
-    person = ROUND_SIZES[-1], JOINT_SETS["h36m-17"], 0, ("sequence",)
-    spec = DataSpec(*person, has_scores=True, dimensions=48, reference="another")
-    return frozenset(any_metrics(Protocol(), spec))
+    person = DataSpec(ROUND_SIZES[-1], JOINT_SETS["h36m-17"], 0, ("sequence",), clip_length=25, has_observed=True)
+    return frozenset(any_metrics(Protocol(), changed(person, has_scores=True, dimensions=48, reference="another")))
 
 
 def any_metrics(protocol: Protocol, spec: DataSpec, own: Sequence[Metric] = ()) -> dict[str, Metric]:
@@ -304,7 +300,10 @@ def lacks(name: str, protocol: Protocol, spec: DataSpec) -> str:
     numbers: tuple[Metric | Curve, ...] = (*_plain_metrics(protocol, spec), *_all_curves(scope))
     for number in numbers:
         if number.name == name and (lacking := needs.unmet(number, scope)):
-            return f"needs {' and '.join(lacking)}; the data are {spec.unit or 'no unit'}, D = {spec.n_coordinates}."
+            data = f"; the data are {spec.unit or 'no unit'}, D = {spec.n_coordinates}" * (
+                needs.NEEDS["observed poses"] not in lacking
+            )
+            return f"needs {' and '.join(lacking)}{data}."
     return ""
 
 
@@ -316,6 +315,8 @@ def _lacks(name: str, protocol: Protocol, spec: DataSpec, known: dict[str, Metri
         if "sequence" not in spec.labels:
             return "needs sequences. Store a label sequence in the truth's file."
         return f"needs positions in the world, not relative to a root; expected {option('root_joint', 'none')}."
+    if name in {metric.name for metric in motion_metrics(Scope(Protocol(), changed(spec, clip_length=25)))}:
+        return "needs clips. Declare axes with a T, such as NMTKD, or store a label clip in the truth's file."
     if not spec.has_scores and ("weighted_pose" in name or "mode_mpjpe" in name):
         mode = ", or set mode to an index" * ("mode_mpjpe" in name)
         return f"needs the model's scores. Store scores beside the hypotheses{mode}."

@@ -111,6 +111,18 @@ def curves(output: Output = Path("curves.svg"), seed: Seed = 0, poses: Poses = 1
 
 
 @command
+def motion(
+    output: Output = Path("motion.svg"),
+    seed: Seed = 0,
+    clips: Annotated[int, typer.Option(help="Number of clips.", min=3)] = 200,
+) -> None:
+    """Motion with a known law at each horizon: coverage and energy scores of forecasts against the exact curves."""
+    from toy.experiments.motion import run
+
+    _print_and_save(run(np.random.default_rng(seed), clips=clips), output)
+
+
+@command
 def pose_world(
     output: Output = Path("pose-world.svg"),
     seed: Seed = 0,

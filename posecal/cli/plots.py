@@ -19,6 +19,7 @@ KINDS = {
     "rank-tests": "The rank curves of each test, with the band that chance allows.",
     "sparsification": "The error left when the most uncertain poses are dropped.",
     "risk-coverage": "The error of the poses that are kept by their predicted spread.",
+    "horizon": "Coverage, errors and spread against the horizon of a prediction.",
     "event": "Reliability of the probability that the median pose is right at every joint.",
 }
 """Figures of a report, with their help."""

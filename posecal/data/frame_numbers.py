@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from posecal.data.clips import continue_numbers
 from posecal.data.remarks import Example, Remark, join_remarks
 from posecal.data.stored_poses import Rows
 
@@ -23,8 +24,9 @@ _LARGEST = 2**62
 _BEFORE = 8
 """How many earlier frames tell the step between frame numbers to a batch."""
 
-Place = tuple[int, list[str], str]
-"""Where a batch ends: the order of a pose that follows; the last frames that have numbers, and their sequence."""
+Place = tuple[int, list[str], str, int]
+"""Where a batch ends: the order of a pose that follows; the last frames that have numbers, and their sequence; the
+number of clips that a layout has had."""
 
 
 def order_by_number(names: Names, sequence: Names, n_before: int = 0) -> tuple[Rows, Rows, list[str]] | None:
@@ -82,18 +84,21 @@ def continued(data: PoseData, n_given: int, place: Place) -> tuple[PoseData, Pla
     place : Place
         Where the batch before ended.
     """
-    start, names, sequence = place
+    start, names, sequence, n_clips = place
+    if (clips := data.clips) is not None:
+        data = data.replace(labels=continue_numbers(data.labels, clips, n_clips))
+        n_clips += n_given // clips.length
     ordered = None
     if data.has_frame_id and "sequence" in data.labels:
         sequences = np.concatenate([np.full(len(names), sequence), data.labels["sequence"]])
         ordered = order_by_number(np.concatenate([np.array(names, str), data.frame_id]), sequences, len(names))
     if ordered is None:
-        return data.replace(order=data.order + start), (start + n_given, [], "")
+        return data.replace(order=data.order + start), (start + n_given, [], "", n_clips)
     rows, order, remarks = ordered
     data = data.select(rows).replace(order=order + start, remarks=join_remarks([*data.remarks, *remarks]))
     last = str(data.labels["sequence"][-1])
     names = [*names * (last == sequence), *data.frame_id[data.labels["sequence"] == last].tolist()]
-    return data, (start + int(order[-1]) + 1, names[-_BEFORE:], last)
+    return data, (start + int(order[-1]) + 1, names[-_BEFORE:], last, n_clips)
 
 
 def _remarks(values: Names, step: Rows) -> list[str]:

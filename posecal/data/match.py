@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, FloatArray, checked_number
+from posecal.data.clips import clip_length, describe_clips, short_clip_remarks, with_clip_labels, with_horizons
 from posecal.data.declarations import Declarations, choose_layouts, joint_names, quantity_of, refuse_other_names
 from posecal.data.degenerate import column_problem
 from posecal.data.draws import DrawnHypotheses, stated_log_density, with_counts
@@ -71,6 +72,7 @@ class Matcher:
         self.layouts = layouts
         self.shape = self.layouts[0].shape(hypotheses.array.shape)
         self.true_shape = self.layouts[1].shape(truth.array.shape)
+        self.clip_length = clip_length(layouts, hypotheses, truth)
         if 0 in hypotheses.array.shape + truth.array.shape:
             raise_all(empty_problem(poses) for poses in (hypotheses, truth) if 0 in poses.array.shape)
 
@@ -103,11 +105,10 @@ class Matcher:
         elif columns_differ:
             problems.append(f"{hypotheses.name} has D = {d} and {truth.name} {self.true_shape[2]}; expected as many.")
         is_matched = not problems
-        own_members = read_members(hypotheses, (m, k), problems)
-        true_members = read_members(truth, self.true_shape[:2], problems)
+        own_members = read_members(hypotheses, (m, k), problems, self.clip_length)
+        true_members = read_members(truth, self.true_shape[:2], problems, self.clip_length)
         self.remarks += unread_remarks(hypotheses, (m, k)) + unread_remarks(truth, self.true_shape[:2])
-        scores, weights = (self._of_hypotheses(name) for name in ("scores", "weights"))
-        fps = self._rate()
+        (scores, weights), fps = (self._of_hypotheses(name) for name in ("scores", "weights")), self._rate()
         if (count := self.declared.n_hypotheses) is not None:
             which, expected = option("n_hypotheses"), f"1 to N = {n}, the hypotheses of {hypotheses.name}"
             n = int(attempt(problems, checked_number, count, which, range(1, n + 1).__contains__, expected) or n)
@@ -130,11 +131,11 @@ class Matcher:
         if declared_root is None and own_root is None and unit != "mm":
             declared_root = "none"  # of positions alone is the root a joint's by itself
         chosen = attempt(problems, choose_root, declared_root, true_names, y, parents, own_root)
-        labels = self._merged(members.labels, others.labels, true_rows)
+        labels, numbered = self._merged(members.labels, others.labels, true_rows)
         if chosen is None:
             raise_all(problems)
         assert chosen is not None
-        order: Rows | None = None
+        order = true_rows
         if truth.frame_id is not None and "sequence" in labels:
             ordered = order_by_number(truth.frame_id[true_rows], labels["sequence"])
             if ordered is not None:
@@ -171,6 +172,9 @@ class Matcher:
         frame_id = true_rows.astype(str) if truth.frame_id is None else truth.frame_id[true_rows]
         if weights is not None:
             weights = attempt(problems, checked_weights, weights[:, rows], n, f"{hypotheses.name}: weights", frame_id)
+        labels = with_horizons(labels, order, true_rows, self.clip_length, fps)
+        place_of_truth = truth, true_rows, true_columns, d, true_factor
+        clips = describe_clips(labels, numbered, self.clip_length, *place_of_truth, problems)
         return {
             "hypotheses": predicted,
             "truth": matched,
@@ -180,8 +184,9 @@ class Matcher:
             "root": root,
             "frame_id": frame_id,
             "has_frame_id": truth.frame_id is not None,
-            "order": true_rows if order is None else order,
+            "order": order,
             "labels": labels,
+            "clips": clips,
             "occluded": members.occluded if others.occluded is None else others.occluded,
             "scores": None if scores is None else scores[:n, rows],
             "log_prob": log_prob,
@@ -191,7 +196,7 @@ class Matcher:
             "names": (hypotheses.name, truth.name),
             "where": counts_at,
             "usable": None,
-            "remarks": tuple(self.remarks),
+            "remarks": (*self.remarks, *short_clip_remarks(clips, labels.get("clip"))),
             "reference": None,
         }
 
@@ -345,8 +350,8 @@ class Matcher:
             self.remarks.append(f"{len(shared)} joints are in both; left out: {first_few([*lacking, *beyond], 5)}.")
         return true_names, np.array(columns, dtype=np.intp), np.array(shared, dtype=np.intp)
 
-    def _merged(self, labels: Labels, true_labels: Labels, true_rows: Rows) -> Labels:
-        """Put the labels of matched frames together; clips of a layout are sequences."""
+    def _merged(self, labels: Labels, true_labels: Labels, true_rows: Rows) -> tuple[Labels, Names]:
+        """Put the labels of matched frames together, with those of clips; name the labels that are numbers of clips."""
         for name in true_labels:
             different = int((labels[name] != true_labels[name]).sum()) if name in labels else 0
             if different:
@@ -354,12 +359,7 @@ class Matcher:
                     f"{self.hypotheses.name} and {self.truth.name} differ in {name} of {different:,} of "
                     f"{len(true_rows):,} frames. Are they in the same order? A frame_id of both matches them."
                 )
-        labels = {**true_labels, **labels}
-        layout, true_layout = self.layouts
-        clip = true_layout.clip_length(self.truth.array.shape) or layout.clip_length(self.hypotheses.array.shape)
-        if clip and "sequence" not in labels:
-            labels = {"sequence": (true_rows // clip).astype(str), **labels}
-        return labels
+        return with_clip_labels({**true_labels, **labels}, true_rows, self.clip_length)
 
 
 def empty_problem(poses: StoredPoses) -> str:

@@ -41,10 +41,12 @@ class Members:
         return Members({name: values[rows] for name, values in self.labels.items()}, *masks)
 
 
-def read_members(poses: StoredPoses, shape: tuple[int, ...], problems: list[str | PosecalError]) -> Members:
-    """Give what is declared of (M, K) joints; what does not fit is added to the problems."""
+def read_members(
+    poses: StoredPoses, shape: tuple[int, ...], problems: list[str | PosecalError], clip_length: int | None = None
+) -> Members:
+    """Give what is declared of (M, K) joints, labels also of clips of T; what does not fit is added to the problems."""
     return Members(
-        _labels(poses, shape[0], problems),
+        _labels(poses, shape[0], clip_length, problems),
         _occluded(poses, shape, problems),
         _valid(poses, shape, problems),
         None if poses.where is None else attempt(problems, checked_mask, poses.where, shape),
@@ -77,11 +79,14 @@ def both(first: BoolArray | None, second: BoolArray | None) -> BoolArray | None:
     return second if first is None else first if second is None else first & second
 
 
-def _labels(poses: StoredPoses, number: int, problems: list[str | PosecalError]) -> Labels:
-    """Give the labels that have a value for each of so many poses; all of those must that can only be labels."""
+def _labels(poses: StoredPoses, number: int, clip_length: int | None, problems: list[str | PosecalError]) -> Labels:
+    """Give the labels that have a value for each pose, or each clip; all of those must that can only be labels."""
     labels = {name: values if values.ndim else np.full(number, values) for name, values in poses.labels.items()}
+    n_clips = number // (clip_length or 1)
+    labels = {k: np.repeat(v, number // n_clips) if len(v) == n_clips != number else v for k, v in labels.items()}
+    or_clips = f", or of the {n_clips:,} clips" * (n_clips != number)
     problems += [
-        f"{poses.name}: {name} has {len(values):,} values for {number:,} poses; expected one each."
+        f"{poses.name}: {name} has {len(values):,} values for {number:,} poses; expected one each{or_clips}."
         for name, values in labels.items()
         if len(values) != number and name in poses.required_labels
     ]

@@ -11,8 +11,18 @@ from typing import Any, Literal, Self, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.arrays import BoolArray, FloatArray, as_array, as_label_arrays, as_labels, as_marks, as_scores
+from posecal.data.arrays import (
+    BoolArray,
+    FloatArray,
+    as_array,
+    as_label_arrays,
+    as_labels,
+    as_marks,
+    as_scores,
+    real_array,
+)
 from posecal.data.checks import FRAMES, check_units
+from posecal.data.clips import Clips
 from posecal.data.declarations import Declarations
 from posecal.data.degenerate import third_column_remarks
 from posecal.data.draws import DrawnHypotheses, with_draws
@@ -65,6 +75,8 @@ class PoseData:
         The weight of each hypothesis, of sum 1 for each pose, 0 for one that is absent; likewise.
     fps : float, optional
         Frames per second; instead of a file's.
+    observed : array (M, K, D), optional
+        The last observed pose before each of M clips, in the joints, order and unit of the truth; instead of a file's.
     frame_id : array (M,), optional
         Names of the frames, of both; of the hypotheses only where the truth has its own. Frames are matched by them.
     truth_frame_id : array (M,), optional
@@ -109,6 +121,8 @@ class PoseData:
         stored, or what :mod:`posecal.data.frame_numbers` gives.
     labels : mapping of arrays of str (M,)
         Other properties of each pose.
+    clips : Clips or None
+        What clips of poses have in common; None without any.
     occluded : bool array (M, K) or None
         The joints whose keypoints were not visible.
     scores : array (N, M) or None
@@ -163,6 +177,7 @@ class PoseData:
     has_frame_id: bool
     order: Rows
     labels: Labels
+    clips: Clips | None
     occluded: BoolArray | None
     scores: FloatArray | None
     log_prob: FloatArray | None
@@ -191,6 +206,7 @@ class PoseData:
         dimensions: int | None = None,
         weights: npt.ArrayLike | None = None,
         fps: float | None = None,
+        observed: npt.ArrayLike | None = None,
         frame_id: npt.ArrayLike | None = None,
         truth_frame_id: npt.ArrayLike | None = None,
         unit: str | float | None = None,
@@ -223,6 +239,7 @@ class PoseData:
             "dimensions": (as_dimensions, dimensions),
             "weights": (as_weights, weights),
             "where": (as_array, where),
+            "observed": (real_array, observed),
             "frame_id": (as_labels, frame_id),
             "truth_frame_id": (as_labels, truth_frame_id),
         }
@@ -249,6 +266,7 @@ class PoseData:
             required_labels=true.required_labels | own_labels.keys(),
             marks=true.marks if arrays.get("occluded") is None else {"occluded": arrays["occluded"]},
             where=arrays.get("where"),
+            observed=arrays.get("observed", true.observed),
             fps=true.fps if fps is None else fps,
         )
         matched = match_poses(predicted, true, declarations or Declarations(**possible), problems)

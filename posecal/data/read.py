@@ -43,7 +43,7 @@ _ALWAYS_READ = 1000
 
 _MARKS = ("occluded", "visible")
 _OF_HYPOTHESES = ("scores", "weights", "recalibrated_on", *density.MEMBERS)
-_RESERVED = (*_MARKS, *_OF_HYPOTHESES, "axes", "unit", "joints", "frame_id", "fps", "valid", "parents")
+_RESERVED = (*_MARKS, *_OF_HYPOTHESES, "axes", "unit", "joints", "frame_id", "fps", "valid", "parents", "observed")
 DECLARED = frozenset((*_RESERVED, *COMMON_LABELS))
 """Names under which something beside the coordinates is read, whatever its kind."""
 
@@ -234,6 +234,7 @@ def _declared(
         "valid": read(as_marks, "valid"),
         "fps": read(_number, "fps"),
         "recalibrated_on": read(as_fitted_hashes, "recalibrated_on"),
+        "observed": read(real_array, "observed"),
     }
     raise_all(problems)
     return members

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from posecal.data.arrays import BoolArray, FloatArray
 from posecal.data.layout import Layout, LazyArray
 
-COMMON_LABELS = frozenset(("sequence", "subject", "action", "camera"))
+COMMON_LABELS = frozenset(("sequence", "clip", "subject", "action", "camera"))
 """Names under which a file can only mean a label of every pose."""
 
 Labels = Mapping[str, npt.NDArray[np.str_]]
@@ -62,6 +62,8 @@ class StoredPoses:
         Frames per second.
     recalibrated_on : array (H,) or None
         Hashes of the poses that the map was fitted on which recalibrated them; see :mod:`posecal.data.fitted_poses`.
+    observed : array or None
+        The last observed pose before each clip.
     unread : mapping of tuples of int
         The shapes of other members of several axes, by name, which nothing reads.
     """
@@ -84,6 +86,7 @@ class StoredPoses:
     weights: FloatArray | None = None
     fps: float | None = None
     recalibrated_on: npt.NDArray[np.uint64] | None = None
+    observed: npt.NDArray[np.generic] | None = None
     unread: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
 
     @property

@@ -21,7 +21,7 @@ from posecal.data.pose_data import PoseData
 from posecal.engine.block import block_length
 from posecal.engine.cells import CellIndex
 from posecal.engine.chunks import Chunk, Indices, join_chunks, read_chunks
-from posecal.engine.measure import Measured, measure_block, measure_segment, of_plain_poses
+from posecal.engine.measure import Measured, measure_block, of_plain_poses
 from posecal.engine.metric import Metric, Statistic
 from posecal.engine.pose_hashes import PoseHashes, add_hashes, pose_hashes, repeated_remarks, smallest_hashes
 from posecal.engine.pose_remarks import PoseRemarks
@@ -29,7 +29,7 @@ from posecal.engine.prepare import Prepared, refuse_non_finite
 from posecal.engine.protocol import Protocol
 from posecal.engine.ragged import lay_out, with_weights
 from posecal.engine.scope import DataSpec
-from posecal.engine.segments import Segments
+from posecal.engine.segments import SegmentsAndClips
 from posecal.engine.threads import run_in_order
 from posecal.engine.totals import Totals
 from posecal.errors import PoseDataError, first_few, option
@@ -83,11 +83,11 @@ class Accumulator:
         self._length = self._measured = self._given = 0
         self._earlier = max((statistic.earlier for statistic in self.statistics), default=0)
         self._before: Chunk | None = None  # so many poses before the pending ones
-        needs_segments = any(statistic.by_segment for statistic in self.statistics)
-        self._segments = Segments(protocol.segment_length if needs_segments else 0)
-        self._last: tuple[str, int] | None = None  # sequence and order of the last pose; None where it was dropped
+        clips = None if prepared is None else prepared.clips
+        self._segments = SegmentsAndClips(self.statistics, protocol.segment_length, spec, clips)
+        self._last: tuple[str, str, int] | None = None  # of the last pose, as _place; None where it was dropped
         self._remarks = PoseRemarks()
-        self._prepared_hashes = {} if prepared is None else {"coordinate range": prepared.hash}
+        self._prepared_hashes = {} if prepared is None else prepared.hashes
         self._failure = ""  # what stopped a batch when some of it was counted
 
     def add(
@@ -126,7 +126,7 @@ class Accumulator:
         except BaseException as error:  # an interrupt as well
             self._failure = f"{type(error).__name__}: {error}".strip(": ")
             raise
-        self._last = (str(data.labels["sequence"][-1]), int(data.order[-1])) if "sequence" in data.labels else None
+        self._last = _place(data, -1)
 
     def _add(self, data: PoseData, numbers: Indices, progress: Progress | None, pending: Pending) -> None:
         most = max(data.shape[0], 0 if data.reference is None else data.reference.shape[0])
@@ -134,7 +134,6 @@ class Accumulator:
         cells, moved = self._index.assign(data.labels, len(data.truth))
         if moved is not None:
             self._join_cells(moved)
-        self._sequence_of = self._index.cells["sequence"] if self._segments.length else np.zeros(0, dtype=np.str_)
         first, measured_before = self._measured + self.n_pending, self._measured
         bad: list[Indices] = []
         bad_of_reference: list[Indices] = []
@@ -209,7 +208,7 @@ class Accumulator:
         other._per_pose = {name: values for name, values in other._per_pose.items() if name in names}
         other._cell_of = other._cell_of if other._per_pose else []
         other._pending = [with_weights(chunk, spec) for chunk in other._pending]
-        other._earlier, other._segments = 0, Segments(0)  # no such metric is of weighted hypotheses
+        other._earlier, other._segments = 0, SegmentsAndClips((), 0, spec)  # no such metric is of weighted hypotheses
         return other
 
     @property
@@ -254,8 +253,8 @@ class Accumulator:
 
     def _located(self, data: PoseData, cells: Indices, numbers: Indices) -> Iterator[Chunk]:
         """Read the poses with their cells, and with the numbers of their sequences in the coordinate range."""
-        sequence, start = data.labels.get("sequence"), 0
-        continues = sequence is not None and (str(sequence[0]), int(data.order[0]) - 1) == self._last
+        start, first = 0, _place(data, 0)
+        continues = first is not None and (*first[:2], first[2] - 1) == self._last
         for chunk in read_chunks(data, self._length):
             chunk, stop = with_weights(chunk, self.spec), start + len(chunk)
             follows = chunk.follows.copy()
@@ -326,13 +325,13 @@ class Accumulator:
         for chunk in self._pending:
             yield from self._block(chunk, 0, len(chunk))
         self._pending = []
-        yield from map(self._segment, self._segments.rest())
+        yield from self._segments.rest(self.statistics)
 
     def _block(self, chunk: Chunk, start: int, stop: int) -> Iterator[Callable[[], Measured]]:
         """Give the task of a block, and those of the segments that its poses complete."""
         limits = None if self._prepared is None else self._prepared.limits
         make = lay_out(chunk, start, stop, self.spec, limits, self._before)
-        statistics = [statistic for statistic in self.statistics if not statistic.by_segment]
+        statistics = [statistic for statistic in self.statistics if not (statistic.by_segment or statistic.by_clip)]
         yield partial(measure_block, self._given, make, chunk.cells[start:stop], statistics)
         self._given += stop - start
         add_hashes(self._hashes, chunk.hashes[start:stop])
@@ -340,13 +339,8 @@ class Accumulator:
             last = replace(chunk.select(slice(max(start, stop - self._earlier), stop)), reference=None)
             joined = join_chunks([last] if self._before is None else [self._before, last])
             self._before = joined.select(slice(-self._earlier, None))
-        if self._segments.length:
-            part = chunk.select(slice(start, stop))
-            yield from map(self._segment, self._segments.add(part, self._sequence_of[part.cells]))
-
-    def _segment(self, chunk: Chunk) -> Callable[[], Measured]:
-        statistics = [statistic for statistic in self.statistics if statistic.by_segment]
-        return partial(measure_segment, chunk.block(0, len(chunk), self.spec.root), chunk.cells, statistics)
+        part = chunk.select(slice(start, stop))
+        yield from self._segments.add(part, lambda: self._index.cells["sequence"][part.cells], self.statistics)
 
     # --- cells
 
@@ -373,6 +367,14 @@ class Accumulator:
         self._cell_of = [moved[cells] for cells in self._cell_of]
         self._pending = [replace(chunk, cells=moved[chunk.cells]) for chunk in self._pending]
         self._segments.renumber(moved)
+
+
+def _place(data: PoseData, row: int) -> tuple[str, str, int] | None:
+    """Give sequence, clip and order of a pose; None where there are no sequences."""
+    if "sequence" not in data.labels:
+        return None
+    sequence = data.labels["sequence"]
+    return str(sequence[row]), str(data.labels.get("clip", sequence)[row]), int(data.order[row])
 
 
 def _padded(values: npt.NDArray[Any], rows: int) -> npt.NDArray[Any]:

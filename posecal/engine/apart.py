@@ -19,14 +19,14 @@ class _Part(NamedTuple):
     ----------
     statistics : str
         How the names of statistics begin that depend on it.
-    metrics : str
+    metrics : tuple of str
         How the names of metrics end that do.
     remark : str
         What to say of these.
     """
 
     statistics: str
-    metrics: str
+    metrics: tuple[str, ...]
     remark: str
 
 
@@ -36,16 +36,23 @@ _PARTS: dict[str, _Part] = dict(
         (
             _Part(
                 "tarp_box",
-                "tarp_box",
+                ("tarp_box",),
                 "tarp_box is left out: each of these results has it by the coordinate range of its own poses. Evaluate "
                 "all poses in one run, or in Python each shard by Evaluation(prepared=…) with posecal.prepare of all "
                 "true poses.",
             ),
             _Part(
                 "paired_",
-                "_skill",
+                ("_skill",),
                 "skills are left out: each of these results has the climatology of its own poses. Evaluate all poses "
                 "in one run, or all shards against the same hypotheses of another model.",
+            ),
+            _Part(
+                "multimodal_",
+                ("mmade", "mmfde", "apde"),
+                "mmade, mmfde and apde are left out: each of these results has the true clips of its own poses as sets "
+                "of truths. Evaluate all poses in one run, or in Python each shard by Evaluation(prepared=…) with "
+                "posecal.prepare of all true poses.",
             ),
         ),
         strict=True,

@@ -43,6 +43,7 @@ class Chunk:
     reference: FloatArray | None
     log_prob: FloatArray | None = None
     weights: FloatArray | None = None
+    clip: npt.NDArray[np.str_] | None = None
 
     def __len__(self) -> int:
         return len(self.truth)
@@ -113,9 +114,16 @@ def read_chunks(data: PoseData, multiple: int = 1) -> Iterator[Chunk]:
     window = max(1, window // multiple) * multiple
     sequence = data.labels.get("sequence", np.zeros(m, dtype=np.str_))
     follows = np.concatenate([[False], (sequence[1:] == sequence[:-1]) & (np.diff(data.order) == 1)])
+    if (clip := data.labels.get("clip")) is not None:
+        follows[1:] &= clip[1:] == clip[:-1]
     nothing, no_hashes = np.zeros(m, dtype=np.intp), np.zeros((m, 2), dtype=np.uint64)
-    others = {"truth": data.truth, "where": data.where, "usable": data.usable, "occluded": data.occluded}
-    others["log_prob"] = data.log_prob
+    others: dict[str, npt.NDArray[Any] | None] = {
+        "truth": data.truth,
+        "where": data.where,
+        "usable": data.usable,
+        "occluded": data.occluded,
+    }
+    others |= {"log_prob": data.log_prob, "clip": clip}
     # laid out alike, whoever made them, because rounding depends on it
     rows = {name: values if values is None else np.ascontiguousarray(values) for name, values in others.items()}
     for start in range(0, m, window):

@@ -34,8 +34,10 @@ Need = Literal[
     "three hypotheses",
     "alike hypotheses",
     "whole poses",
+    "observed poses",
     "coordinate range",
     "climatology",
+    "true clips",
 ]
 
 MetricFunction = Callable[..., npt.ArrayLike]
@@ -60,6 +62,8 @@ class Statistic:
         How many poses before each pose it needs, for differences over time.
     by_segment : bool
         Whether its blocks are segments of a sequence, as the option ``segment`` has them.
+    by_clip : bool
+        Whether its blocks are clips; a value of a whole clip stands at its last pose, and NaN at the others.
     derive : callable or None
         What depends on other sequences: from the sums (C, …) and counts (C,) of all cells, and the sequence of each
         (C,), to the sums (C, …) whose means are finished.
@@ -71,6 +75,7 @@ class Statistic:
     per_pose: bool = False
     earlier: int = 0
     by_segment: bool = False
+    by_clip: bool = False
     derive: Callable[[FloatArray, Counts, Indices], FloatArray] | None = None
 
 

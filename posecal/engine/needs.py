@@ -17,12 +17,14 @@ NEEDS: dict[Need, str] = {
     "three hypotheses": "at least 3 hypotheses",
     "alike hypotheses": "hypotheses of equal weight",
     "whole poses": "where = all and joints = all, because a log density is of the whole pose",
+    "observed poses": "the last observed pose of each clip (a member observed beside the truth)",
     "coordinate range": "one coordinate range; each of the results that were merged has its own",
     "climatology": "one climatology; each of the results that were merged has its own",
+    "true clips": "the true clips of one run; each of the results that were merged has its own",
 }
 """What metrics need of the data, in words."""
 
-OF_ALL_POSES: tuple[Need, ...] = ("coordinate range", "climatology")
+OF_ALL_POSES: tuple[Need, ...] = ("coordinate range", "climatology", "true clips")
 """Those that are found from all poses that are evaluated together."""
 
 _AS_MANY = "as many hypotheses of every pose"
@@ -42,6 +44,7 @@ def unmet(metric: Metric | Curve, scope: Scope) -> tuple[str, ...]:
         "three hypotheses": spec.n_hypotheses > 2,
         "alike hypotheses": True,  # of others more is said below
         "whole poses": scope.is_whole,
+        "observed poses": spec.has_observed,
         **{part: part not in spec.apart for part in OF_ALL_POSES},
     }
     if (spec.is_ragged or spec.has_weights) and not _takes_weights(metric):
@@ -59,7 +62,12 @@ def _takes_weights(metric: Metric | Curve) -> bool:
     """
     if isinstance(metric, Metric) and (metric.sequences_per_batch or metric.offset is not None):
         return False
-    return not (metric.statistic.earlier or metric.statistic.by_segment or "alike hypotheses" in metric.needs)
+    return not (
+        metric.statistic.earlier
+        or metric.statistic.by_segment
+        or metric.statistic.by_clip
+        or "alike hypotheses" in metric.needs
+    )
 
 
 def in_unit(metric: Metric, spec: DataSpec) -> Metric:

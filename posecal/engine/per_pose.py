@@ -139,6 +139,23 @@ def _of_blocks(
     return np.concatenate(parts)
 
 
+def refuse_non_finite_arrays(x: FloatArray, y: FloatArray, counted: BoolArray) -> None:
+    """Refuse coordinates (N, M, K, D) and (M, K, D) that are not finite at joints (M, K) that count.
+
+    Raises
+    ------
+    PoseDataError
+        With the first.
+    """
+    bad = counted & ~(np.isfinite(x).all(axis=(0, 3)) & np.isfinite(y).all(axis=2))
+    if bad.any():
+        pose, joint = np.argwhere(bad)[0]
+        raise PoseDataError(
+            f"hypotheses or truth: non-finite coordinates (first: pose {pose}, joint {joint}). "
+            "Mask those joints with where, or leave those poses out."
+        )
+
+
 def iter_blocks(
     hypotheses: FloatArray,
     truth: FloatArray,

@@ -19,6 +19,7 @@ from posecal.engine.cells import SPREAD, label_name, spread_cuts, spread_labels
 from posecal.engine.chunks import map_blocks, read_chunks
 from posecal.engine.coordinate_range import CoordinateRange, coordinate_range
 from posecal.engine.protocol import Protocol
+from posecal.engine.true_clips import TrueClips, true_clips
 from posecal.errors import PoseDataError, checked_type, first_few, option
 
 Indices = npt.NDArray[np.intp]
@@ -34,20 +35,28 @@ class Prepared:
         Of the true poses.
     sequences : dict
         The number of each sequence in it, by name; empty where each pose is its own.
+    clips : TrueClips or None
+        The true clips; None where the last observed poses before them are not known.
     """
 
     limits: CoordinateRange
     sequences: dict[str, int]
+    clips: TrueClips | None = None
 
     @property
     def hash(self) -> str:
-        """Equal where two were prepared with the same poses."""
+        """Equal where two were prepared with poses of the same range."""
         ends = (np.asarray(end, dtype=np.float64).tobytes() for end in self.limits)
         return f"{zlib.crc32(b''.join([*ends, repr(self.sequences).encode(errors='surrogatepass')])):08x}"
 
+    @property
+    def hashes(self) -> dict[str, str]:
+        """Hashes of its parts, by the need of metrics that each meets."""
+        return {"coordinate range": self.hash, **({} if self.clips is None else {"true clips": self.clips.hash})}
+
 
 def prepare(data: PoseData) -> Prepared:
-    """Find the range of all true poses, as metrics that depend on the whole set need it.
+    """Find the range of all true poses and their clips, as metrics that depend on the whole set need them.
 
     Parameters
     ----------
@@ -64,7 +73,7 @@ def prepare(data: PoseData) -> Prepared:
     if "sequence" in data.labels:
         names, own = np.unique(data.labels["sequence"], return_inverse=True)
     limits = coordinate_range(data.truth, data.where, root=data.root, sequence=own)
-    return Prepared(limits, {str(name): number for number, name in enumerate(names)})
+    return Prepared(limits, {str(name): number for number, name in enumerate(names)}, true_clips(data))
 
 
 def add_spread_labels(

@@ -12,7 +12,7 @@ from posecal.data.joint_names import find_joint, joint_keys
 from posecal.data.skeleton import JOINT_SETS, REST_POSE
 from posecal.errors import PoseDataError, did_you_mean, raise_all
 
-_LENGTHS = ("pck_threshold", "failure_threshold")
+_LENGTHS = ("pck_threshold", "failure_threshold", "mm_threshold")
 """Options that are numbers."""
 
 OverJoints = Literal["median", "mean", "worst", "pooled"]
@@ -127,6 +127,15 @@ class Protocol:
     )
     failure_threshold: float = _option(
         150.0, "the error of a pose above which it fails, mm", "a length in mm", lambda mm: 0 < mm < float("inf")
+    )
+    mm_threshold: float = _option(
+        500.0,
+        "the distance of last observed poses below which clips are one set of truths (mmade, mmfde, apde), mm",
+        "a length in mm",
+        lambda mm: 0 < mm < float("inf"),
+    )
+    mm_alone: Literal["count", "drop"] = _option(
+        "count", "whether clips that are alone in their set of truths count (mmade, mmfde)"
     )
     average: str = _option(
         "poses", "what the final mean is over", "poses, or a label: the mean of its groups' numbers, or curves"

@@ -65,6 +65,10 @@ class DataSpec:
         Whether hypotheses of a pose have unequal weights.
     apart : tuple of str
         Of merged results: what each had found from its own poses alone, such as the ``coordinate range``.
+    clip_length : int
+        T, the number of frames of a clip; 0 where poses form no clips.
+    has_observed : bool
+        Whether the last observed pose before each clip is known.
     n_effective : float or None
         Mean effective number of hypotheses, once it is measured, where poses have different ones.
     """
@@ -87,6 +91,8 @@ class DataSpec:
     parents: tuple[int, ...] = ()
     dimensions: int = 0
     apart: tuple[str, ...] = ()
+    clip_length: int = 0
+    has_observed: bool = False
     n_effective: float | None = None
 
     def __post_init__(self) -> None:
@@ -107,6 +113,8 @@ class DataSpec:
             unit=data.unit,
             n_coordinates=data.shape[3],
             labels=tuple(data.labels),
+            clip_length=0 if data.clips is None else data.clips.length,
+            has_observed=data.clips is not None and bool(data.clips.observed),
             fps=data.fps,
             has_scores=data.scores is not None,
             dimensions=data.dimensions,

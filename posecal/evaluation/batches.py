@@ -35,12 +35,11 @@ from posecal.engine.prepare import (
 from posecal.engine.presets import as_protocol
 from posecal.engine.protocol import Protocol
 from posecal.engine.ragged import has_absent, has_absent_anywhere, live_remark
-from posecal.engine.scope import DataSpec
 from posecal.engine.totals import Totals
 from posecal.errors import PoseDataError, checked_type, first_few
 from posecal.evaluation.options import check_callable, check_callables, check_label_names, label_entries
 from posecal.evaluation.sources import Progress, Source, as_pose_data
-from posecal.evaluation.start import continue_accumulator, start_accumulator
+from posecal.evaluation.start import continue_accumulator, spec_of, start_accumulator
 from posecal.metrics.sharpness import predicted_spread
 from posecal.registry import check_names, statistics_of, wants_reference
 from posecal.report.report import Report
@@ -126,7 +125,7 @@ class Evaluation:
         self._frames, self._held = dict[str, None](), list[str]()  # of own poses that count; those that are pending
         self._frames_of_others, self._others, self._frame_check = set[str](), list[Totals](), FrameCheck()
         self._remarks, self._batches, self._n_frames = join_remarks([]), 0, 0
-        self._place: Place = 0, [], ""  # of the last pose
+        self._place: Place = 0, [], "", 0  # of the last pose
 
     def update(
         self,
@@ -262,7 +261,8 @@ class Evaluation:
     def _count(self, data: PoseData, progress: Progress | None, pending: Pending, has_mask: bool, ragged: bool) -> str:
         """Add poses that count to the sums, and give a remark on them, or none."""
         complete = pending == "none"
-        spec = DataSpec.of(data, has_mask=has_mask, preranks=tuple(self._preranks), is_ragged=ragged)
+        more: dict[str, Any] = {"has_mask": has_mask, "preranks": tuple(self._preranks), "is_ragged": ragged}
+        spec = spec_of(data, self._prepared, complete=complete, **more)
         remark = live_remark(data) if ragged else ""
         data = add_spread_labels(data, self.by, predicted_spread, self._threads, is_all=complete)
         if self._accumulator is None:

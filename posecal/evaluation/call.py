@@ -33,6 +33,7 @@ def evaluate(
     dimensions: int | None = None,
     weights: npt.ArrayLike | None = None,
     fps: float | None = None,
+    observed: npt.ArrayLike | None = None,
     frame_id: npt.ArrayLike | None = None,
     truth_frame_id: npt.ArrayLike | None = None,
     unit: str | None = None,
@@ -85,6 +86,8 @@ def evaluate(
         hypotheses by them.
     fps : float, optional
         Frames per second; instead of a file's.
+    observed : array (M, K, D), optional
+        The last observed pose before each of M clips, in the joints, order and unit of the truth; instead of a file's.
     frame_id, truth_frame_id : arrays (M,), optional
         Names of the frames, by which hypotheses and truth are joined; one of them is for both.
     unit, truth_unit : str, optional
@@ -157,6 +160,7 @@ def evaluate(
         "dimensions": dimensions,
         "weights": weights,
         "fps": fps,
+        "observed": observed,
         "frame_id": frame_id,
         "truth_frame_id": truth_frame_id,
         "unit": unit,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 from posecal.calibration.rank_tests import NEEDS_COORDINATE_RANGE, PreRank
 from posecal.data.pose_data import PoseData
@@ -13,6 +14,7 @@ from posecal.engine.prepare import Prepared, prepare
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec
 from posecal.errors import PoseDataError, option
+from posecal.metrics.multimodal import NEEDS_TRUE_CLIPS
 from posecal.registry import registered_metrics, statistics_of
 
 
@@ -36,7 +38,8 @@ def start_accumulator(
     """
     own = tuple(m for m in registered_metrics() if m.headline or m.name in protocol.wanted)
     statistics = statistics_of(protocol, spec, by, preranks, own)
-    if prepared is None and any(statistic.name in NEEDS_COORDINATE_RANGE for statistic in statistics):
+    names = {statistic.name for statistic in statistics}
+    if prepared is None and names & (NEEDS_COORDINATE_RANGE | NEEDS_TRUE_CLIPS):
         if not complete:
             raise PoseDataError(
                 "metrics: tarp_box depends on all true poses, which come in batches here; expected "
@@ -45,6 +48,12 @@ def start_accumulator(
         prepared = prepare(data)
     index = CellIndex([entry for entry in by if entry != "occlusion"], protocol.average, [*data.labels])
     return Accumulator(spec, protocol, statistics, index, prepared=prepared, own_metrics=own, threads=threads)
+
+
+def spec_of(data: PoseData, prepared: Prepared | None, *, complete: bool, **more: Any) -> DataSpec:
+    """Describe all poses, or those of a batch, whose true clips are known if they were prepared."""
+    spec = DataSpec.of(data, **more)
+    return spec if complete else replace(spec, has_observed=prepared is not None and prepared.clips is not None)
 
 
 def continue_accumulator(

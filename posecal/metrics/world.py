@@ -14,6 +14,7 @@ from posecal.data.arrays import BoolArray, FloatArray, as_array, checked_choice,
 from posecal.engine.block import Block
 from posecal.engine.bounds import POSITIVE
 from posecal.engine.metric import Metric, Statistic
+from posecal.engine.per_pose import refuse_non_finite_arrays
 from posecal.engine.scope import Scope
 from posecal.errors import PoseDataError
 from posecal.geometry.procrustes import aligned_errors
@@ -107,13 +108,7 @@ def world_mpjpe(
     if labels.shape != (len(y),):
         raise PoseDataError(f"sequence {labels.shape}: expected (M,) = ({len(y)},).")
     counted = np.ones(y.shape[:2], dtype=bool) if mask is None else mask
-    finite = np.isfinite(x).all(axis=(0, 3)) & np.isfinite(y).all(axis=2)
-    if (counted & ~finite).any():
-        pose, joint = np.argwhere(counted & ~finite)[0]
-        raise PoseDataError(
-            f"hypotheses or truth: non-finite coordinates (first: pose {pose}, joint {joint}). "
-            "Mask those joints with where, or leave those poses out."
-        )
+    refuse_non_finite_arrays(x, y, counted)
     found = np.full(len(y), np.nan)
     for label in np.unique(labels):
         poses = np.flatnonzero(labels == label)

@@ -22,6 +22,7 @@ from posecal.plot.curves import (
     risk_coverage,
     sparsification,
 )
+from posecal.plot.horizon import draw_horizon, horizon
 from posecal.plot.intervals import draw_intervals, intervals
 from posecal.plot.rank_tests import draw_rank_tests, rank_test
 from posecal.plot.skeletons import draw_poses, frames_of, poses, signed_areas, with_sign
@@ -38,6 +39,7 @@ __all__ = [
     "check_suffix",
     "draw",
     "draw_comparison",
+    "draw_horizon",
     "draw_intervals",
     "draw_poses",
     "draw_rank_tests",
@@ -45,6 +47,7 @@ __all__ = [
     "event_reliability",
     "figure_bytes",
     "frames_of",
+    "horizon",
     "intervals",
     "pck_curves",
     "poses",
@@ -65,8 +68,9 @@ KINDS: dict[str, tuple[Callable[..., Any], str]] = {
     "risk_coverage": (risk_coverage, "the error of the poses that are kept by their predicted spread"),
     "event": (event_reliability, "reliability of: the median pose is right at every joint"),
     "rank_tests": (draw_rank_tests, "rank tests for what the ECE can't see"),
+    "horizon": (draw_horizon, "coverage, errors and spread against the horizon of a prediction"),
 }
-"""The pictures of a report, by the words of ``posecal plot``: functions of axes, but ``rank_tests`` of a figure."""
+"""The pictures of a report, by the words of ``posecal plot``: functions of axes, but the last two of a figure."""
 
 
 def draw(report: Report, kind: str = "reliability", *, title: str | None = None) -> Figure:
@@ -95,8 +99,9 @@ def draw(report: Report, kind: str = "reliability", *, title: str | None = None)
         raise PoseDataError(f"report: {type(report).__name__}; expected Report.")
     if str(kind) not in KINDS:
         raise PoseDataError(f"kind: {kind!r} is not known. {did_you_mean(kind, KINDS)}")
-    if kind == "rank_tests":
-        return draw_rank_tests(report)
+    if kind in {"rank_tests", "horizon"}:
+        figure: Figure = KINDS[kind][0](report)
+        return figure
     import matplotlib as mpl
     from matplotlib.figure import Figure
 

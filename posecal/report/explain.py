@@ -23,6 +23,8 @@ EVERYTHING = DataSpec(
     dimensions=48,
     reference="climatology",
     n_reference=200,
+    clip_length=25,
+    has_observed=True,
 )
 """Data that every metric can be computed on."""
 
@@ -40,6 +42,7 @@ _TRIED = {name: choices for name, choices in CHOICES.items() if name not in {"ro
     "pck_threshold": ("100",),
     "pck_joints": ("all",),
     "failure_threshold": ("100",),
+    "mm_threshold": ("400",),
     "auc_range": ("0:50:100",),
     "cps_joints": ("all",),
 }

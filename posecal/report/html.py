@@ -43,7 +43,7 @@ def as_html(report: Report, name: str, words: Callable[[str], str] = for_python)
             svg = figure_bytes(draw(report, kind), ".svg").decode()
         except PoseDataError:
             continue  # the report lacks what the picture shows
-        pictures.append((about, _with_unique_ids(svg[svg.index("<svg") :], kind), kind == "rank_tests"))
+        pictures.append((about, _with_unique_ids(svg[svg.index("<svg") :], kind), kind in {"rank_tests", "horizon"}))
     return _render(report, words, name=printable(name), pictures=pictures)
 
 

@@ -31,16 +31,24 @@ FACTS = {
     "gfpose": {"align": "reflection"},
     "prohmr-14": {"joints": "h36m-14", "root": "drop"},
     "videopose3d": {"scale": "scale"},
+    "dlow": {"mm_threshold": "500.0", "mm_alone": "count", "metrics": "apd, ade, fde, mmade, mmfde"},
+    "belfusion": {"mm_threshold": "500.0", "mm_alone": "count"},
+    "comusion": {"mm_threshold": "500.0", "mm_alone": "drop"},
+    "skeletondiffusion": {"mm_threshold": "500.0", "mm_alone": "count"},
 }
+MOTION = {"dlow", "belfusion", "comusion", "skeletondiffusion"}
 
 
 def evaluated(name: str) -> posecal.Report:
+    """The small file; for motion prediction each of its poses is a clip, and all follow one observed pose."""
+    clips = {"clip": range(M)} if name in MOTION else {}
     return posecal.evaluate(
         hypotheses(),
         truth(),
         unit="mm",
         joints=JOINTS,
-        labels=LABELS,
+        labels={**LABELS, **clips},
+        observed=np.zeros((M, K, 3)) if name in MOTION else None,
         occluded=OCCLUDED,
         scores=np.arange(N * M, dtype=float).reshape(N, M),
         protocol=name,

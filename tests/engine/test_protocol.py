@@ -16,7 +16,8 @@ from posecal.engine.scope import DataSpec
 from posecal.errors import PoseDataError
 from posecal.registry import metrics_of
 
-EVERYTHING = DataSpec(9, JOINT_SETS["h36m-17"], 0, ("sequence", "action"), 50.0, True)
+PERSON = 9, JOINT_SETS["h36m-17"], 0, ("sequence", "action"), 50.0, True
+EVERYTHING = DataSpec(*PERSON, clip_length=25, has_observed=True)
 
 
 @pytest.mark.parametrize(("option", "choice"), [(o, choice) for o, choices in CHOICES.items() for choice in choices])
@@ -58,6 +59,7 @@ def test_the_defaults_that_are_no_choices_are_the_field_s() -> None:
         "pck_joints": "h36m-14",
         "pck_threshold": "150.0",
         "failure_threshold": "150.0",
+        "mm_threshold": "500.0",
         "pck_relative": "none",
         "auc_range": "0:150:31",
         "segment": "100",

@@ -25,7 +25,10 @@ FUNCTIONS = {
 }
 OF_ARRAYS = {name for name, function in FUNCTIONS.items() if "hypotheses" in inspect.signature(function).parameters}
 OF_ERRORS = set(FUNCTIONS) - OF_ARRAYS
-REQUIRED = {"min_mpjpe_curve": {"sizes": [1, 2]}}
+REQUIRED = {
+    "min_mpjpe_curve": {"sizes": [1, 2]},
+    **{key: {"observed": np.zeros((1, K, 3))} for key in ("mmade", "mmfde", "apde")},
+}
 
 NO_ARRAYS = {
     "text": "hypotheses",
@@ -55,6 +58,8 @@ WRONG = {
     "fps": (*NO_NUMBER[1:], 0, -25.0, float("inf")),
     "sizes": (None, "a", 3, [1.5], [0], [N + 1], [[1]], [True], [1, [2]]),
     "sequence": ("abc", 3, ["a"], [["a"] * M], ["a", ["b", "c"], "d", "e", "f"]),
+    "clip": ("abc", 3, ["a"], [["a"] * M], ["a", ["b", "c"], "d", "e", "f"]),
+    "observed": (None, "a", 3.0, np.zeros((2, K, 3)), np.zeros((1, K + 1, 3)), np.full((1, K, 3), np.nan)),
     "segment": (*NO_NUMBER[1:], 0, 1, 2.5, float("inf")),
     "area": ("mean", 3, None),
     "thresholds": (150, (0, 150), (50, 0, 10), (0, 50, 1), (0, 50, 2.5), "0:50:10"),
@@ -98,7 +103,8 @@ def test_an_option_is_taken_up_to_its_limits(option: str, value: float) -> None:
     takers = [name for name in sorted(OF_ARRAYS) if option in inspect.signature(FUNCTIONS[name]).parameters]
     assert takers
     for name in takers:
-        assert np.isfinite(FUNCTIONS[name](X, Y, **{option: value})[3:]).all()  # no motion of the first poses
+        options = {**REQUIRED.get(name, {}), option: value}
+        assert np.isfinite(FUNCTIONS[name](X, Y, **options)[3:]).all()  # no motion of the first poses
 
 
 @pytest.mark.parametrize("mode", [N, -N - 1, "0", None, 1.0, True])

@@ -29,6 +29,8 @@ SPEC = DataSpec(
     has_occlusion=True,
     preranks=("span",),
     reference="climatology",
+    clip_length=25,
+    has_observed=True,
 )
 KNOWN = any_metrics(Protocol(), SPEC)
 PARTS = ("definition", "unit", "range", "direction", "how to read", "source")

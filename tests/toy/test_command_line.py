@@ -20,6 +20,7 @@ SMALL = {
     "mean": ["--poses", "50"],
     "curves": ["--poses", "50"],
     "pose-world": ["--sequences", "4", "--frames", "2", "--hypotheses", "10"],
+    "motion": ["--clips", "5"],
     "pendulum": ["--pendulums", "4"],
 }
 SLOW = ("sigma-map", "landscape", "mean", "pendulum")
@@ -30,6 +31,7 @@ NUMBERS = {
     "mean": ["1.539", "-0.4919"],
     "curves": ["0.331"],
     "pose-world": ["nats per pose", "minMPJPE of 10 exact hypotheses"],
+    "motion": ["calibrated, frame 25", "whole clips"],
     "pendulum": ["drift"],
 }
 

@@ -1,0 +1,178 @@
+"""Clips: runs of consecutive poses that are predicted together, such as the frames after an observation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from posecal.data.arrays import FloatArray
+from posecal.data.layout import Layout
+from posecal.data.remarks import Count, Example, Remark
+from posecal.data.stored_poses import Labels, Rows, StoredPoses, in_millimetres
+from posecal.errors import PosecalError, first_few
+
+Names = npt.NDArray[np.str_]
+
+
+@dataclass(frozen=True)
+class Clips:
+    """What clips of poses have in common.
+
+    Attributes
+    ----------
+    length : int
+        T, the most poses that a clip has.
+    numbered : tuple of str
+        The labels that are made of the numbers of the clips.
+    observed : mapping of arrays (K, D)
+        The last observed pose before each clip, by the clip's name, in the unit of the poses; empty where unknown.
+    """
+
+    length: int
+    numbered: tuple[str, ...] = ()
+    observed: Mapping[str, FloatArray] = field(default_factory=dict)
+
+
+def clip_length(layouts: tuple[Layout, Layout], hypotheses: StoredPoses, truth: StoredPoses) -> int | None:
+    """Give T of a layout with clips, the truth's first; None where neither has any."""
+    return layouts[1].clip_length(truth.array.shape) or layouts[0].clip_length(hypotheses.array.shape)
+
+
+def with_clip_labels(labels: Labels, rows: Rows, length: int | None) -> tuple[Labels, tuple[str, ...]]:
+    """Add the labels of clips that are missing: ``clip``, and ``sequence`` where each clip is one.
+
+    Parameters
+    ----------
+    labels : mapping of arrays of str (M,)
+        Those that are there.
+    rows : array of int (M,)
+        The stored poses, counted through the clips.
+    length : int or None
+        T of the layout; None where it has no clips.
+
+    Returns
+    -------
+    labels : mapping
+        With these. Clips of the same name in several sequences are several clips.
+    numbered : tuple of str
+        The labels that are numbers of clips.
+
+    Examples
+    --------
+    >>> labels, numbered = with_clip_labels({}, np.arange(4), 2)
+    >>> labels["sequence"].tolist(), numbered
+    (['0', '0', '1', '1'], ('clip', 'sequence'))
+    """
+    numbered: tuple[str, ...] = ()
+    if "clip" not in labels:
+        if length is None:
+            return labels, ()
+        labels, numbered = {**labels, "clip": (rows // length).astype(np.str_)}, ("clip",)
+    if "sequence" not in labels:
+        return {"sequence": labels["clip"], **labels}, (*numbered, *("sequence",) * len(numbered))
+    clip, sequence = labels["clip"], labels["sequence"]
+    if len(np.unique(np.stack([clip, sequence]), axis=1).T) > len(np.unique(clip)):
+        joined = np.char.add(np.char.add(sequence, " / "), clip)
+        labels = {**labels, "clip": joined}
+    return labels, numbered
+
+
+def with_horizons(labels: Labels, order: Rows, rows: Rows, length: int | None, fps: float | None) -> Labels:
+    """Add the label ``horizon``, the time since the last observed pose, where there are clips and it is missing.
+
+    It is ``40 ms`` where the frames per second are known, and else the number of the frame in its clip, from 1.
+    """
+    if "clip" not in labels or "horizon" in labels or not len(order):
+        return labels
+    _, first, codes = np.unique(labels["clip"], return_index=True, return_inverse=True)
+    frame = order - order[first][codes] if length is None else rows % length
+    times, numbers = np.unique(frame + 1, return_inverse=True)
+    texts = [f"{round(1000 * time / fps)} ms" if fps else str(time) for time in times.tolist()]
+    if len({*texts}) < len(texts):
+        texts = [str(time) for time in times.tolist()]
+    return {**labels, "horizon": np.array(texts)[numbers]}
+
+
+def describe_clips(
+    labels: Labels,
+    numbered: tuple[str, ...],
+    length: int | None,
+    truth: StoredPoses,
+    rows: Rows,
+    columns: Rows,
+    n_coordinates: int,
+    factor: float,
+    problems: list[str | PosecalError],
+) -> Clips | None:
+    """Describe the clips that poses form by their label ``clip``; None where they form none.
+
+    Parameters
+    ----------
+    labels : mapping of arrays of str (M,)
+        Of the poses.
+    numbered : tuple of str
+        The labels that are numbers of clips.
+    length : int or None
+        T of the layout; by default the most poses that a clip has.
+    truth : StoredPoses
+        As stored, perhaps with a member ``observed``.
+    rows, columns : arrays of int (M,) and (K,)
+        The stored poses and joints.
+    n_coordinates : int
+        D.
+    factor : float
+        Millimetres in the unit of the truth.
+    problems : list
+        What does not fit is added.
+    """
+    if "clip" not in labels or not len(rows):
+        if truth.observed is not None and "clip" not in labels:
+            problems.append(f"{truth.name}: observed without clips; expected axes with a T, or a label clip.")
+        return None
+    names, first, counts = np.unique(labels["clip"], return_index=True, return_counts=True)
+    most = int(counts.max()) if length is None else length
+    if (observed := truth.observed) is None:
+        return Clips(most, numbered)
+    number, stored = np.argsort(np.argsort(rows[first])), len(names)
+    if length is not None:
+        number, stored = rows[first] // length, int(rows.max()) // length + 1
+    joints = int(columns.max()) + 1
+    if observed.ndim != 3 or len(observed) < stored or observed.shape[1] < joints or observed.shape[2] != n_coordinates:
+        problems.append(
+            f"{truth.name}: observed {observed.shape}; expected the last observed pose of each clip, (M, K, D) with "
+            f"M = {stored:,} clips, in the order of the truth's joints."
+        )
+        return None
+    poses = in_millimetres(observed[number][:, columns], factor).astype(np.float64)
+    if not np.isfinite(poses).all():
+        problems.append(f"{truth.name}: observed has non-finite coordinates; expected the pose before each clip.")
+    return Clips(most, numbered, dict(zip(names.tolist(), poses, strict=True)))
+
+
+def short_clip_remarks(clips: Clips | None, clip: Names | None) -> list[str]:
+    """Remark on clips of fewer than T poses."""
+    if clips is None or clip is None:
+        return []
+    names, counts = np.unique(clip, return_counts=True)
+    short = names[counts < clips.length].tolist()
+    if not short:
+        return []
+    first = Example(f"{first_few(short)}")
+    return [
+        Remark(
+            "clip: ",
+            Count(len(short), "clip", of=len(names)),
+            f" of fewer than T = {clips.length} frames (first: ",
+            first,
+            "): left out of ADE, FDE and all other metrics of whole clips.",
+        )
+    ]
+
+
+def continue_numbers(labels: Labels, clips: Clips | None, before: int) -> Labels:
+    """Let numbers of clips go on after those of the batches before."""
+    numbered = () if clips is None or not before else clips.numbered
+    return {**labels, **{name: (labels[name].astype(np.intp) + before).astype(np.str_) for name in numbered}}
