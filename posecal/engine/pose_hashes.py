@@ -10,9 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import FloatArray
+from posecal.data.pose_data import PoseData
 from posecal.data.remarks import Count, Remark
 from posecal.data.stored_poses import Labels
 from posecal.engine.cells import SPREAD
+from posecal.engine.sums import slices
 
 PoseHashes = npt.NDArray[np.uint64]
 
@@ -24,6 +26,9 @@ _MOST_PARTS = 1000
 _FEWEST_COORDINATES = 9
 """Poses of fewer, such as a joint's angle, may be equal by chance."""
 
+_OF_FRAMES = np.uint64(0x9E3779B97F4A7C15)
+"""An odd number that tells names of frames from labels."""
+
 
 def pose_hashes(truth: FloatArray, labels: Labels, frame_id: npt.NDArray[np.str_] | None) -> PoseHashes:
     """Hash the poses, (M, 2): truth and labels of each, and the name of its frame, 0 where it has none.
@@ -33,13 +38,29 @@ def pose_hashes(truth: FloatArray, labels: Labels, frame_id: npt.NDArray[np.str_
     hashes = np.zeros((len(truth), 2), dtype=np.uint64)
     if truth[0].size < _FEWEST_COORDINATES and frame_id is None:
         return hashes
-    hashes[:, 0] = _hash(truth.astype(np.float32) + np.float32(0))  # -0 as 0
+    hashes[:, 0] = _hash_of_truth(truth)
     for name, values in labels.items():
-        if not SPREAD.match(name):  # of the hypotheses
-            hashes[:, 0] += _hash(values) * np.uint64(2 * zlib.crc32(name.encode(errors="surrogatepass")) + 1)
+        hashes[:, 0] += _hash_of_label(name, values)
     if frame_id is not None:
         hashes[:, 1] = _hash(frame_id)
     return hashes
+
+
+def pose_keys(data: PoseData) -> npt.NDArray[np.uint64]:
+    """Give a number of each pose, (M,), by its truth, labels and the name of its frame, whatever it comes with."""
+    keys = np.zeros(len(data.truth), dtype=np.uint64)
+    for part in slices(len(keys), data.truth[:1].nbytes):
+        keys[part] = _hash_of_truth(data.truth[part])
+    for name, values in data.labels.items():
+        keys += _hash_of_label(name, values)
+    if data.has_frame_id:
+        keys += _hash(data.frame_id) * _OF_FRAMES
+    return keys
+
+
+def are_told_apart(data: PoseData) -> bool:
+    """Whether poses whose keys are equal are the same ones: not those of few coordinates, of frames without names."""
+    return data.has_frame_id or data.truth[0].size >= _FEWEST_COORDINATES
 
 
 def add_hashes(parts: list[PoseHashes], more: PoseHashes) -> None:
@@ -114,6 +135,16 @@ def _without_repeated(hashes: PoseHashes) -> PoseHashes:
     is_alone = np.ones(len(hashes), dtype=bool)
     is_alone[1:][equal] = is_alone[:-1][equal] = False
     return hashes[is_alone]
+
+
+def _hash_of_truth(truth: FloatArray) -> npt.NDArray[np.uint64]:
+    return _hash(truth.astype(np.float32) + np.float32(0))  # -0 as 0
+
+
+def _hash_of_label(name: str, values: npt.NDArray[np.str_]) -> npt.NDArray[np.uint64]:
+    if SPREAD.match(name):  # of the hypotheses
+        return np.zeros(len(values), dtype=np.uint64)
+    return _hash(values) * np.uint64(2 * zlib.crc32(name.encode(errors="surrogatepass")) + 1)
 
 
 def _hash(values: npt.NDArray[np.float32] | npt.NDArray[np.str_]) -> npt.NDArray[np.uint64]:
