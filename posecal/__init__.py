@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from posecal.engine.storage import load_totals, save_totals
     from posecal.engine.totals import Totals
     from posecal.errors import PosecalError, PoseDataError, PoseFileError
-    from posecal.evaluation import Evaluation, compare, evaluate
+    from posecal.evaluation import Evaluation, compare, evaluate, evaluate_shards
     from posecal.recalibration import fit_radius, fit_spread, judge_spread
     from posecal.registry import register, unregister
     from posecal.report.explain import explain
@@ -58,7 +58,7 @@ _MODULES = {
     "posecal.engine.storage": ("load_totals", "save_totals"),
     "posecal.engine.totals": ("Totals",),
     "posecal.errors": ("PoseDataError", "PoseFileError", "PosecalError"),
-    "posecal.evaluation": ("Evaluation", "compare", "evaluate"),
+    "posecal.evaluation": ("Evaluation", "compare", "evaluate", "evaluate_shards"),
     "posecal.recalibration": ("fit_radius", "fit_spread", "judge_spread"),
     "posecal.registry": ("register", "unregister"),
     "posecal.report.explain": ("explain",),
@@ -94,6 +94,7 @@ __all__ = [
     "convert",
     "ece",
     "evaluate",
+    "evaluate_shards",
     "explain",
     "fit_radius",
     "fit_spread",

@@ -290,6 +290,8 @@ class Matcher:
             (hypotheses, truth, true_ids, [name for name in true_ids if name not in row]),
             (truth, hypotheses, ids, [name for name in ids if name not in known]),
         ):
+            if self.declared.missing == "part" and poses is hypotheses:
+                continue  # other files have those
             lacks = f"{poses.name} lacks {len(lacking):,} of the {len(names):,} frames of {other.name}"
             if lacking and self.declared.missing == "skip":
                 self.remarks.append(f"{lacks}: skipped.")

@@ -31,7 +31,7 @@ from posecal.engine.ragged import lay_out, with_weights
 from posecal.engine.scope import DataSpec
 from posecal.engine.segments import Segments
 from posecal.engine.threads import run_in_order
-from posecal.engine.totals import Totals
+from posecal.engine.totals import RUNS, Totals
 from posecal.errors import PoseDataError, first_few, option
 
 Progress = Callable[[int], object]
@@ -88,6 +88,9 @@ class Accumulator:
         self._last: tuple[str, int] | None = None  # sequence and order of the last pose; None where it was dropped
         self._remarks = PoseRemarks()
         self._prepared_hashes = {} if prepared is None else {"coordinate range": prepared.hash}
+        self._first = 0 if prepared is None or prepared.first is None else prepared.first
+        if prepared is not None and prepared.first is not None:
+            self._prepared_hashes[RUNS] = prepared.hash
         self._failure = ""  # what stopped a batch when some of it was counted
 
     def add(
@@ -242,7 +245,7 @@ class Accumulator:
                     f"sequence: missing in these poses; expected one of {option('prepared')}, such as "
                     f"{next(iter(self._prepared.sequences))}."
                 )
-            return self._measured + self.n_pending + np.arange(len(data.truth))
+            return self._first + self._measured + self.n_pending + np.arange(len(data.truth))
         names, inverse = np.unique(data.labels["sequence"], return_inverse=True)
         lacking = [str(name) for name in names if str(name) not in self._prepared.sequences]
         if lacking:

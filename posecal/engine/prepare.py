@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -34,10 +34,32 @@ class Prepared:
         Of the true poses.
     sequences : dict
         The number of each sequence in it, by name; empty where each pose is its own.
+    n_poses : int
+        How many poses these are.
+    first : int or None
+        Of a part of them: the number of its first pose, from which runs of poses without sequences are counted.
+    cuts : mapping of arrays
+        The cuts of the predicted spread, mm, by entries of ``by``.
     """
 
     limits: CoordinateRange
     sequences: dict[str, int]
+    n_poses: int = 0
+    first: int | None = None
+    cuts: Mapping[str, FloatArray] = field(default_factory=dict)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Prepared]) -> Prepared:
+        """Put together what was found of parts of a test set, in their order."""
+        names: dict[str, int] = {}
+        limits, n_poses = [], 0
+        for part in parts:
+            numbers = n_poses + np.arange(part.n_poses)
+            if part.sequences:
+                numbers = np.array([names.setdefault(name, len(names)) for name in part.sequences])
+            limits.append(part.limits._replace(reached_by=numbers[part.limits.reached_by]))
+            n_poses += part.n_poses
+        return cls(CoordinateRange.joined(limits), names, n_poses)
 
     @property
     def hash(self) -> str:
@@ -64,11 +86,17 @@ def prepare(data: PoseData) -> Prepared:
     if "sequence" in data.labels:
         names, own = np.unique(data.labels["sequence"], return_inverse=True)
     limits = coordinate_range(data.truth, data.where, root=data.root, sequence=own)
-    return Prepared(limits, {str(name): number for number, name in enumerate(names)})
+    return Prepared(limits, {str(name): number for number, name in enumerate(names)}, len(own))
 
 
 def add_spread_labels(
-    data: PoseData, by: Sequence[str], spread: Callable[[Block], FloatArray], threads: int | None, *, is_all: bool
+    data: PoseData,
+    by: Sequence[str],
+    spread: Callable[[Block], FloatArray],
+    threads: int | None,
+    *,
+    is_all: bool,
+    cuts: Mapping[str, FloatArray] | None = None,
 ) -> PoseData:
     """Add the labels of entries of ``by`` that cut poses by their predicted spread.
 
@@ -84,6 +112,8 @@ def add_spread_labels(
         One per core by default.
     is_all : bool
         Whether these are all poses, so that parts of equal size can be cut.
+    cuts : mapping of arrays, optional
+        Cuts that are known, by entry.
 
     Returns
     -------
@@ -94,7 +124,8 @@ def add_spread_labels(
     if not entries:
         return data
     values = np.concatenate(list(map_blocks(data, spread, threads)))
-    parts = {label_name(e): spread_labels(spread_cuts(e, values if is_all else None), values) for e in entries}
+    known = {e: spread_cuts(e, values if is_all else None) for e in entries if e not in (cuts or {})} | dict(cuts or {})
+    parts = {label_name(e): spread_labels(known[e], values) for e in entries}
     return data.replace(labels={**data.labels, **parts})
 
 

@@ -3,5 +3,6 @@
 from posecal.evaluation.batches import Evaluation
 from posecal.evaluation.call import evaluate
 from posecal.evaluation.models import compare
+from posecal.evaluation.shards import evaluate_shards
 
-__all__ = ["Evaluation", "compare", "evaluate"]
+__all__ = ["Evaluation", "compare", "evaluate", "evaluate_shards"]

@@ -207,6 +207,7 @@ class Evaluation:
         hold_back: bool = False,
         complete: bool = False,
         n_given: int | None = None,
+        has_mask: bool | None = None,
     ) -> None:
         """Add pose data.
 
@@ -223,6 +224,8 @@ class Evaluation:
             Whether these are all poses: what depends on the whole set is then found first.
         n_given : int, optional
             How many poses came, those among them that were dropped; as many by default.
+        has_mask : bool, optional
+            Of poses that :func:`posecal.engine.prepare.select_scored` gave: whether the user's mask leaves joints out.
 
         Raises
         ------
@@ -231,10 +234,11 @@ class Evaluation:
         """
         check_callable("progress", progress)
         n_given = len(checked_type(data, "data", PoseData).truth) if n_given is None else n_given
-        has_mask = data.where is not None
+        is_selected = has_mask is not None
+        has_mask = data.where is not None if has_mask is None else has_mask
         data = data if wants_reference(self.protocol) else data.replace(reference=None)
         data, place = (data, self._place) if complete else continued(data, n_given, self._place)
-        data = select_scored(data, self.protocol)
+        data = data if is_selected else select_scored(data, self.protocol)
         lack = lack_of_scored(data, self.protocol)
         if lack and complete:
             raise PoseDataError(lack)
@@ -262,7 +266,8 @@ class Evaluation:
         if not complete and not ragged:  # all poses are checked as they are measured
             refuse_non_finite_hypotheses(data)
         remark = live_remark(data) if ragged else ""
-        data = add_spread_labels(data, self.by, predicted_spread, self._threads, is_all=complete)
+        cuts = None if self._prepared is None else self._prepared.cuts
+        data = add_spread_labels(data, self.by, predicted_spread, self._threads, is_all=complete, cuts=cuts)
         if self._accumulator is None:
             options = self.by, self._preranks, self._prepared, self._threads
             accumulator = start_accumulator(spec, self.protocol, data, *options, complete=complete)

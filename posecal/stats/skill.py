@@ -119,6 +119,12 @@ class ClimatologySample:
         hypotheses: FloatArray = self.pool.truth[donors]
         return hypotheses
 
+    @classmethod
+    def joined(cls, samples: Sequence[ClimatologySample]) -> ClimatologySample:
+        """Put samples of one pool after one another."""
+        members = {name: np.concatenate([getattr(s, name) for s in samples]) for name in ("keys", "first", "own")}
+        return replace(samples[0], **members)
+
     def select(self, poses: Rows) -> ClimatologySample:
         """Keep some poses, by their numbers."""
         return replace(self, keys=self.keys[poses], first=self.first[poses], own=self.own[poses])
@@ -160,8 +166,8 @@ def climatology(
 
     Notes
     -----
-    Of more than 16,384 complete poses so many are sampled, chosen at random. Choice and draws depend on the poses, their
-    labels and the names of their frames, and not on the files or the order in which these come.
+    Of more than 16,384 complete poses so many are sampled, chosen at random. Choice and draws depend on the poses,
+    their labels and the names of their frames, not on the files or the order in which these come.
     """
     checked_type(pairs, "pairs", PoseData)
     n = pairs.shape[0] if n_hypotheses is None else checked_integer(n_hypotheses, "n_hypotheses", 1)

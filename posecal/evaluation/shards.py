@@ -1,0 +1,355 @@
+"""Evaluation of many files as one test set, by any executor of the ``concurrent.futures`` protocol."""
+
+from __future__ import annotations
+
+import builtins
+import os
+import pickle
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any, Literal, TypeVar
+
+import numpy as np
+
+from posecal.calibration.rank_tests import PreRank
+from posecal.data.arrays import checked_choice
+from posecal.data.layout import HYPOTHESES
+from posecal.data.pose_data import PoseData
+from posecal.data.remarks import Count, Remark, join_remarks
+from posecal.data.remote import name_of
+from posecal.engine.cells import SPREAD, label_name, spread_cuts
+from posecal.engine.merge import in_order_of_sequences, merge_tree
+from posecal.engine.prepare import Prepared
+from posecal.engine.protocol import Protocol
+from posecal.engine.scope import DataSpec
+from posecal.engine.totals import Totals
+from posecal.errors import PosecalError, PoseDataError, option, raise_all
+from posecal.evaluation.batches import Evaluation
+from posecal.evaluation.kept import KeptResults
+from posecal.evaluation.options import check_callable
+from posecal.evaluation.shard_order import shared_sequences, tasks_of
+from posecal.evaluation.shard_passes import (
+    Attempt,
+    Failure,
+    Frames,
+    Method,
+    Shard,
+    Summary,
+    Task,
+    accumulate,
+    find_frames,
+    find_spreads,
+    summarize,
+)
+from posecal.evaluation.shard_summaries import (
+    common_spec,
+    kept_poses,
+    plain,
+    refuse_duplicates,
+    refuse_left_out,
+    splits_sequences,
+)
+from posecal.evaluation.sources import Progress, Source, check_descriptions
+from posecal.registry import registered_metrics, statistics_of, wants_reference
+from posecal.report.report import Report
+from posecal.stats.skill import ClimatologyPool
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
+Pair = PoseData | tuple[Source | PoseData, Source]
+
+_ARRAYS = ("where", "labels", "occluded", "scores", "log_prob", "weights", "frame_id", "truth_frame_id")
+"""Options that are of the poses of one shard."""
+
+
+def evaluate_shards(
+    pairs: Sequence[Pair],
+    /,
+    *,
+    map: Map = builtins.map,  # noqa: A002 (as executors call it)
+    by: Sequence[str] | str = (),
+    metrics: str | Sequence[str] | None = None,
+    reference: Literal["climatology"] | Sequence[Source | PoseData] | None = None,
+    preranks: Mapping[str, PreRank] | None = None,
+    protocol: Protocol | str | None = None,
+    threads: int | None = None,
+    duplicates: Literal["error", "drop"] = "error",
+    keep: str | os.PathLike[str] | None = None,
+    progress: Callable[[str, int], Progress | None] | None = None,
+    **described: Any,
+) -> Report:
+    """Evaluate many files as one test set, with the numbers of one run over all their poses.
+
+    Parameters
+    ----------
+    pairs : sequence of (hypotheses, truth), or of PoseData
+        The shards, in order. One file of truth may stand in several pairs: frames are then joined by ``frame_id``.
+    map : callable
+        Applies a function to every shard, in order: ``executor.map`` of any executor of ``concurrent.futures``. In this
+        process by default.
+    by, metrics, preranks, protocol
+        As for :func:`evaluate`.
+    reference : str or sequence, optional
+        ``climatology``, or hypotheses of another model for each shard.
+    threads : int, optional
+        Of each process; by default 1 with an executor, else one per core.
+    duplicates : str
+        ``error``, or ``drop`` to count poses that several shards hold once. Poses are the same where truth, labels and
+        ``frame_id`` are.
+    keep : path, optional
+        A folder for the results of single shards. The same call finds those that are done there, by where their files
+        lie, their size and time of change, and by the options, and goes on with the others.
+    progress : callable, optional
+        From the name of a pass and how many shards it has, to what is called with the number of those that are done.
+    **described
+        Options that describe the data, as for :func:`evaluate` (``unit=``, ``joints=``, ``axes=``, …), but for arrays
+        of single poses, which belong into ``PoseData``.
+
+    Returns
+    -------
+    Report
+        The numbers.
+
+    Raises
+    ------
+    PoseDataError
+        For shards that can't be evaluated, by name, after all were tried; for shards that are described otherwise than
+        the first, and poses that several hold.
+
+    Notes
+    -----
+    The true poses are read twice: what depends on the whole set is found first (coordinate range, what climatology
+    samples, runs of poses without sequences, poses that several shards hold). Hypotheses are read once; twice where
+    ``by`` cuts the predicted spread into equal parts. Where metrics are of consecutive frames, a sequence that lies in
+    several shards is evaluated in one task, in the order of its frame numbers.
+
+    See Also
+    --------
+    merge_totals : Results that were made apart.
+
+    Examples
+    --------
+    >>> random = np.random.default_rng(0)
+    >>> truth = random.normal(0, 300, (64, 5, 3))
+    >>> hypotheses = truth[:, None] + random.normal(0, 50, (64, 20, 5, 3))
+    >>> halves = [(hypotheses[part], truth[part]) for part in (slice(0, 32), slice(32, 64))]
+    >>> evaluate_shards(halves, axes="MNKD", unit="mm", threads=1)
+    <posecal Report: N=20, M=64, K=5, 64 frames: minMPJPE ..., ECE ..., signed area ...>
+    """
+    checked_choice(duplicates, "duplicates", ("error", "drop"))
+    check_callable("map", map)
+    check_callable("progress", progress)
+    check_descriptions(described)
+    raise_all(f"{n}: an array of poses; expected it in PoseData of each shard." for n in _ARRAYS if n in described)
+    evaluation = Evaluation(by=by, metrics=metrics, preranks=preranks, protocol=protocol)  # checks them
+    wants = reference is not None and wants_reference(evaluation.protocol)
+    method = Method(
+        evaluation.protocol,
+        evaluation.by,
+        {} if preranks is None else dict(preranks),
+        1 if threads is None and map is not builtins.map else threads,
+        tuple(filter(_is_picklable, registered_metrics())),
+    )
+    is_pooled = isinstance(reference, str) and wants
+    shards = _shards(pairs, reference if wants and not is_pooled else None, described)
+    passes = _Passes(map, progress, keep)
+    summaries = _summaries(passes, shards, method, is_pooled)
+    remarks: list[str] = []
+    kept = kept_poses([summary.keys for summary in summaries])
+    if kept:
+        if duplicates == "error":
+            refuse_duplicates(shards, summaries, kept)
+        again = [replace(shards[n], kept=rows) for n, rows in kept.items()]
+        number = sum(summaries[n].n_poses - len(rows) for n, rows in kept.items())
+        remarks.append(Remark(Count(number, "pose"), " came in several shards; each is counted once."))
+        for n, shard in zip(kept, again, strict=True):
+            shards[n] = shard
+        found = passes.run("summing up", partial(summarize, method=method, is_pooled=is_pooled), again)
+        for n, summary in zip(kept, found, strict=True):
+            summaries[n] = summary
+    if not any(summary.n_scored for summary in summaries):
+        raise PoseDataError(summaries[0].lack)
+    spec = common_spec(shards, summaries)
+    method = _with_findings(passes, shards, summaries, method, spec, is_pooled)
+    statistics = statistics_of(method.protocol, spec, method.by, method.preranks, registered_metrics())
+    frames: dict[int, Frames] = {}
+    shared = shared_sequences(summaries)
+    if shared and any(statistic.earlier or statistic.by_segment for statistic in statistics):
+        holders = [n for n, summary in enumerate(summaries) if shared.intersection(summary.sequences)]
+        find = partial(find_frames, method=replace(method, pool=None), sequences=shared)
+        frames = dict(zip(holders, passes.run("ordering frames", find, [shards[n] for n in holders]), strict=True))
+    has_segments = any(statistic.by_segment for statistic in statistics)
+    tasks, of_order = tasks_of(shards, summaries, frames, has_segments=has_segments)
+    total = merge_tree(passes.results(tasks, method))
+    sequences = dict.fromkeys(name for summary in summaries for name in summary.sequences)
+    total = in_order_of_sequences(total, list(sequences))
+    total.n_frames = sum(summary.n_poses for summary in summaries)
+    total.remarks = join_remarks([*remarks, *of_order, *total.remarks], total.n_frames)
+    return Report(total, method.by)
+
+
+class _Passes:
+    """Passes over all shards, by a map of the user's, whose failures are raised at the end of each."""
+
+    def __init__(
+        self,
+        map: Map,  # noqa: A002
+        progress: Callable[[str, int], Progress | None] | None,
+        keep: str | os.PathLike[str] | None,
+    ) -> None:
+        self._map, self._progress, self._keep = map, progress, keep
+
+    def attempts(self, what: str, function: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Any]:
+        """Give the result of each item, or why it failed, in their order."""
+        step = None if self._progress is None else self._progress(what, len(items))
+        try:
+            for done, result in enumerate(self._map(Attempt(function), items), 1):
+                yield result
+                if step is not None:
+                    step(done)
+        except PosecalError:
+            raise
+        except Exception as error:  # of the executor, whatever it is
+            kept = f" Results so far are in {self._keep}." if self._keep is not None else ""
+            raise PoseDataError(
+                f"map: the executor failed while {what} ({type(error).__name__}: {error}); expected a result or an "
+                f"error for each shard. Was a process killed, or is there a function that can't be pickled?{kept}"
+            ) from error
+
+    def run(self, what: str, function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
+        """Give the results of all items.
+
+        Raises
+        ------
+        PoseDataError
+            With the names of those that failed.
+        """
+        found = list(self.attempts(what, function, items))
+        self.refuse([result for result in found if isinstance(result, Failure)], len(items))
+        return found
+
+    def results(self, tasks: Sequence[Task], method: Method) -> Iterator[Totals]:
+        """Evaluate the tasks whose results are not kept, and give the results of all, in their order."""
+        kept = KeptResults(self._keep, method)
+        is_done = [kept.load(task) is not None for task in tasks]
+        rest = [task for task, done in zip(tasks, is_done, strict=True) if not done]
+        results = self.attempts("evaluating", partial(accumulate, method=method), rest)
+        failures = []
+        for task, done in zip(tasks, is_done, strict=True):
+            found = kept.load(task) if done else next(results)
+            if isinstance(found, Failure):
+                failures.append(found)
+            elif found is not None:
+                if not done:
+                    kept.save(task, found)
+                yield found
+        for _ in results:
+            pass  # lets the map come to its end
+        self.refuse(failures, len(tasks))
+
+    def refuse(self, failures: Sequence[Failure], number: int) -> None:
+        """Refuse shards that failed, by name, and say what is kept of the others."""
+        if not failures:
+            return
+        others = f"{number - len(failures):,} of {number:,} shards are done"
+        advice = (
+            f"; {option('keep')} with a folder keeps their results." if self._keep is None else f", in {self._keep}."
+        )
+        messages = [f"{f.name}: {f.message.removeprefix(f'{f.name}: ')}" for f in failures]
+        raise_all([*messages, f"{others}{advice} The same call goes on from there."])
+
+
+def _shards(
+    pairs: Sequence[Pair], reference: str | Sequence[Source | PoseData] | None, described: Mapping[str, Any]
+) -> list[Shard]:
+    """Name the shards.
+
+    Raises
+    ------
+    PoseDataError
+        For what are no pairs, and other than one reference each.
+    """
+    if isinstance(pairs, str | PoseData) or not hasattr(pairs, "__len__") or not len(pairs):
+        raise PoseDataError("pairs: expected at least one pair of hypotheses and truth, or PoseData.")
+    if reference is not None and (isinstance(reference, str) or len(reference) != len(pairs)):
+        raise PoseDataError(f"reference: expected climatology, or hypotheses for each of {len(pairs):,} shards.")
+    shards = []
+    for number, pair in enumerate(pairs):
+        if isinstance(pair, PoseData):
+            hypotheses, truth = pair, None
+        elif isinstance(pair, tuple | list) and len(pair) == 2:
+            hypotheses, truth = pair
+        else:
+            raise PoseDataError(f"pairs: number {number + 1} is of type {type(pair).__name__}; expected a pair.")
+        is_file = isinstance(hypotheses, str | os.PathLike)
+        name = name_of(hypotheses) if is_file else f"shard {number + 1}"
+        other = None if reference is None else reference[number]
+        shards.append(Shard(name, hypotheses, truth, other, {} if truth is None else dict(described)))
+    truths = [shard.truth for shard in shards]
+    is_one = len(shards) > 1 and isinstance(truths[0], str | os.PathLike) and all(t == truths[0] for t in truths)
+    if is_one and described.get("missing", "error") == "error":
+        shards = [replace(shard, described={**shard.described, "missing": "part"}) for shard in shards]
+    names = [shard.name for shard in shards]
+    if len({*names}) < len(names):
+        shards = [
+            replace(s, name=os.fspath(s.hypotheses)) if isinstance(s.hypotheses, str | os.PathLike) else s
+            for s in shards
+        ]
+    return shards
+
+
+def _summaries(passes: _Passes, shards: list[Shard], method: Method, is_pooled: bool) -> list[Summary]:
+    """Find what the whole set depends on; shards whose shapes fit several layouts are of the others' layout."""
+    function = partial(summarize, method=method, is_pooled=is_pooled)
+    found = list(passes.attempts("summing up", function, shards))
+    failed = [n for n, result in enumerate(found) if isinstance(result, Failure)]
+    read = [result for result in found if isinstance(result, Summary)]
+    if failed and read and "axes" not in shards[0].described:
+        other = [replace(shards[n], described={**shards[n].described, "axes": HYPOTHESES}) for n in failed]
+        for n, shard, result in zip(failed, other, passes.attempts("summing up", function, other), strict=True):
+            if isinstance(result, Summary) and plain(result.spec) == plain(read[0].spec):
+                found[n], shards[n] = result, shard
+    passes.refuse([result for result in found if isinstance(result, Failure)], len(shards))
+    first = np.cumsum([0, *(summary.n_stored for summary in found)])
+    shards[:] = [replace(shard, first=int(start)) for shard, start in zip(shards, first, strict=False)]
+    refuse_left_out(shards, found)
+    return found
+
+
+def _with_findings(
+    passes: _Passes,
+    shards: Sequence[Shard],
+    summaries: Sequence[Summary],
+    method: Method,
+    spec: DataSpec,
+    is_pooled: bool,
+) -> Method:
+    """Put together what was found of all shards, and find the cuts of the predicted spread."""
+    wanted = {*(label_name(entry) for entry in method.by), method.protocol.average, method.protocol.frames, "sequence"}
+    every = {label for summary in summaries for label in summary.spec.labels}
+    unwanted = (name for name in every - wanted if name not in spec.labels or splits_sequences(name, summaries))
+    pools = [summary.pool for summary in summaries if summary.pool is not None]
+    method = replace(
+        method,
+        dropped=frozenset(unwanted),
+        has_mask=spec.has_mask,
+        pool=ClimatologyPool.joined(pools) if is_pooled else None,
+    )
+    entries = [entry for entry in method.by if SPREAD.match(entry) and label_name(entry) not in every]
+    values = None
+    if any("=" not in entry for entry in entries):
+        find = partial(find_spreads, method=replace(method, pool=None))
+        values = np.concatenate(passes.run("cutting the predicted spread", find, shards))
+    prepared = Prepared.joined([summary.prepared for summary in summaries if summary.prepared is not None])
+    return replace(method, prepared=replace(prepared, cuts={entry: spread_cuts(entry, values) for entry in entries}))
+
+
+def _is_picklable(metric: object) -> bool:
+    """Whether a metric can be sent to another process; others know only those that they register themselves."""
+    try:
+        pickle.dumps(metric)
+    except Exception:  # noqa: BLE001 (whatever pickling a user's function raises)
+        return False
+    return True
