@@ -58,8 +58,7 @@ class Evaluation:
     by, metrics, preranks, protocol, threads, draws, seed
         As for :func:`evaluate`. Where hypotheses are drawn, give each evaluation that will be merged another ``seed``.
     prepared : Prepared, optional
-        What depends on the whole set, where a metric needs it (``tarp_box``): :func:`posecal.prepare` of pose data with
-        the true poses of all batches.
+        What depends on the whole set, for ``tarp_box``: :func:`posecal.prepare` of the true poses of all batches.
 
     Raises
     ------
@@ -218,14 +217,13 @@ class Evaluation:
         progress : callable, optional
             Called with the number of poses that are done.
         hold_back : bool
-            Whether these poses stay in memory until the next ones come, so that they can still be dropped by their
-            ``frame_id``.
+            Whether these poses stay in memory until the next ones come, and can be dropped by their ``frame_id``.
         complete : bool
             Whether these are all poses: what depends on the whole set is then found first.
         n_given : int, optional
             How many poses came, those among them that were dropped; as many by default.
         has_mask : bool, optional
-            Of poses that :func:`posecal.engine.prepare.select_scored` gave: whether the user's mask leaves joints out.
+            Of poses that :func:`posecal.engine.prepare.select_scored` gave: whether the user masks joints.
 
         Raises
         ------
@@ -234,11 +232,10 @@ class Evaluation:
         """
         check_callable("progress", progress)
         n_given = len(checked_type(data, "data", PoseData).truth) if n_given is None else n_given
-        is_selected = has_mask is not None
-        has_mask = data.where is not None if has_mask is None else has_mask
         data = data if wants_reference(self.protocol) else data.replace(reference=None)
         data, place = (data, self._place) if complete else continued(data, n_given, self._place)
-        data = data if is_selected else select_scored(data, self.protocol)
+        if has_mask is None:
+            has_mask, data = data.where is not None, select_scored(data, self.protocol)
         lack = lack_of_scored(data, self.protocol)
         if lack and complete:
             raise PoseDataError(lack)
@@ -265,9 +262,9 @@ class Evaluation:
         spec = DataSpec.of(data, has_mask=has_mask, preranks=tuple(self._preranks), is_ragged=ragged)
         if not complete and not ragged:  # all poses are checked as they are measured
             refuse_non_finite_hypotheses(data)
-        remark = live_remark(data) if ragged else ""
-        cuts = None if self._prepared is None else self._prepared.cuts
-        data = add_spread_labels(data, self.by, predicted_spread, self._threads, is_all=complete, cuts=cuts)
+        data = add_spread_labels(
+            data, self.by, predicted_spread, self._threads, is_all=complete, cuts=self._prepared and self._prepared.cuts
+        )
         if self._accumulator is None:
             options = self.by, self._preranks, self._prepared, self._threads
             accumulator = start_accumulator(spec, self.protocol, data, *options, complete=complete)
@@ -280,7 +277,7 @@ class Evaluation:
             names = data.frame_id.tolist()
             self._held = [*self._held, *names][-accumulator.n_pending :]
             self._frames |= dict.fromkeys(names)
-        return remark
+        return live_remark(data) if ragged else ""
 
     def totals(self) -> Totals:
         """Give the sums of all batches.

@@ -68,11 +68,16 @@ class KeptResults:
         name = "".join(letter if letter.isalnum() else "-" for letter in task.name)[:40]
         return self.folder / f"{name}-{hashlib.sha256(text.encode()).hexdigest()[:32]}.npz"
 
+    def holds(self, task: Task) -> bool:
+        """Whether there is a result of a task."""
+        path = self.path(task)
+        return path is not None and path.exists()
+
     def load(self, task: Task) -> Totals | None:
         """Read the result of a task, where there is one that can be read."""
         path = self.path(task)
         try:
-            return load_totals(path) if path is not None and path.exists() else None
+            return None if path is None else load_totals(path)
         except PoseFileError:
             return None
 

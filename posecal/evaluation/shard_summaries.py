@@ -12,8 +12,22 @@ from posecal.data.read import read_poses
 from posecal.data.stored_poses import Rows
 from posecal.engine.scope import DataSpec
 from posecal.errors import PoseDataError, first_few, option, raise_all
-from posecal.evaluation.shard_passes import Shard, Summary
+from posecal.evaluation.shard_passes import Failure, Shard, Summary
 from posecal.stats.skill import Keys
+
+
+def refuse_failures(failures: Sequence[Failure], more: str = "") -> None:
+    """Refuse shards that failed, by name; with a sentence at the end.
+
+    Raises
+    ------
+    PoseDataError
+        Where there are any.
+    """
+    messages = [f.message if f.message.startswith(f.name) else f"{f.name}: {f.message}" for f in failures]
+    if messages:
+        messages[-1] = f"{messages[-1]} {more}".rstrip()
+    raise_all(messages)
 
 
 def refuse_left_out(shards: Sequence[Shard], summaries: Sequence[Summary]) -> None:

@@ -47,6 +47,7 @@ from posecal.evaluation.shard_summaries import (
     kept_poses,
     plain,
     refuse_duplicates,
+    refuse_failures,
     refuse_left_out,
     splits_sequences,
 )
@@ -161,14 +162,14 @@ def evaluate_shards(
     if kept:
         if duplicates == "error":
             refuse_duplicates(shards, summaries, kept)
-        again = [replace(shards[n], kept=rows) for n, rows in kept.items()]
+        again = [replace(shards[n], kept=rows) for n, rows in kept.items() if len(rows)]
         number = sum(summaries[n].n_poses - len(rows) for n, rows in kept.items())
         remarks.append(Remark(Count(number, "pose"), " came in several shards; each is counted once."))
-        for n, shard in zip(kept, again, strict=True):
-            shards[n] = shard
         found = passes.run("summing up", partial(summarize, method=method, is_pooled=is_pooled), again)
-        for n, summary in zip(kept, found, strict=True):
-            summaries[n] = summary
+        new = dict(zip([n for n, rows in kept.items() if len(rows)], zip(again, found, strict=True), strict=True))
+        left = [n for n in range(len(shards)) if n not in kept or n in new]  # one without poses of its own is none
+        shards = [new[n][0] if n in new else shards[n] for n in left]
+        summaries = [new[n][1] if n in new else summaries[n] for n in left]
     if not any(summary.n_scored for summary in summaries):
         raise PoseDataError(summaries[0].lack)
     spec = common_spec(shards, summaries)
@@ -227,18 +228,21 @@ class _Passes:
             With the names of those that failed.
         """
         found = list(self.attempts(what, function, items))
-        self.refuse([result for result in found if isinstance(result, Failure)], len(items))
+        refuse_failures([result for result in found if isinstance(result, Failure)])
         return found
 
     def results(self, tasks: Sequence[Task], method: Method) -> Iterator[Totals]:
         """Evaluate the tasks whose results are not kept, and give the results of all, in their order."""
         kept = KeptResults(self._keep, method)
-        is_done = [kept.load(task) is not None for task in tasks]
+        is_done = [kept.holds(task) for task in tasks]
         rest = [task for task, done in zip(tasks, is_done, strict=True) if not done]
-        results = self.attempts("evaluating", partial(accumulate, method=method), rest)
+        evaluate = Attempt(partial(accumulate, method=method))
+        results = self.attempts("evaluating", evaluate.function, rest)
         failures = []
         for task, done in zip(tasks, is_done, strict=True):
             found = kept.load(task) if done else next(results)
+            if done and found is None:  # it can't be read
+                done, found = False, evaluate(task)
             if isinstance(found, Failure):
                 failures.append(found)
             elif found is not None:
@@ -247,18 +251,11 @@ class _Passes:
                 yield found
         for _ in results:
             pass  # lets the map come to its end
-        self.refuse(failures, len(tasks))
-
-    def refuse(self, failures: Sequence[Failure], number: int) -> None:
-        """Refuse shards that failed, by name, and say what is kept of the others."""
-        if not failures:
-            return
-        others = f"{number - len(failures):,} of {number:,} shards are done"
-        advice = (
-            f"; {option('keep')} with a folder keeps their results." if self._keep is None else f", in {self._keep}."
-        )
-        messages = [f"{f.name}: {f.message.removeprefix(f'{f.name}: ')}" for f in failures]
-        raise_all([*messages, f"{others}{advice} The same call goes on from there."])
+        share = f"{len(tasks) - len(failures):,} of {len(tasks):,} shards are done"
+        advice = f"; {option('keep')} with a folder keeps their results"
+        if self._keep is not None:
+            advice = f", in {self._keep}: the same call goes on from there"
+        refuse_failures(failures, f"{share}{advice}.")
 
 
 def _shards(
@@ -277,14 +274,11 @@ def _shards(
         raise PoseDataError(f"reference: expected climatology, or hypotheses for each of {len(pairs):,} shards.")
     shards = []
     for number, pair in enumerate(pairs):
-        if isinstance(pair, PoseData):
-            hypotheses, truth = pair, None
-        elif isinstance(pair, tuple | list) and len(pair) == 2:
-            hypotheses, truth = pair
-        else:
+        two: Sequence[Any] = (pair, None) if isinstance(pair, PoseData) else pair
+        if not isinstance(two, tuple | list) or len(two) != 2:
             raise PoseDataError(f"pairs: number {number + 1} is of type {type(pair).__name__}; expected a pair.")
-        is_file = isinstance(hypotheses, str | os.PathLike)
-        name = name_of(hypotheses) if is_file else f"shard {number + 1}"
+        hypotheses, truth = two
+        name = name_of(hypotheses) if isinstance(hypotheses, str | os.PathLike) else f"shard {number + 1}"
         other = None if reference is None else reference[number]
         shards.append(Shard(name, hypotheses, truth, other, {} if truth is None else dict(described)))
     truths = [shard.truth for shard in shards]
@@ -311,7 +305,7 @@ def _summaries(passes: _Passes, shards: list[Shard], method: Method, is_pooled: 
         for n, shard, result in zip(failed, other, passes.attempts("summing up", function, other), strict=True):
             if isinstance(result, Summary) and plain(result.spec) == plain(read[0].spec):
                 found[n], shards[n] = result, shard
-    passes.refuse([result for result in found if isinstance(result, Failure)], len(shards))
+    refuse_failures([result for result in found if isinstance(result, Failure)])
     first = np.cumsum([0, *(summary.n_stored for summary in found)])
     shards[:] = [replace(shard, first=int(start)) for shard, start in zip(shards, first, strict=False)]
     refuse_left_out(shards, found)

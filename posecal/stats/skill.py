@@ -122,7 +122,9 @@ class ClimatologySample:
     @classmethod
     def joined(cls, samples: Sequence[ClimatologySample]) -> ClimatologySample:
         """Put samples of one pool after one another."""
-        members = {name: np.concatenate([getattr(s, name) for s in samples]) for name in ("keys", "first", "own")}
+        members: dict[str, Any] = {
+            name: np.concatenate([getattr(s, name) for s in samples]) for name in ("keys", "first", "own")
+        }
         return replace(samples[0], **members)
 
     def select(self, poses: Rows) -> ClimatologySample:
@@ -182,7 +184,7 @@ def climatology(
             f"{pairs.names[1]}: {what}; climatology samples complete poses of other sequences. Give another file of "
             f"hypotheses as the {option('reference')}."
         )
-    sample = ClimatologySample(pool, keys ^ np.random.PCG64(seed).random_raw(), first, own, n)
+    sample = ClimatologySample(pool, keys ^ np.uint64(np.random.PCG64(seed).random_raw()), first, own, n)
     own_members: dict[str, Any] = {"scores": None, "weights": None, "log_prob": None, "dimensions": 0}  # of the model
     return pairs.replace(hypotheses=sample, **own_members, names=("climatology", pairs.names[1]), remarks=())
 
