@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import glob
 import os
+import re
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -49,7 +50,7 @@ def local_copy(address: str) -> Iterator[Path]:
 def files_of_pattern(pattern: str) -> list[str]:
     """Give the paths or addresses that a pattern with stars stands for, in the order of their names."""
     if not is_address(pattern):
-        return sorted(glob.glob(pattern, recursive=True))
+        return sorted(glob.glob(re.sub(r"([?[])", r"[\1]", pattern), recursive=True))
     files, place = _files_of(pattern)
     return sorted(files.unstrip_protocol(path) for path in files.glob(place))
 

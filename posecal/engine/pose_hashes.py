@@ -74,6 +74,8 @@ def smallest_hashes(parts: Sequence[PoseHashes]) -> PoseHashes:
     """Put hashes other than 0 together, in ascending order; of more than :data:`MOST_HASHES` the smallest."""
     hashes = np.concatenate([np.zeros((0, 2), dtype=np.uint64), *parts])
     hashes = hashes[hashes.any(axis=1)]
+    if len(hashes) > MOST_HASHES:  # most of many need not be sorted
+        hashes = hashes[hashes[:, 0] <= np.partition(hashes[:, 0], MOST_HASHES)[MOST_HASHES]]
     return hashes[np.lexsort(hashes.T[::-1])][:MOST_HASHES]
 
 
@@ -119,6 +121,8 @@ def shared_poses(parts: Sequence[PoseHashes]) -> tuple[int, int, int]:
     """
     alone = [_without_repeated(part) for part in parts]
     hashes, part = np.concatenate(alone), np.repeat(np.arange(len(alone)), [len(some) for some in alone])
+    if np.unique(hashes[:, 0]).size == len(hashes):
+        return 0, 0, 0
     order = np.lexsort((part, hashes[:, 1], hashes[:, 0]))
     hashes, part = hashes[order], part[order]
     (pose, frame), (next_pose, next_frame) = hashes[:-1].T, hashes[1:].T

@@ -47,7 +47,7 @@ class KeptResults:
             method.protocol.options,
             method.by,
             sorted(method.preranks),
-            [metric.description for metric in method.own_metrics],
+            [[metric["name"], metric["definition"]] for metric in method.own_metrics],
             sorted(method.dropped),
             method.has_mask,
             None if pool is None else pool.hash,

@@ -60,16 +60,21 @@ def _files(pattern: str) -> dict[Star, str]:
     files = files_of_pattern(pattern)
     if not files:
         raise PoseDataError(f"{pattern}: no file; expected some of names like it.")
-    parts = re.split(r"(\*+)", pattern.rpartition("://")[2])
+    parts = re.split(r"(\*+)", _place(pattern))
     words = re.compile(
         "".join(r"([^/\\]*)" if part == "*" else "(.*)" if "*" in part else re.escape(part) for part in parts)
     )
     found: dict[Star, str] = {}
     for file in files:
-        match = words.fullmatch(file.rpartition("://")[2])
+        match = words.fullmatch(_place(file))
         if match is not None:
             found[match.groups()] = file
     return found
+
+
+def _place(address: str) -> str:
+    """Leave out the protocol, and slashes that some have twice."""
+    return address.rpartition("://")[2].lstrip("/")
 
 
 def _stars(pattern: str) -> Sequence[str]:

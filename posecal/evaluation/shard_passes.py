@@ -86,8 +86,8 @@ class Method:
     ----------
     protocol, by, preranks, threads
         As for :func:`posecal.evaluate`.
-    own_metrics : tuple of Metric
-        The user's metrics, which other processes register.
+    own_metrics : tuple of mappings
+        The parts of the user's metrics, which other processes register; pickled as they are, they lose their functions.
     dropped : frozenset of str
         Labels that split a sequence of the whole set, which nobody asked for.
     has_mask : bool
@@ -102,7 +102,7 @@ class Method:
     by: tuple[str, ...] = ()
     preranks: Mapping[str, PreRank] = field(default_factory=dict)
     threads: int | None = None
-    own_metrics: tuple[Metric, ...] = ()
+    own_metrics: tuple[Mapping[str, Any], ...] = ()
     dropped: frozenset[str] = frozenset()
     has_mask: bool = False
     prepared: Prepared | None = None
@@ -121,9 +121,9 @@ class Method:
     def register(self) -> None:
         """Register the user's metrics where they are not known yet."""
         known = {metric.name for metric in registered_metrics()}
-        for metric in self.own_metrics:
-            if metric.name not in known:
-                register(metric)
+        for parts in self.own_metrics:
+            if parts["name"] not in known:
+                register(Metric(**parts))
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,8 @@ import builtins
 import os
 import pickle
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from contextlib import suppress
+from dataclasses import fields, replace
 from functools import partial
 from typing import Any, Literal, TypeVar
 
@@ -151,7 +152,7 @@ def evaluate_shards(
         evaluation.by,
         {} if preranks is None else dict(preranks),
         1 if threads is None and map is not builtins.map else threads,
-        tuple(filter(_is_picklable, registered_metrics())),
+        _sendable_metrics(),
     )
     is_pooled = isinstance(reference, str) and wants
     shards = _shards(pairs, reference if wants and not is_pooled else None, described)
@@ -340,10 +341,11 @@ def _with_findings(
     return replace(method, prepared=replace(prepared, cuts={entry: spread_cuts(entry, values) for entry in entries}))
 
 
-def _is_picklable(metric: object) -> bool:
-    """Whether a metric can be sent to another process; others know only those that they register themselves."""
-    try:
-        pickle.dumps(metric)
-    except Exception:  # noqa: BLE001 (whatever pickling a user's function raises)
-        return False
-    return True
+def _sendable_metrics() -> tuple[Mapping[str, Any], ...]:
+    """Give the parts of the user's metrics that can be sent; others must be registered where they are needed."""
+    found = []
+    for metric in registered_metrics():
+        with suppress(Exception):  # whatever pickling a user's function raises
+            pickle.dumps(parts := {field.name: getattr(metric, field.name) for field in fields(metric)})
+            found.append(parts)
+    return tuple(found)
