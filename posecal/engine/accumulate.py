@@ -19,7 +19,7 @@ import posecal
 from posecal.data.arrays import BoolArray, FloatArray
 from posecal.data.pose_data import PoseData
 from posecal.engine.block import block_length
-from posecal.engine.cells import CellIndex
+from posecal.engine.cells import RUNS, CellIndex
 from posecal.engine.chunks import Chunk, Indices, join_chunks, read_chunks
 from posecal.engine.measure import Measured, measure_block, measure_segment, of_plain_poses
 from posecal.engine.metric import Metric, Statistic
@@ -31,7 +31,7 @@ from posecal.engine.ragged import lay_out, with_weights
 from posecal.engine.scope import DataSpec
 from posecal.engine.segments import Segments
 from posecal.engine.threads import run_in_order
-from posecal.engine.totals import RUNS, Totals
+from posecal.engine.totals import Totals
 from posecal.errors import PoseDataError, first_few, option
 
 Progress = Callable[[int], object]

@@ -20,6 +20,9 @@ from posecal.errors import PoseDataError, did_you_mean
 MAX_RUNS = 100
 """Poses without sequence labels form at most so many runs of consecutive poses."""
 
+RUNS = "runs"
+"""Under this name results keep the hash of the whole set by whose poses their runs are numbered."""
+
 SPREAD = re.compile("predicted_spread(?![^:=])")
 """Entries of ``by`` that cut poses by their predicted spread."""
 

@@ -10,10 +10,10 @@ import numpy as np
 
 from posecal.data.remarks import Count, Example, Remark, join_remarks
 from posecal.engine.apart import without_apart, without_own_cuts
-from posecal.engine.cells import run_length
+from posecal.engine.cells import RUNS, run_length
 from posecal.engine.measure import of_plain_poses
 from posecal.engine.pose_hashes import MOST_HASHES, shared_poses, smallest_hashes
-from posecal.engine.totals import RUNS, Totals, difference_of_signatures, different_metrics
+from posecal.engine.totals import Totals, difference_of_signatures, different_metrics
 from posecal.errors import PoseDataError, first_few, option, raise_all
 
 Cell = tuple[str, ...]

@@ -30,9 +30,6 @@ from posecal.errors import PoseDataError, did_you_mean
 CURVES = ("calibration", "rank_tests")
 """Families of metrics that are read off curves."""
 
-RUNS = "runs"
-"""Under this name stands the hash of the whole set by whose poses the runs of a part are numbered."""
-
 Finish = Callable[[FloatArray], npt.ArrayLike]
 
 

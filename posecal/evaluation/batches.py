@@ -251,8 +251,7 @@ class Evaluation:
                     raise
                 remarks.append(count(True))
         self._remarks = join_remarks([*self._remarks, *filter(None, remarks)])
-        self._place = place
-        self._n_frames += n_given
+        self._place, self._n_frames = place, self._n_frames + n_given
         self._lack = lack if self._lack is None else self._lack and lack
         self._has_frames, self._batches = hold_back, self._batches + 1
 
@@ -359,8 +358,7 @@ class Evaluation:
         self._others = [*self._others, *other._parts()]
         self._frames_of_others = self._frames_of_others | frames
         self._remarks = join_remarks([*self._remarks, *other._remarks, *other._frame_check.remarks()])
-        self._n_frames += other._n_frames
-        self._batches += other._batches
+        self._n_frames, self._batches = self._n_frames + other._n_frames, self._batches + other._batches
         self._has_frames = other._has_frames if self._has_frames is None else self._has_frames
         self._lack = min((k for k in (self._lack, other._lack) if k is not None), key=len, default=None)
 

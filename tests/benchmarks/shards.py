@@ -13,12 +13,13 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
+import os
 import resource
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
@@ -136,6 +137,14 @@ def copies(totals: Totals, number: int, what: str) -> Iterator[Totals]:
         yield replace(totals, cells=cells, pose_hashes=hashes)
 
 
+def forget(pairs: Sequence[tuple[str, str]]) -> None:
+    """Let the system drop its copies of the files in memory, so that they are read from the disk."""
+    os.sync()
+    for path in (path for pair in pairs for path in pair):
+        with open(path, "rb") as file:
+            os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
+
+
 def large(gigabytes: int, processes: int) -> None:
     """Evaluate a set of so many gigabytes in pieces of one."""
     poses = round(1e9 / PER_POSE)
@@ -143,12 +152,14 @@ def large(gigabytes: int, processes: int) -> None:
         start = time.perf_counter()
         pairs = [write_shard(Path(folder), number, poses) for number in range(gigabytes)]
         print(f"wrote {gigabytes} GB in {time.perf_counter() - start:,.0f} s", flush=True)
+        forget(pairs)
         start = time.perf_counter()
         for path, _ in pairs:
             with open(path, "rb", buffering=0) as file:
                 while file.read(1 << 24):
                     pass
         reading = time.perf_counter() - start
+        forget(pairs)
         command = [sys.executable, "-m", "posecal", "evaluate", f"{folder}/hyps-*.npz", f"{folder}/gt-*.npz"]
         start = time.perf_counter()
         subprocess.run([*command, "--workers", str(processes)], check=True, stdout=subprocess.DEVNULL)
