@@ -96,7 +96,7 @@ def add_spread_labels(
     threads: int | None,
     *,
     is_all: bool,
-    cuts: Mapping[str, FloatArray] | None = None,
+    prepared: Prepared | None = None,
 ) -> PoseData:
     """Add the labels of entries of ``by`` that cut poses by their predicted spread.
 
@@ -112,8 +112,8 @@ def add_spread_labels(
         One per core by default.
     is_all : bool
         Whether these are all poses, so that parts of equal size can be cut.
-    cuts : mapping of arrays, optional
-        Cuts that are known, by entry.
+    prepared : Prepared, optional
+        With cuts that are known.
 
     Returns
     -------
@@ -124,8 +124,9 @@ def add_spread_labels(
     if not entries:
         return data
     values = np.concatenate(list(map_blocks(data, spread, threads)))
-    known = {e: spread_cuts(e, values if is_all else None) for e in entries if e not in (cuts or {})} | dict(cuts or {})
-    parts = {label_name(e): spread_labels(known[e], values) for e in entries}
+    known = {} if prepared is None else prepared.cuts
+    cuts = {e: known[e] if e in known else spread_cuts(e, values if is_all else None) for e in entries}
+    parts = {label_name(e): spread_labels(cuts[e], values) for e in entries}
     return data.replace(labels={**data.labels, **parts})
 
 

@@ -262,7 +262,7 @@ class Evaluation:
         if not complete and not ragged:  # all poses are checked as they are measured
             refuse_non_finite_hypotheses(data)
         data = add_spread_labels(
-            data, self.by, predicted_spread, self._threads, is_all=complete, cuts=self._prepared and self._prepared.cuts
+            data, self.by, predicted_spread, self._threads, is_all=complete, prepared=self._prepared
         )
         if self._accumulator is None:
             options = self.by, self._preranks, self._prepared, self._threads

@@ -3,6 +3,7 @@
     python tests/benchmarks/shards.py equality              # every row against one run, by shards and executors
     python tests/benchmarks/shards.py workers --most 4      # time against the number of processes
     python tests/benchmarks/shards.py merge --shards 10000  # time and memory of merging saved results
+    python tests/benchmarks/shards.py sizes                 # what a cell and a pose take, and the time of each pass
     python tests/benchmarks/shards.py large --gigabytes 20  # a set in pieces: time, peak memory, time of reading alone
 
 Each prints a table in Markdown. ``large`` writes shards of a gigabyte into a temporary folder, evaluates them in other
@@ -33,7 +34,10 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 import posecal
 from posecal.data.write import Archive
 from posecal.engine.merge import merge_tree
+from posecal.engine.pose_hashes import MOST_HASHES
 from posecal.engine.totals import Totals
+from posecal.evaluation.shard_passes import Method, Shard, Task, accumulate, summarize
+from posecal.stats.skill import MOST_POSES
 from tests.helpers.sharded import OPTIONS, cuts, frames, largest_difference
 
 JOINTS = posecal.JOINT_SETS["h36m-17"]
@@ -137,6 +141,39 @@ def copies(totals: Totals, number: int, what: str) -> Iterator[Totals]:
         yield replace(totals, cells=cells, pose_hashes=hashes)
 
 
+def sizes(poses: int) -> None:
+    """Measure what a cell and a pose take, and how long each pass over a shard is."""
+    with tempfile.TemporaryDirectory() as folder:
+        pair = write_shard(Path(folder), 0, poses)
+        shard, method = Shard("shard", *pair), Method(posecal.Protocol(), threads=1)
+        start = time.process_time()
+        summary = summarize(shard, method, is_pooled=True)
+        first = time.process_time() - start
+        start = time.process_time()
+        totals = accumulate(Task("shard", ((shard, None),)), replace(method, prepared=summary.prepared))
+        second = time.process_time() - start
+        assert totals is not None
+        assert summary.pool is not None
+        posecal.save_totals(totals, Path(folder, "result.npz"))
+        stored = Path(folder, "result.npz").stat().st_size
+    cells = len(totals.poses)
+    of_cells = sum(values.nbytes for values in (*totals.sums.values(), *totals.counts.values())) / cells
+    of_poses = (sum(values.nbytes for values in totals.per_pose.values()) + totals.cell_of.nbytes) / poses
+    rows = {
+        "a cell of the default metrics": f"{of_cells:,.0f} bytes",
+        "a pose, for rank correlation and sparsification": f"{of_poses:,.0f} bytes",
+        "a pose, by which shards that share it are found": f"{summary.keys.nbytes / poses:,.0f} bytes",
+        "hashes in a result, at most": f"{16 * MOST_HASHES:,} bytes",
+        "poses that climatology samples, at most": f"{summary.pool.truth[0].nbytes * MOST_POSES / 1e6:.1f} MB",
+        f"a saved result of {poses:,} poses in {cells} cells": f"{stored:,} bytes",
+        "first pass, a pose": f"{1e6 * first / poses:,.0f} µs of a core",
+        "second pass, a pose": f"{1e6 * second / poses:,.0f} µs of a core",
+    }
+    print("| what | measured |\n|---|---|")
+    for what, size in rows.items():
+        print(f"| {what} | {size} |")
+
+
 def forget(pairs: Sequence[tuple[str, str]]) -> None:
     """Let the system drop its copies of the files in memory, so that they are read from the disk."""
     os.sync()
@@ -174,7 +211,7 @@ def large(gigabytes: int, processes: int) -> None:
 def main() -> None:
     """Run what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("equality", "workers", "merge", "large"))
+    parser.add_argument("what", choices=("equality", "workers", "merge", "sizes", "large"))
     parser.add_argument("--poses", type=int, default=2400, help="of equality, and of each of 8 shards of workers")
     parser.add_argument("--most", type=int, default=4, help="workers")
     parser.add_argument("--shards", type=int, default=10_000, help="results that are merged")
@@ -186,6 +223,8 @@ def main() -> None:
         workers(options.most, options.poses)
     elif options.what == "merge":
         merge(options.shards)
+    elif options.what == "sizes":
+        sizes(options.poses)
     else:
         large(options.gigabytes, options.most)
 
