@@ -74,7 +74,8 @@ class Shard:
             data = data.replace(hypotheses=replace(some, array=drawn))
         if self.reference is not None:
             own = dict.fromkeys(("scores", "weights", "log_prob", "dimensions"))  # of the model
-            data = with_reference(data, as_pose_data(self.reference, self.truth, {**self.described, **own}))
+            other = as_pose_data(self.reference, self.truth, {**self.described, **own})
+            data = with_reference(data, other.replace(names=("reference", other.names[1])))  # of one name in all shards
         return data if self.kept is None else data.select(self.kept)
 
 

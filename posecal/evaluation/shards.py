@@ -62,6 +62,9 @@ Result = TypeVar("Result")
 Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
 Pair = PoseData | tuple[Source | PoseData, Source]
 
+_POOLS = 16
+"""How many parts of what climatology samples are put together at a time."""
+
 _ARRAYS = ("where", "labels", "occluded", "scores", "log_prob", "weights", "frame_id", "truth_frame_id")
 """Options that are of the poses of one shard."""
 
@@ -101,7 +104,7 @@ def evaluate_shards(
         ``error``, or ``drop`` to count poses that several shards hold once. Poses are the same where truth, labels and
         ``frame_id`` are.
     keep : path, optional
-        A folder for the results of single shards. The same call finds those that are done there, by where their files
+        A folder for the results of shards of files. The same call finds those that are done there, by where their files
         lie, their size and time of change, and by the options, and goes on with the others.
     progress : callable, optional
         From the name of a pass and how many shards it has, to what is called with the number of those that are done.
@@ -157,31 +160,34 @@ def evaluate_shards(
     is_pooled = isinstance(reference, str) and wants
     shards = _shards(pairs, reference if wants and not is_pooled else None, described)
     passes = _Passes(map, progress, keep)
-    summaries = _summaries(passes, shards, method, is_pooled)
+    pools: list[ClimatologyPool] = []
+    summaries = _summaries(passes, shards, method, pools if is_pooled else None)
     remarks: list[str] = []
-    kept = kept_poses([summary.keys for summary in summaries])
-    if kept:
+    if kept := kept_poses([summary.keys for summary in summaries]):
         if duplicates == "error":
             refuse_duplicates(shards, summaries, kept)
-        again = [replace(shards[n], kept=rows) for n, rows in kept.items() if len(rows)]
         number = sum(summaries[n].n_poses - len(rows) for n, rows in kept.items())
         remarks.append(Remark(Count(number, "pose"), " came in several shards; each is counted once."))
-        found = passes.run("summing up", partial(summarize, method=method, is_pooled=is_pooled), again)
-        new = dict(zip([n for n, rows in kept.items() if len(rows)], zip(again, found, strict=True), strict=True))
-        left = [n for n in range(len(shards)) if n not in kept or n in new]  # one without poses of its own is none
-        shards = [new[n][0] if n in new else shards[n] for n in left]
-        summaries = [new[n][1] if n in new else summaries[n] for n in left]
+        shards = [replace(shard, kept=kept.get(n)) for n, shard in enumerate(shards)]
+        shards = [shard for shard in shards if shard.kept is None or len(shard.kept)]
+        pools.clear()
+        find = partial(summarize, method=method, is_pooled=is_pooled)
+        summaries = list(_without_pools(passes.attempts("summing up once more", find, shards), pools))
+        refuse_failures([result for result in summaries if isinstance(result, Failure)])
     if not any(summary.n_scored for summary in summaries):
         raise PoseDataError(summaries[0].lack)
     spec = common_spec(shards, summaries)
-    method = _with_findings(passes, shards, summaries, method, spec, is_pooled)
+    if is_pooled:
+        spec = replace(spec, reference="climatology", n_reference=spec.n_hypotheses)
+    method = replace(method, has_mask=spec.has_mask, pool=ClimatologyPool.joined(pools) if is_pooled else None)
+    method = _with_findings(passes, shards, summaries, method, spec)
     statistics = statistics_of(method.protocol, spec, method.by, method.preranks, registered_metrics())
     frames: dict[int, Frames] = {}
     shared = shared_sequences(summaries)
     if shared and any(statistic.earlier or statistic.by_segment for statistic in statistics):
         holders = [n for n, summary in enumerate(summaries) if shared.intersection(summary.sequences)]
-        find = partial(find_frames, method=replace(method, pool=None), sequences=shared)
-        frames = dict(zip(holders, passes.run("ordering frames", find, [shards[n] for n in holders]), strict=True))
+        order = partial(find_frames, method=replace(method, pool=None), sequences=shared)
+        frames = dict(zip(holders, passes.run("ordering frames", order, [shards[n] for n in holders]), strict=True))
     has_segments = any(statistic.by_segment for statistic in statistics)
     tasks, of_order = tasks_of(shards, summaries, frames, has_segments=has_segments)
     total = merge_tree(passes.results(tasks, method))
@@ -295,15 +301,30 @@ def _shards(
     return shards
 
 
-def _summaries(passes: _Passes, shards: list[Shard], method: Method, is_pooled: bool) -> list[Summary]:
+def _without_pools(results: Iterable[Any], pools: list[ClimatologyPool]) -> Iterator[Any]:
+    """Put what climatology samples together as it comes, so that few of it are in memory."""
+    for result in results:
+        if isinstance(result, Summary) and result.pool is not None:
+            pools.append(result.pool)
+            if len(pools) > _POOLS:
+                pools[:] = [ClimatologyPool.joined(pools)]
+            result = replace(result, pool=None)
+        yield result
+
+
+def _summaries(
+    passes: _Passes, shards: list[Shard], method: Method, pools: list[ClimatologyPool] | None
+) -> list[Summary]:
     """Find what the whole set depends on; shards whose shapes fit several layouts are of the others' layout."""
-    function = partial(summarize, method=method, is_pooled=is_pooled)
-    found = list(passes.attempts("summing up", function, shards))
+    function = partial(summarize, method=method, is_pooled=pools is not None)
+    pools = [] if pools is None else pools
+    found = list(_without_pools(passes.attempts("summing up", function, shards), pools))
     failed = [n for n, result in enumerate(found) if isinstance(result, Failure)]
     read = [result for result in found if isinstance(result, Summary)]
     if failed and read and "axes" not in shards[0].described:
         other = [replace(shards[n], described={**shards[n].described, "axes": HYPOTHESES}) for n in failed]
-        for n, shard, result in zip(failed, other, passes.attempts("summing up", function, other), strict=True):
+        again = _without_pools(passes.attempts("summing up", function, other), pools)
+        for n, shard, result in zip(failed, other, again, strict=True):
             if isinstance(result, Summary) and plain(result.spec) == plain(read[0].spec):
                 found[n], shards[n] = result, shard
     refuse_failures([result for result in found if isinstance(result, Failure)])
@@ -319,19 +340,12 @@ def _with_findings(
     summaries: Sequence[Summary],
     method: Method,
     spec: DataSpec,
-    is_pooled: bool,
 ) -> Method:
     """Put together what was found of all shards, and find the cuts of the predicted spread."""
     wanted = {*(label_name(entry) for entry in method.by), method.protocol.average, method.protocol.frames, "sequence"}
     every = {label for summary in summaries for label in summary.spec.labels}
     unwanted = (name for name in every - wanted if name not in spec.labels or splits_sequences(name, summaries))
-    pools = [summary.pool for summary in summaries if summary.pool is not None]
-    method = replace(
-        method,
-        dropped=frozenset(unwanted),
-        has_mask=spec.has_mask,
-        pool=ClimatologyPool.joined(pools) if is_pooled else None,
-    )
+    method = replace(method, dropped=frozenset(unwanted))
     entries = [entry for entry in method.by if SPREAD.match(entry) and label_name(entry) not in every]
     values = None
     if any("=" not in entry for entry in entries):
