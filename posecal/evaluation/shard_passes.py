@@ -154,7 +154,7 @@ class Failure:
     """What was wrong with a shard."""
 
     name: str
-    message: str
+    messages: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -211,9 +211,9 @@ class Attempt(Generic[Item, Result]):
         try:
             return self.function(item)
         except PosecalError as error:
-            return Failure(name, error.message)
+            return Failure(name, tuple(error.problems) or (error.message,))
         except Exception as error:  # noqa: BLE001 (of whatever kind: the results of other shards are kept)
-            return Failure(name, f"{type(error).__name__}: {error}")
+            return Failure(name, (f"{type(error).__name__}: {error}",))
 
 
 def summarize(shard: Shard, method: Method, *, is_pooled: bool) -> Summary:

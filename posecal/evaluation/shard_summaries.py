@@ -24,7 +24,8 @@ def refuse_failures(failures: Sequence[Failure], more: str = "") -> None:
     PoseDataError
         Where there are any.
     """
-    messages = [f.message if f.message.startswith(f.name) else f"{f.name}: {f.message}" for f in failures]
+    pairs = [(failure.name, message) for failure in failures for message in failure.messages]
+    messages = [message if message.startswith(name) else f"{name}: {message}" for name, message in pairs]
     if messages:
         messages[-1] = f"{messages[-1]} {more}".rstrip()
     raise_all(messages)

@@ -18,7 +18,7 @@ from posecal.data.arrays import checked_choice
 from posecal.data.layout import HYPOTHESES
 from posecal.data.pose_data import PoseData
 from posecal.data.remarks import Count, Remark, join_remarks
-from posecal.data.remote import name_of
+from posecal.data.remote import is_address, name_of
 from posecal.engine.cells import SPREAD, label_name, spread_cuts
 from posecal.engine.merge import in_order_of_sequences, merge_tree
 from posecal.engine.prepare import Prepared
@@ -284,9 +284,9 @@ def _shards(
         two: Sequence[Any] = (pair, None) if isinstance(pair, PoseData) else pair
         if not isinstance(two, tuple | list) or len(two) != 2:
             raise PoseDataError(f"pairs: number {number + 1} is of type {type(pair).__name__}; expected a pair.")
-        hypotheses, truth = two
+        hypotheses, truth = map(_absolute, two)
         name = name_of(hypotheses) if isinstance(hypotheses, str | os.PathLike) else f"shard {number + 1}"
-        other = None if reference is None else reference[number]
+        other = None if reference is None else _absolute(reference[number])
         shards.append(Shard(name, hypotheses, truth, other, {} if truth is None else dict(described)))
     truths = [shard.truth for shard in shards]
     is_one = len(shards) > 1 and isinstance(truths[0], str | os.PathLike) and all(t == truths[0] for t in truths)
@@ -299,6 +299,12 @@ def _shards(
             for s in shards
         ]
     return shards
+
+
+def _absolute(source: Any) -> Any:
+    """Give the path of a file from the root, for processes of another working folder; all else as it is."""
+    is_path = isinstance(source, str | os.PathLike) and not is_address(source)
+    return os.path.abspath(source) if is_path else source
 
 
 def _without_pools(results: Iterable[Any], pools: list[ClimatologyPool]) -> Iterator[Any]:
