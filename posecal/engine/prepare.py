@@ -94,9 +94,9 @@ def add_spread_labels(
     by: Sequence[str],
     spread: Callable[[Block], FloatArray],
     threads: int | None,
+    prepared: Prepared | None = None,
     *,
     is_all: bool,
-    prepared: Prepared | None = None,
 ) -> PoseData:
     """Add the labels of entries of ``by`` that cut poses by their predicted spread.
 
@@ -110,10 +110,10 @@ def add_spread_labels(
         The predicted spread of the poses of a block, (B,), mm.
     threads : int or None
         One per core by default.
-    is_all : bool
-        Whether these are all poses, so that parts of equal size can be cut.
     prepared : Prepared, optional
         With cuts that are known.
+    is_all : bool
+        Whether these are all poses, so that parts of equal size can be cut.
 
     Returns
     -------

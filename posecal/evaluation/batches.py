@@ -261,9 +261,8 @@ class Evaluation:
         spec = DataSpec.of(data, has_mask=has_mask, preranks=tuple(self._preranks), is_ragged=ragged)
         if not complete and not ragged:  # all poses are checked as they are measured
             refuse_non_finite_hypotheses(data)
-        data = add_spread_labels(
-            data, self.by, predicted_spread, self._threads, is_all=complete, prepared=self._prepared
-        )
+        remark = live_remark(data) if ragged else ""
+        data = add_spread_labels(data, self.by, predicted_spread, self._threads, self._prepared, is_all=complete)
         if self._accumulator is None:
             options = self.by, self._preranks, self._prepared, self._threads
             accumulator = start_accumulator(spec, self.protocol, data, *options, complete=complete)
@@ -276,7 +275,7 @@ class Evaluation:
             names = data.frame_id.tolist()
             self._held = [*self._held, *names][-accumulator.n_pending :]
             self._frames |= dict.fromkeys(names)
-        return live_remark(data) if ragged else ""
+        return remark
 
     def totals(self) -> Totals:
         """Give the sums of all batches.
