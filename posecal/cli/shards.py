@@ -8,6 +8,7 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -90,13 +91,13 @@ class ShardOptions:
 def _client(address: str) -> Iterator[Any]:
     """Connect to a Dask cluster."""
     try:
-        from distributed import Client
+        connect: Any = import_module("distributed").Client
     except ImportError:
         raise PoseDataError(
             "scheduler: needs the package distributed, which is not installed: pip install 'posecal[cluster]'."
         ) from None
     try:
-        client = Client(address, timeout=10)  # type: ignore[no-untyped-call]
+        client = connect(address, timeout=10)
     except (OSError, ValueError) as error:
         raise PosecalError(f"scheduler: {address} does not answer ({error}); expected tcp://HOST:PORT.") from None
     with client:

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from posecal.errors import PoseDataError, PoseFileError
+from posecal.errors import PosecalError, PoseDataError, PoseFileError
 
 
 def is_address(source: object) -> bool:
@@ -35,15 +35,9 @@ def local_copy(address: str) -> Iterator[Path]:
     """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, name_of(address) or "file")
-        try:
+        with _refusing(address):
             files, place = _files_of(address)
             files.get_file(place, str(path))
-        except PoseDataError:
-            raise
-        except FileNotFoundError:
-            raise PoseFileError(f"{address}: no such file.") from None
-        except Exception as error:  # whatever the protocol of the address raises
-            raise PoseFileError(f"{address}: can't be read ({type(error).__name__}: {error}).") from error
         yield path
 
 
@@ -51,21 +45,36 @@ def files_of_pattern(pattern: str) -> list[str]:
     """Give the paths or addresses that a pattern with stars stands for, in the order of their names."""
     if not is_address(pattern):
         return sorted(glob.glob(re.sub(r"([?[])", r"[\1]", pattern), recursive=True))
-    files, place = _files_of(pattern)
-    return sorted(files.unstrip_protocol(path) for path in files.glob(place))
+    with _refusing(pattern):
+        files, place = _files_of(pattern)
+        return sorted(files.unstrip_protocol(path) for path in files.glob(place))
 
 
 def identity_of(source: str | os.PathLike[str]) -> str:
     """Give what changes when a file does: where it lies, its size and its time of change, or what its protocol has."""
     if is_address(source):
-        files, place = _files_of(str(source))
-        return f"{source} {files.ukey(place)}"
+        with _refusing(str(source)):
+            files, place = _files_of(str(source))
+            return f"{source} {files.ukey(place)}"
     path = Path(source).absolute()
     try:
         status = path.stat()
     except OSError as error:
         raise PoseFileError(f"{path}: can't be read ({error.strerror}).") from None
     return f"{path} {status.st_size} {status.st_mtime_ns}"
+
+
+@contextmanager
+def _refusing(address: str) -> Iterator[None]:
+    """Refuse what can't be read, whatever the protocol of an address raises."""
+    try:
+        yield
+    except PosecalError:
+        raise
+    except FileNotFoundError:
+        raise PoseFileError(f"{address}: no such file.") from None
+    except Exception as error:
+        raise PoseFileError(f"{address}: can't be read ({type(error).__name__}: {error}).") from error
 
 
 def _files_of(address: str) -> tuple[Any, str]:
