@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from posecal.engine.storage import load_totals, save_totals
     from posecal.engine.totals import Totals
     from posecal.errors import PosecalError, PoseDataError, PoseFileError
-    from posecal.evaluation import Evaluation, Leaderboard, add_entry, compare, evaluate, leaderboard
+    from posecal.evaluation import Evaluation, Leaderboard, add_entry, compare, evaluate, evaluate_shards, leaderboard
     from posecal.recalibration import fit_radius, fit_spread, judge_spread
     from posecal.registry import register, unregister
     from posecal.report.explain import explain
@@ -58,7 +58,15 @@ _MODULES = {
     "posecal.engine.storage": ("load_totals", "save_totals"),
     "posecal.engine.totals": ("Totals",),
     "posecal.errors": ("PoseDataError", "PoseFileError", "PosecalError"),
-    "posecal.evaluation": ("Evaluation", "Leaderboard", "add_entry", "compare", "evaluate", "leaderboard"),
+    "posecal.evaluation": (
+        "Evaluation",
+        "Leaderboard",
+        "add_entry",
+        "compare",
+        "evaluate",
+        "evaluate_shards",
+        "leaderboard",
+    ),
     "posecal.recalibration": ("fit_radius", "fit_spread", "judge_spread"),
     "posecal.registry": ("register", "unregister"),
     "posecal.report.explain": ("explain",),
@@ -96,6 +104,7 @@ __all__ = [
     "convert",
     "ece",
     "evaluate",
+    "evaluate_shards",
     "explain",
     "fit_radius",
     "fit_spread",

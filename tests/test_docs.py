@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = (
     *("start", "file-format", "convert", "joints", "calibration", "how-sure", "metrics", "report", "recalibrate"),
-    *("likelihood", "joint-angles", "training-loop", "own-metric", "models", "leaderboard", "motion"),
+    *("likelihood", "joint-angles", "training-loop", "scale", "own-metric", "models", "leaderboard", "motion"),
 )
 
 

@@ -9,11 +9,12 @@ import typer
 
 from posecal.cli import options as opt
 from posecal.cli.running import check_outputs, progress, say, show
+from posecal.cli.shards import ShardOptions
 
 
 def evaluate(
-    hypotheses: opt.Hypotheses,
-    truth: opt.Truth,
+    hypotheses: Annotated[str, opt.argument("Hypotheses, (N, M, K, 3): .npz or .npy; with stars, many files.")],
+    truth: Annotated[str, opt.argument("True poses, (M, K, 3); paired by what the stars stand for.")],
     *,
     by: opt.By = None,
     scoring: opt.ScoringOptions,
@@ -22,26 +23,38 @@ def evaluate(
         list[str] | None, opt.option("Add a rank test of your own. Repeatable.", metavar="FILE.py:FUNCTION")
     ] = None,
     threads: opt.Threads = None,
+    many: ShardOptions,
     data: opt.DataOptions,
     written: opt.ReportOptions,
     save: Annotated[Path | None, opt.writing("Keep the result (sums, not hypotheses), .npz.")] = None,
 ) -> None:
     """Evaluate hypotheses against the truth: accuracy, calibration and sharpness, each with its definition."""
     import posecal
-    from posecal.engine.user_code import load_function
+    from posecal.data.remote import is_address, name_of
+    from posecal.engine.user_code import FileFunction, load_function
+    from posecal.evaluation.pairs import pair_files
 
-    reference = None if skill in {None, "climatology"} else Path(str(skill))
-    read = (hypotheses, truth, reference, *(scoring.metric or []), *(prerank or []))
-    check_outputs(*read, save=save, plot=written.plot, html=written.html)
-    preranks = dict(load_function(entry, "prerank") for entry in prerank or [])
+    reference = None if skill in {None, "climatology"} else skill
+    sources = (hypotheses, truth, *([] if reference is None else [reference]))
+    are_many = many.are_needed(*sources)
+    pairs = pair_files(*sources) if are_many else [sources]
+    read = [Path(source) for pair in pairs for source in pair if not is_address(source)]
+    check_outputs(*read, *(scoring.metric or []), *(prerank or []), save=save, plot=written.plot, html=written.html)
+    preranks: dict[str, Any] = dict(load_function(entry, "prerank") for entry in prerank or [])
     added = [word for word, asked in (("rank_tests", preranks), ("scores", skill)) if asked]
     protocol = scoring.protocol(*added, preranks=preranks)
-    poses = data.read(hypotheses, truth, **scoring.matching)
-    other = None if reference is None else data.read(reference, truth, **scoring.matching)
     how: dict[str, Any] = {"by": by or (), "preranks": preranks, "protocol": protocol, "threads": threads}
+    if are_many:
+        how["preranks"] = {name: FileFunction(e, "prerank") for name, e in zip(preranks, prerank or [], strict=True)}
+        described = {**data.given(), **scoring.matching, "reference": skill}
+        report = many.evaluate(pairs, save, scoring.metric, **how, **described)
+        written.write(report, name_of(hypotheses), save)
+        return
+    poses = data.read(Path(hypotheses), Path(truth), **scoring.matching)
+    other = None if reference is None else data.read(Path(reference), Path(truth), **scoring.matching)
     with progress() as bar:
         report = posecal.evaluate(poses, reference=other or skill, progress=bar("evaluating", len(poses.truth)), **how)
-    written.write(report, hypotheses.name, save)
+    written.write(report, Path(hypotheses).name, save)
 
 
 def report(result: opt.Result, *, by: opt.By = None, metric: opt.OwnMetrics = None, written: opt.ReportOptions) -> None:

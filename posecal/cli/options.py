@@ -69,7 +69,9 @@ class DataOptions(HypothesesOptions):
     truth_axes: Annotated[str | None, reading("Layout of the truth, such as MDK.")] = None
     truth_unit: Annotated[str | None, reading("The unit of the truth alone.")] = None
     skeleton: Annotated[str | None, reading("Names, parents, root: .json, .toml, or a joint set.")] = None
-    missing: Annotated[Literal["error", "skip"], reading("Frames that only one file has.")] = "error"
+    missing: Annotated[Literal["error", "skip", "part"], reading("Frames that only one has; part: only the truth.")] = (
+        "error"
+    )
     n_hypotheses: Annotated[int | None, reading("Take only the first so many hypotheses.", "--hypotheses", min=1)] = (
         None
     )

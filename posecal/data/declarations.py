@@ -36,7 +36,8 @@ class Declarations:
     root_joint : str, int or None
         What to subtract: a joint, a midpoint, one for each part, or ``none``; see :mod:`posecal.data.root`.
     missing : str
-        ``error``, or ``skip`` to score the frames that both have.
+        ``error``, ``skip`` to score the frames that both have, or ``part`` where the hypotheses are of some frames
+        of the truth.
     shared_joints : str
         ``same``, or ``common`` to score the joints that both have.
     n_hypotheses : int or None
@@ -56,7 +57,7 @@ class Declarations:
     truth_unit: str | float | None = None
     joints: Sequence[str] | None = None
     root_joint: str | int | None = None
-    missing: Literal["error", "skip"] = "error"
+    missing: Literal["error", "skip", "part"] = "error"
     shared_joints: Literal["same", "common"] = "same"
     n_hypotheses: int | None = None
     skeleton: Any = None
@@ -70,7 +71,7 @@ class Declarations:
             (self.joints, _joint_names),
             (self.root_joint, _root_joint),
             (self.skeleton, as_skeleton),
-            (self.missing, lambda text: checked_choice(text, "missing", ("error", "skip"))),
+            (self.missing, lambda text: checked_choice(text, "missing", ("error", "skip", "part"))),
             (self.shared_joints, lambda text: checked_choice(text, option("shared_joints"), ("same", "common"))),
         )
         problems: list[str | PosecalError] = []

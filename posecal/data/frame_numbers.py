@@ -24,6 +24,9 @@ _LARGEST = 2**62
 _BEFORE = 8
 """How many earlier frames tell the step between frame numbers to a batch."""
 
+STEPS = "frame numbers are "
+"""How the remark begins on numbers that are more than one apart."""
+
 Place = tuple[int, list[str], str, int]
 """Where a batch ends: the order of a pose that follows; the last frames that have numbers, and their sequence; the
 number of clips that a layout has had."""
@@ -111,7 +114,7 @@ def _remarks(values: Names, step: Rows) -> list[str]:
     if len(lengths) > 1:  # not of all sequences
         names = values[step == lengths[lengths > 1][0]].tolist()
         found += f" in {names[0]}{' and others' * (len(names) > 1)}"
-    return [Remark("frame numbers are ", Example(found), ": velocities are of steps of so many frames.")]
+    return [Remark(STEPS, Example(found), ": velocities are of steps of so many frames.")]
 
 
 def _numbers(names: list[str]) -> list[int] | None:

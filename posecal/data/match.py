@@ -287,12 +287,12 @@ class Matcher:
                     f"(first: {first_few(repeated)}). Give each frame once."
                 )
         row = {name: number for number, name in enumerate(ids)}
-        known = set(true_ids)
+        known, is_whole = set(true_ids), self.declared.missing != "part"
         shared = [number for number, name in enumerate(true_ids) if name in row]
         if not shared and len(self.problems) == before:
             self._nothing_shared("frame_id", ids, true_ids)
         for poses, other, names, lacking in (
-            (hypotheses, truth, true_ids, [name for name in true_ids if name not in row]),
+            (hypotheses, truth, true_ids, [name for name in true_ids if name not in row] * is_whole),
             (truth, hypotheses, ids, [name for name in ids if name not in known]),
         ):
             lacks = f"{poses.name} lacks {len(lacking):,} of the {len(names):,} frames of {other.name}"

@@ -87,7 +87,8 @@ class PoseData:
     axes, truth_axes : str, optional
         Layouts of what declares none, such as ``MNKD`` and ``MDK``.
     missing : str
-        ``error``, or ``skip`` to keep the frames that both have.
+        ``error``, ``skip`` to keep the frames that both have, or ``part`` where the hypotheses are of some frames
+        of the truth.
     shared_joints : str
         ``same``, or ``common`` to keep the joints that both have.
     n_hypotheses : int, optional
@@ -213,7 +214,7 @@ class PoseData:
         truth_unit: str | float | None = None,
         axes: str | None = None,
         truth_axes: str | None = None,
-        missing: Literal["error", "skip"] = "error",
+        missing: Literal["error", "skip", "part"] = "error",
         shared_joints: Literal["same", "common"] = "same",
         n_hypotheses: int | None = None,
         skeleton: object = None,

@@ -30,6 +30,7 @@ from posecal.data.lazy import (
     open_datasets,
     split_address,
 )
+from posecal.data.remote import is_address, local_copy
 from posecal.data.stored_poses import COMMON_LABELS, StoredPoses
 from posecal.data.weights import as_weights
 from posecal.errors import PosecalError, PoseDataError, PoseFileError, attempt, raise_all, refuse_unreadable
@@ -83,6 +84,9 @@ def read_poses(source: npt.ArrayLike | str | os.PathLike[str] | GaussianPredicti
         return StoredPoses(role, DrawnHypotheses(source), HYPOTHESES)
     if not isinstance(source, (str, os.PathLike)):
         return StoredPoses(role, MemoryArray(real_array(source, role)))
+    if is_address(source):
+        with local_copy(os.fspath(source)) as copy:
+            return read_poses(copy, role)  # the file stays open, and is gone with it
     path, dataset = split_address(os.fspath(source))
     if path.suffix.lower() in LIBRARIES and path.exists():
         return _read_datasets(path, dataset, role)

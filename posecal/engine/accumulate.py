@@ -88,15 +88,10 @@ class Accumulator:
         self._last: tuple[str, str, int] | None = None  # of the last pose, as _place; None where it was dropped
         self._remarks = PoseRemarks()
         self._prepared_hashes = {} if prepared is None else prepared.hashes
+        self._first = 0 if prepared is None else prepared.first or 0
         self._failure = ""  # what stopped a batch when some of it was counted
 
-    def add(
-        self,
-        data: PoseData,
-        progress: Progress | None = None,
-        *,
-        pending: Pending = "rest",
-    ) -> None:
+    def add(self, data: PoseData, progress: Progress | None = None, *, pending: Pending = "rest") -> None:
         """Add poses.
 
         Parameters
@@ -241,7 +236,7 @@ class Accumulator:
                     f"sequence: missing in these poses; expected one of {option('prepared')}, such as "
                     f"{next(iter(self._prepared.sequences))}."
                 )
-            return self._measured + self.n_pending + np.arange(len(data.truth))
+            return self._first + self._measured + self.n_pending + np.arange(len(data.truth))
         names, inverse = np.unique(data.labels["sequence"], return_inverse=True)
         lacking = [str(name) for name in names if str(name) not in self._prepared.sequences]
         if lacking:

@@ -21,6 +21,9 @@ from posecal.errors import PoseDataError, did_you_mean
 MAX_RUNS = 100
 """Poses without sequence labels form at most so many runs of consecutive poses."""
 
+RUNS = "runs"
+"""Under this name results keep the hash of the whole set by whose poses their runs are numbered."""
+
 SPREAD = re.compile("predicted_spread(?![^:=])")
 """Entries of ``by`` that cut poses by their predicted spread."""
 
@@ -92,6 +95,11 @@ def spread_labels(cuts: FloatArray, spread: FloatArray) -> npt.NDArray[np.str_]:
     return np.array(names)[np.searchsorted(cuts, spread, side="right")]
 
 
+def run_length(n_poses: int) -> int:
+    """Give the smallest power of two that leaves at most :data:`MAX_RUNS` runs of so many poses."""
+    return 1 << max(0, -(-n_poses // MAX_RUNS) - 1).bit_length()
+
+
 def natural_key(text: str) -> list[tuple[int, str]]:
     """Give a key that sorts numbers within text by their size."""
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", text)]
@@ -108,6 +116,8 @@ class CellIndex:
         A label over whose groups numbers are averaged, kept apart as well; ``poses`` for none.
     labels : sequence of str
         Names of the labels that every pose has.
+    first, n_poses : int
+        Of a part of the poses: the number of its first one, and how many there are in all.
 
     Attributes
     ----------
@@ -120,7 +130,9 @@ class CellIndex:
         For a label that the poses don't have.
     """
 
-    def __init__(self, by: Sequence[str], average: str, labels: Sequence[str]) -> None:
+    def __init__(
+        self, by: Sequence[str], average: str, labels: Sequence[str], first: int = 0, n_poses: int = 0
+    ) -> None:
         wanted = {label_name(entry): "by" for entry in by} | ({} if average == "poses" else {average: "average"})
         own = {label_name(entry) for entry in by if SPREAD.match(entry)}
         for name, option in wanted.items():
@@ -131,7 +143,7 @@ class CellIndex:
         self._wanted = [name for name in wanted if name != "sequence"]
         optional = [name for name in labels if name not in {*wanted, "sequence"}] if self.has_sequences else []
         self._optional: dict[str, dict[str, str]] = {name: {} for name in optional}
-        self._poses, self._run_length = 0, 1
+        self._poses, self._run_length = first, run_length(n_poses)
         self._rows: dict[tuple[str, ...], int] = {}
 
     @property
@@ -162,13 +174,13 @@ class CellIndex:
         moved : array of int (C,) or None
             Where cells were joined: the new number of each earlier cell.
         """
-        columns, run_length = self.names, self._run_length
+        columns, length = self.names, self._run_length
         sequence: npt.NDArray[Any]
         if self.has_sequences:
             sequence = labels["sequence"]
             self._drop_splitting(sequence, labels)
         else:
-            while self._poses + n_poses > MAX_RUNS * self._run_length:
+            while self._run_length < run_length(self._poses + n_poses):
                 self._run_length *= 2
             sequence = (self._poses + np.arange(n_poses)) // self._run_length
         self._poses += n_poses
@@ -177,7 +189,7 @@ class CellIndex:
             kept = [columns.index(name) for name in self.names]
             before = [tuple(row[column] for column in kept) for row in self._rows]
             if not self.has_sequences:
-                joined = self._run_length // run_length
+                joined = self._run_length // length
                 before = [(str(int(row[0]) // joined), *row[1:]) for row in before]
             self._rows = {}
             moved = np.array([self._rows.setdefault(row, len(self._rows)) for row in before], dtype=np.intp)

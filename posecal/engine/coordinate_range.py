@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -21,17 +21,25 @@ class CoordinateRange(NamedTuple):
     ----------
     least, largest : array (2, K, D)
         Over all poses, and over those of other sequences than the one that reaches it, mm; infinite where none is.
-    reached_by : array of int (2, K, D)
-        The sequence that reaches the least and the largest value.
+    reached_by : array of int (2, 2, K, D)
+        The sequences that reach the two least and the two largest values.
     """
 
     least: FloatArray
     largest: FloatArray
     reached_by: Ints
 
+    @classmethod
+    def joined(cls, parts: Sequence[CoordinateRange]) -> CoordinateRange:
+        """Put the ranges of several parts together, whose sequences have the same numbers."""
+        least, largest = (np.concatenate([part[end] for part in parts]) for end in (0, 1))
+        low, high = (np.concatenate([part.reached_by[end] for part in parts]) for end in (0, 1))
+        (least, low), (largest, high) = _two_least(least, low), _two_least(-largest, high)
+        return cls(least, -largest, np.stack([low, high]))
+
     def without(self, sequence: Ints) -> tuple[FloatArray, FloatArray]:
         """Give the least and the largest values over all sequences but one, (B, K, D) each, for each of B poses."""
-        own = sequence[:, None, None] == self.reached_by[:, None]
+        own = sequence[:, None, None] == self.reached_by[:, :1]
         low, high = np.where(own[0], self.least[1], self.least[0]), np.where(own[1], self.largest[1], self.largest[0])
         return low, high
 
@@ -70,13 +78,16 @@ def coordinate_range(
         order = np.argsort(sequence, kind="stable")
         names, starts = np.unique(sequence[order], return_index=True)
         least, largest = np.minimum.reduceat(least[order], starts), np.maximum.reduceat(largest[order], starts)
-    reached_by = np.stack([least.argmin(axis=0), largest.argmax(axis=0)])
-    ends = _with_next(least, reached_by[0], np.min), _with_next(largest, reached_by[1], np.max)
-    return CoordinateRange(*ends, names[reached_by])
+    (least, low), (largest, high) = _two_least(least, names), _two_least(-largest, names)
+    return CoordinateRange(least, -largest, np.stack([low, high]))
 
 
-def _with_next(values: FloatArray, reached_by: Ints, end: Callable[..., FloatArray]) -> FloatArray:
-    """Give the end of (S, K, D) values that sequences reach, and that of the other sequences, (2, K, D)."""
-    first = end(values, axis=0)
-    np.put_along_axis(values, reached_by[None], -np.inf if end is np.max else np.inf, axis=0)
-    return np.stack([first, end(values, axis=0)])
+def _two_least(values: FloatArray, names: Ints) -> tuple[FloatArray, Ints]:
+    """Give the least of values (R, K, D), and the least of those of other names, (2, K, D); with both names."""
+    names = np.broadcast_to(names.reshape(len(names), *names.shape[1:] or (1, 1)), values.shape)
+    first = values.argmin(axis=0)[None]
+    name = np.take_along_axis(names, first, axis=0)
+    others = np.where(names == name, np.inf, values)
+    second = others.argmin(axis=0)[None]
+    least = np.concatenate([np.take_along_axis(values, first, axis=0), np.take_along_axis(others, second, axis=0)])
+    return least, np.concatenate([name, np.take_along_axis(names, second, axis=0)])

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from posecal.data.remarks import Count, Example, Remark, join_remarks
 from posecal.engine.apart import without_apart, without_own_cuts
+from posecal.engine.cells import RUNS, run_length
 from posecal.engine.measure import of_plain_poses
 from posecal.engine.pose_hashes import MOST_HASHES, shared_poses, smallest_hashes
 from posecal.engine.totals import Totals, difference_of_signatures, different_metrics
 from posecal.errors import PoseDataError, first_few, option, raise_all
 
 Cell = tuple[str, ...]
+
+FAN_IN = 32
+"""How many results are added at a time where there are many."""
 
 _OVER_TIME = ("mpjve", "acceleration", "jitter", "wa_errors", "w_errors")
 """Words in the names of statistics that are of several consecutive poses."""
@@ -56,13 +60,16 @@ def merge_totals(parts: Sequence[Totals], names: Sequence[str] | None = None) ->
     _refuse_unlike(parts, names)
     _refuse_shared(parts, names)
     first, has_sequences = parts[0], all(part.has_sequences for part in parts)
+    runs = [part.prepared_hashes.get(RUNS) for part in parts]
+    are_numbered = None not in runs and len({*runs}) == 1
+    hashes = {name: value for name, value in first.prepared_hashes.items() if name != RUNS or are_numbered}
+    sequences = [part.cells["sequence"].tolist() for part in parts]
+    if not has_sequences and not are_numbered and len(parts) > 1:
+        sequences = _joined_runs(sequences)
     rows: dict[Cell, int] = {}
     numbers = [
-        np.array([rows.setdefault(cell, len(rows)) for cell in cells], dtype=np.intp)
-        for cells in (
-            _cells(part, labels, "" if has_sequences or len(parts) == 1 else f"{number}/")
-            for number, part in enumerate(parts, 1)
-        )
+        np.array([rows.setdefault(cell, len(rows)) for cell in _cells(part, labels, names)], dtype=np.intp)
+        for part, names in zip(parts, sequences, strict=True)
     ]
     n_frames = sum(part.n_frames for part in parts)
     values = np.array(list(rows), dtype=np.str_).reshape(len(rows), len(labels))
@@ -77,7 +84,7 @@ def merge_totals(parts: Sequence[Totals], names: Sequence[str] | None = None) ->
         has_sequences=has_sequences,
         pose_hashes=smallest_hashes([part.pose_hashes for part in parts]),
         own_metrics=first.own_metrics,
-        prepared_hashes=first.prepared_hashes,
+        prepared_hashes=hashes,
     )
     new = (remark for remark in (*lost, uncut, _cut_sequences(parts)) if remark and remark not in total.remarks)
     total.remarks = (*total.remarks, *new)
@@ -89,6 +96,23 @@ def merge_totals(parts: Sequence[Totals], names: Sequence[str] | None = None) ->
     if total.per_pose:
         total.cell_of = np.concatenate([cells[part.cell_of] for part, cells in zip(parts, numbers, strict=True)])
     return total
+
+
+def in_order_of_sequences(totals: Totals, sequences: Sequence[str]) -> Totals:
+    """Put the cells in the order of some sequences; as they are where sequences are runs of poses."""
+    if not totals.has_sequences:
+        return totals
+    place = {name: number for number, name in enumerate(sequences)}
+    order = np.argsort([place[name] for name in totals.cells["sequence"].tolist()], kind="stable")
+    number = np.argsort(order)
+    return replace(
+        totals,
+        cells={name: values[order] for name, values in totals.cells.items()},
+        poses=totals.poses[order],
+        sums={name: sums[order] for name, sums in totals.sums.items()},
+        counts={name: counts[order] for name, counts in totals.counts.items()},
+        cell_of=number[totals.cell_of],
+    )
 
 
 def _cut_sequences(parts: Sequence[Totals]) -> str:
@@ -134,12 +158,44 @@ def _of_names(part: Totals, parts: Sequence[Totals]) -> Totals:
     )
 
 
-def _cells(part: Totals, labels: Sequence[str], prefix: str = "") -> list[Cell]:
-    """Give the labels of each cell, with runs of poses named after their shard."""
-    columns = [part.cells[label].tolist() for label in labels]
-    if prefix:
-        columns[labels.index("sequence")] = [prefix + run for run in columns[labels.index("sequence")]]
+def _cells(part: Totals, labels: Sequence[str], sequences: Sequence[str]) -> list[Cell]:
+    """Give the labels of each cell, with its sequence by this name."""
+    columns = [sequences if label == "sequence" else part.cells[label].tolist() for label in labels]
     return list(zip(*columns, strict=True))
+
+
+def _joined_runs(parts: Sequence[Sequence[str]]) -> list[list[str]]:
+    """Name runs of poses after their shard; of too many of them, consecutive ones are one."""
+    named = [[f"{number}/{run}" for run in runs] for number, runs in enumerate(parts, 1)]
+    places = {run: place for place, run in enumerate(dict.fromkeys(run for runs in named for run in runs))}
+    if (length := run_length(len(places))) == 1:
+        return named
+    return [[str(places[run] // length) for run in runs] for runs in named]
+
+
+def merge_tree(parts: Iterable[Totals]) -> Totals:
+    """Add the results of many shards as they come, some at a time: memory holds a few of them.
+
+    Parameters
+    ----------
+    parts : iterable of Totals
+        As for :func:`merge_totals`, at least one.
+
+    Returns
+    -------
+    Totals
+        What one merge of all gives.
+    """
+    levels: list[list[Totals]] = [[]]
+    for part in parts:
+        levels[0].append(part)
+        for level, waiting in enumerate(levels):
+            if len(waiting) == FAN_IN:
+                if level + 1 == len(levels):
+                    levels.append([])
+                levels[level + 1].append(merge_totals(waiting))
+                waiting.clear()
+    return merge_totals([part for waiting in reversed(levels) for part in waiting])
 
 
 def _ordinal(number: int) -> str:

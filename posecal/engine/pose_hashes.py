@@ -10,9 +10,11 @@ import numpy.typing as npt
 
 from posecal.data.arrays import FloatArray
 from posecal.data.fitted_poses import FEWEST_COORDINATES, pose_words, row_hashes
+from posecal.data.pose_data import PoseData
 from posecal.data.remarks import Count, Remark
 from posecal.data.stored_poses import Labels
 from posecal.engine.cells import SPREAD
+from posecal.engine.sums import slices
 
 PoseHashes = npt.NDArray[np.uint64]
 
@@ -20,6 +22,9 @@ MOST_HASHES = 65_536
 """Of more poses the smallest hashes are kept: what two sets share is then found by a sample of it."""
 
 _MOST_PARTS = 1000
+
+_OF_FRAMES = np.uint64(0x9E3779B97F4A7C15)
+"""An odd number that tells names of frames from labels."""
 
 
 def pose_hashes(truth: FloatArray, labels: Labels, frame_id: npt.NDArray[np.str_] | None) -> PoseHashes:
@@ -32,11 +37,27 @@ def pose_hashes(truth: FloatArray, labels: Labels, frame_id: npt.NDArray[np.str_
         return hashes
     hashes[:, 0] = row_hashes(pose_words(truth))
     for name, values in labels.items():
-        if not SPREAD.match(name):  # of the hypotheses
-            hashes[:, 0] += row_hashes(values) * np.uint64(2 * zlib.crc32(name.encode(errors="surrogatepass")) + 1)
+        hashes[:, 0] += _hash_of_label(name, values)
     if frame_id is not None:
         hashes[:, 1] = row_hashes(frame_id)
     return hashes
+
+
+def pose_keys(data: PoseData) -> npt.NDArray[np.uint64]:
+    """Give a number of each pose, (M,), by its truth, labels and the name of its frame, whatever it comes with."""
+    keys = np.zeros(len(data.truth), dtype=np.uint64)
+    for part in slices(len(keys), data.truth[:1].nbytes):
+        keys[part] = row_hashes(pose_words(data.truth[part]))
+    for name, values in data.labels.items():
+        keys += _hash_of_label(name, values)
+    if data.has_frame_id:
+        keys += row_hashes(data.frame_id) * _OF_FRAMES
+    return keys
+
+
+def are_told_apart(data: PoseData) -> bool:
+    """Whether poses whose keys are equal are the same ones: not those of few coordinates, of frames without names."""
+    return data.has_frame_id or data.truth[0].size >= FEWEST_COORDINATES
 
 
 def add_hashes(parts: list[PoseHashes], more: PoseHashes) -> None:
@@ -50,6 +71,8 @@ def smallest_hashes(parts: Sequence[PoseHashes]) -> PoseHashes:
     """Put hashes other than 0 together, in ascending order; of more than :data:`MOST_HASHES` the smallest."""
     hashes = np.concatenate([np.zeros((0, 2), dtype=np.uint64), *parts])
     hashes = hashes[hashes.any(axis=1)]
+    if len(hashes) > MOST_HASHES:  # most of many need not be sorted
+        hashes = hashes[hashes[:, 0] <= np.partition(hashes[:, 0], MOST_HASHES)[MOST_HASHES]]
     return hashes[np.lexsort(hashes.T[::-1])][:MOST_HASHES]
 
 
@@ -95,6 +118,8 @@ def shared_poses(parts: Sequence[PoseHashes]) -> tuple[int, int, int]:
     """
     alone = [_without_repeated(part) for part in parts]
     hashes, part = np.concatenate(alone), np.repeat(np.arange(len(alone)), [len(some) for some in alone])
+    if np.unique(hashes[:, 0]).size == len(hashes):
+        return 0, 0, 0
     order = np.lexsort((part, hashes[:, 1], hashes[:, 0]))
     hashes, part = hashes[order], part[order]
     (pose, frame), (next_pose, next_frame) = hashes[:-1].T, hashes[1:].T
@@ -111,3 +136,9 @@ def _without_repeated(hashes: PoseHashes) -> PoseHashes:
     is_alone = np.ones(len(hashes), dtype=bool)
     is_alone[1:][equal] = is_alone[:-1][equal] = False
     return hashes[is_alone]
+
+
+def _hash_of_label(name: str, values: npt.NDArray[np.str_]) -> npt.NDArray[np.uint64]:
+    if SPREAD.match(name):  # of the hypotheses
+        return np.zeros(len(values), dtype=np.uint64)
+    return row_hashes(values) * np.uint64(2 * zlib.crc32(name.encode(errors="surrogatepass")) + 1)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +15,7 @@ from posecal.data.pose_data import PoseData
 from posecal.data.remarks import Count, Example, Remark
 from posecal.data.root import root_joints, root_name
 from posecal.engine.block import Block
-from posecal.engine.cells import SPREAD, label_name, spread_cuts, spread_labels
+from posecal.engine.cells import RUNS, SPREAD, label_name, spread_cuts, spread_labels
 from posecal.engine.chunks import map_blocks, read_chunks
 from posecal.engine.coordinate_range import CoordinateRange, coordinate_range
 from posecal.engine.protocol import Protocol
@@ -35,13 +35,37 @@ class Prepared:
         Of the true poses.
     sequences : dict
         The number of each sequence in it, by name; empty where each pose is its own.
+    n_poses : int
+        How many poses these are.
+    first : int or None
+        Of a part of them: the number of its first pose, from which runs of poses without sequences are counted.
+    cuts : mapping of arrays
+        The cuts of the predicted spread, mm, by entries of ``by``.
     clips : TrueClips or None
         The true clips; None where the last observed poses before them are not known.
     """
 
     limits: CoordinateRange
     sequences: dict[str, int]
+    n_poses: int = 0
+    first: int | None = None
+    cuts: Mapping[str, FloatArray] = field(default_factory=dict)
     clips: TrueClips | None = None
+
+    @classmethod
+    def joined(cls, parts: Sequence[Prepared]) -> Prepared:
+        """Put together what was found of parts of a test set, in their order."""
+        names: dict[str, int] = {}
+        limits, n_poses = [], 0
+        for part in parts:
+            numbers = n_poses + np.arange(part.n_poses)
+            if part.sequences:
+                numbers = np.array([names.setdefault(name, len(names)) for name in part.sequences])
+            limits.append(part.limits._replace(reached_by=numbers[part.limits.reached_by]))
+            n_poses += part.n_poses
+        return cls(
+            CoordinateRange.joined(limits), names, n_poses, clips=TrueClips.joined([part.clips for part in parts])
+        )
 
     @property
     def hash(self) -> str:
@@ -52,7 +76,12 @@ class Prepared:
     @property
     def hashes(self) -> dict[str, str]:
         """Hashes of its parts, by the need of metrics that each meets."""
-        return {"coordinate range": self.hash, **({} if self.clips is None else {"true clips": self.clips.hash})}
+        found = {"coordinate range": self.hash}
+        if self.clips is not None:
+            found["true clips"] = self.clips.hash
+        if self.first is not None:
+            found[RUNS] = self.hash
+        return found
 
 
 def prepare(data: PoseData) -> Prepared:
@@ -73,11 +102,18 @@ def prepare(data: PoseData) -> Prepared:
     if "sequence" in data.labels:
         names, own = np.unique(data.labels["sequence"], return_inverse=True)
     limits = coordinate_range(data.truth, data.where, root=data.root, sequence=own)
-    return Prepared(limits, {str(name): number for number, name in enumerate(names)}, true_clips(data))
+    numbers = {str(name): number for number, name in enumerate(names)}
+    return Prepared(limits, numbers, len(own), clips=true_clips(data))
 
 
 def add_spread_labels(
-    data: PoseData, by: Sequence[str], spread: Callable[[Block], FloatArray], threads: int | None, *, is_all: bool
+    data: PoseData,
+    by: Sequence[str],
+    spread: Callable[[Block], FloatArray],
+    threads: int | None,
+    prepared: Prepared | None = None,
+    *,
+    is_all: bool,
 ) -> PoseData:
     """Add the labels of entries of ``by`` that cut poses by their predicted spread.
 
@@ -91,6 +127,8 @@ def add_spread_labels(
         The predicted spread of the poses of a block, (B,), mm.
     threads : int or None
         One per core by default.
+    prepared : Prepared, optional
+        With cuts that are known.
     is_all : bool
         Whether these are all poses, so that parts of equal size can be cut.
 
@@ -103,7 +141,9 @@ def add_spread_labels(
     if not entries:
         return data
     values = np.concatenate(list(map_blocks(data, spread, threads)))
-    parts = {label_name(e): spread_labels(spread_cuts(e, values if is_all else None), values) for e in entries}
+    known = {} if prepared is None else prepared.cuts
+    cuts = {e: known[e] if e in known else spread_cuts(e, values if is_all else None) for e in entries}
+    parts = {label_name(e): spread_labels(cuts[e], values) for e in entries}
     return data.replace(labels={**data.labels, **parts})
 
 

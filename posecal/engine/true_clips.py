@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,6 +42,17 @@ class TrueClips:
         for poses in (self.poses, self.observed):
             found = zlib.crc32(np.ascontiguousarray(poses).data, found)
         return f"{found:08x}"
+
+    @classmethod
+    def joined(cls, parts: Sequence[TrueClips | None]) -> TrueClips | None:
+        """Put the clips of parts of a test set together; None where those of a part are not known."""
+        known = [part for part in parts if part is not None]
+        if len(known) < len(parts):
+            return None
+        names = [name for part in known for name in part.number]
+        number = {name: row for row, name in enumerate(names)}
+        poses, observed = (np.concatenate([getattr(part, name) for part in known]) for name in ("poses", "observed"))
+        return cls(number, poses, observed)
 
     def of(self, clip: str, threshold: float, joints: BoolArray) -> FloatArray | None:
         """Give the clips whose last observed pose is nearer than a threshold to that of a clip, which is one of them.

@@ -6,6 +6,7 @@ import inspect
 import os
 import runpy
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -60,6 +61,24 @@ def load_function(entry: str, what: str, *kinds: type) -> tuple[str, Any]:
     if not callable(names[name]) and not isinstance(names[name], kinds):
         raise PoseDataError(f"{what}: {name!r} in {path} is of type {type(names[name]).__name__}; expected {expected}.")
     return name, names[name]
+
+
+@dataclass(frozen=True)
+class FileFunction:
+    """A function of a Python file, which other processes load again.
+
+    Attributes
+    ----------
+    entry, what : str
+        As for :func:`load_function`.
+    """
+
+    entry: str
+    what: str
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call the function."""
+        return load_function(self.entry, self.what)[1](*arguments)
 
 
 @cache

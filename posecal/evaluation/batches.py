@@ -58,8 +58,7 @@ class Evaluation:
     by, metrics, preranks, protocol, threads, draws, seed
         As for :func:`evaluate`. Where hypotheses are drawn, give each evaluation that will be merged another ``seed``.
     prepared : Prepared, optional
-        What depends on the whole set, where a metric needs it (``tarp_box``): :func:`posecal.prepare` of pose data with
-        the true poses of all batches.
+        What depends on the whole set, for ``tarp_box``: :func:`posecal.prepare` of the true poses of all batches.
 
     Raises
     ------
@@ -207,6 +206,7 @@ class Evaluation:
         hold_back: bool = False,
         complete: bool = False,
         n_given: int | None = None,
+        has_mask: bool | None = None,
     ) -> None:
         """Add pose data.
 
@@ -217,12 +217,13 @@ class Evaluation:
         progress : callable, optional
             Called with the number of poses that are done.
         hold_back : bool
-            Whether these poses stay in memory until the next ones come, so that they can still be dropped by their
-            ``frame_id``.
+            Whether these poses stay in memory until the next ones come, and can be dropped by their ``frame_id``.
         complete : bool
             Whether these are all poses: what depends on the whole set is then found first.
         n_given : int, optional
             How many poses came, those among them that were dropped; as many by default.
+        has_mask : bool, optional
+            Of poses that :func:`posecal.engine.prepare.select_scored` gave: whether the user masks joints.
 
         Raises
         ------
@@ -231,10 +232,10 @@ class Evaluation:
         """
         check_callable("progress", progress)
         n_given = len(checked_type(data, "data", PoseData).truth) if n_given is None else n_given
-        has_mask = data.where is not None
         data = data if wants_reference(self.protocol) else data.replace(reference=None)
         data, place = (data, self._place) if complete else continued(data, n_given, self._place)
-        data = select_scored(data, self.protocol)
+        if has_mask is None:
+            has_mask, data = data.where is not None, select_scored(data, self.protocol)
         lack = lack_of_scored(data, self.protocol)
         if lack and complete:
             raise PoseDataError(lack)
@@ -253,8 +254,7 @@ class Evaluation:
                     raise
                 remarks.append(count(True))
         self._remarks = join_remarks([*self._remarks, *filter(None, remarks)])
-        self._place = place
-        self._n_frames += n_given
+        self._place, self._n_frames = place, self._n_frames + n_given
         self._lack = lack if self._lack is None else self._lack and lack
         self._has_frames, self._batches = hold_back, self._batches + 1
 
@@ -264,7 +264,7 @@ class Evaluation:
         more: dict[str, Any] = {"has_mask": has_mask, "preranks": tuple(self._preranks), "is_ragged": ragged}
         spec = spec_of(data, self._prepared, complete=complete, **more)
         remark = live_remark(data) if ragged else ""
-        data = add_spread_labels(data, self.by, predicted_spread, self._threads, is_all=complete)
+        data = add_spread_labels(data, self.by, predicted_spread, self._threads, self._prepared, is_all=complete)
         if self._accumulator is None:
             options = self.by, self._preranks, self._prepared, self._threads
             accumulator = start_accumulator(spec, self.protocol, data, *options, complete=complete)
@@ -357,8 +357,7 @@ class Evaluation:
         self._others = [*self._others, *other._parts()]
         self._frames_of_others = self._frames_of_others | frames
         self._remarks = join_remarks([*self._remarks, *other._remarks, *other._frame_check.remarks()])
-        self._n_frames += other._n_frames
-        self._batches += other._batches
+        self._n_frames, self._batches = self._n_frames + other._n_frames, self._batches + other._batches
         self._has_frames = other._has_frames if self._has_frames is None else self._has_frames
         self._lack = min((k for k in (self._lack, other._lack) if k is not None), key=len, default=None)
 

@@ -40,7 +40,7 @@ def evaluate(
     truth_unit: str | None = None,
     axes: str | None = None,
     truth_axes: str | None = None,
-    missing: Literal["error", "skip"] = "error",
+    missing: Literal["error", "skip", "part"] = "error",
     shared_joints: Literal["same", "common"] = "same",
     n_hypotheses: int | None = None,
     skeleton: object = None,
@@ -97,7 +97,8 @@ def evaluate(
     axes, truth_axes : str, optional
         Layouts of data that declare none, such as ``MNKD``; ``NMKD`` and ``MKD`` by default.
     missing : str
-        ``error``, or ``skip`` to evaluate the frames that both have.
+        ``error``, ``skip`` to evaluate the frames that both have, or ``part`` where the hypotheses are of some frames
+        of the truth.
     shared_joints : str
         ``same``, or ``common`` to evaluate the joints that both have.
     n_hypotheses : int, optional

@@ -46,7 +46,8 @@ def start_accumulator(
                 f"{option('prepared')} with posecal.prepare of them, or metrics without it."
             )
         prepared = prepare(data)
-    index = CellIndex([entry for entry in by if entry != "occlusion"], protocol.average, [*data.labels])
+    place = {} if prepared is None or prepared.first is None else {"first": prepared.first, "n_poses": prepared.n_poses}
+    index = CellIndex([entry for entry in by if entry != "occlusion"], protocol.average, [*data.labels], **place)
     return Accumulator(spec, protocol, statistics, index, prepared=prepared, own_metrics=own, threads=threads)
 
 

@@ -116,7 +116,7 @@ def test_without_a_command_help_is_shown() -> None:
 
 def test_options_of_evaluate_come_before_those_of_reading_and_writing() -> None:
     text = done("evaluate", "--help")
-    headings = ["Arguments", "Options", "How the files are read", "What is written"]
+    headings = ["Arguments", "Options", "Many files", "How the files are read", "What is written"]
     assert re.findall(r"╭─ (.+?) ─", text) == headings
     at = [
         text.index(option)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from posecal.engine.coordinate_range import coordinate_range
+from posecal.engine.coordinate_range import CoordinateRange, coordinate_range
 
 Array = np.ndarray
 
@@ -48,6 +48,14 @@ def test_the_range_without_a_sequence_is_that_of_the_other_poses(
         found = coordinate_range(truth, where if masked else None, root=root, sequence=sequence if labelled else None)
         every = other_poses(truth, where, root, sequence, 99)
         np.testing.assert_array_equal((found.least[0], found.largest[0]), every)
+        some = random.random(M) < 0.5
+        parts = [
+            coordinate_range(truth[part], where[part] if masked else None, root=root, sequence=sequence[part])
+            for part in (some, ~some)
+            if part.any()
+        ]
+        for one, joined in zip(found[:2], CoordinateRange.joined(parts)[:2], strict=True):
+            np.testing.assert_array_equal(one, joined)  # whatever is in which part
         asked = np.array([*np.unique(sequence), 99])
         low, high = found.without(asked)
         for row, own in enumerate(asked):
@@ -57,7 +65,7 @@ def test_the_range_without_a_sequence_is_that_of_the_other_poses(
 def test_the_sequence_that_reaches_an_end_is_named_by_its_number() -> None:
     truth = np.array([[[1.0]], [[5.0]], [[-2.0]], [[4.0]]])
     found = coordinate_range(truth, sequence=np.array([30, 20, 10, 20]))
-    assert found.reached_by.ravel().tolist() == [10, 20]
+    assert found.reached_by.reshape(2, 2).tolist() == [[10, 30], [20, 30]]
     assert found.least.ravel().tolist() == [-2, 1]
     assert found.largest.ravel().tolist() == [5, 1]  # 4 is of the same sequence as 5
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from posecal.calibration.rank_tests import NEEDS_COORDINATE_RANGE
-from posecal.engine.merge import merge_totals
+from posecal.engine import merge
+from posecal.engine.merge import in_order_of_sequences, merge_totals, merge_tree
 from posecal.engine.protocol import Protocol
 from posecal.errors import PoseDataError
 from posecal.registry import known_metrics
@@ -212,3 +213,45 @@ def test_velocities_per_frame_add_at_any_frame_rate() -> None:
 def test_only_results_are_merged(what: Any) -> None:
     with pytest.raises(PoseDataError, match=r"^merge: expected results \(Totals, such as report\.totals\), at least"):
         merge_totals(what)
+
+
+# --- many shards ------------------------------------------------------------------------------------------------------
+
+
+def test_a_tree_of_merges_is_one_merge(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(merge, "FAN_IN", 3)
+    protocol = Protocol(metrics="default")
+    for number in (1, 3, 4, 9, 11):
+        parts = [part.totals(protocol) for part in cut(world(6, M=23), *range(1, number))]
+        tree, one = merge_tree(iter(parts)), merge_totals(parts)
+        np.testing.assert_array_equal(tree.cells["sequence"], one.cells["sequence"])
+        np.testing.assert_array_equal(tree.poses, one.poses)
+        for name, sums in one.sums.items():
+            np.testing.assert_allclose(tree.sums[name], sums, rtol=1e-12, err_msg=name)
+        for name, values in one.per_pose.items():
+            np.testing.assert_array_equal(tree.per_pose[name], values)
+        np.testing.assert_array_equal(tree.cell_of, one.cell_of)
+
+
+def test_there_are_at_most_a_hundred_runs_however_many_shards() -> None:
+    parts = [accumulate(part.pairs.replace(labels={})) for part in cut(world(6, M=230), *range(7, 230, 7))]
+    merged = merge_totals(parts)
+    assert len(merged.poses) == 58  # 230 runs of a pose, four together
+    assert merged.poses.tolist() == [4] * 57 + [2]
+    np.testing.assert_allclose(
+        merged.sums["errors"].sum(axis=0), sum(part.sums["errors"].sum(axis=0) for part in parts)
+    )
+
+
+def test_cells_are_put_in_the_order_of_their_sequences() -> None:
+    some = world(6, M=23).totals(Protocol(metrics="default"))
+    names = sorted({*some.cells["sequence"].tolist()}, reverse=True)
+    found = in_order_of_sequences(some, names)
+    assert [*dict.fromkeys(found.cells["sequence"].tolist())] == names
+    one = known_metrics(Protocol(), some.spec)
+    for name in ("mpjpe", "spread_error_correlation", "ece"):
+        assert found.value(one[name]) == pytest.approx(some.value(one[name]), rel=1e-12)
+    for row, sequence in enumerate(found.cells["sequence"]):
+        assert found.poses[row] == some.poses[some.cells["sequence"] == sequence][0]
+    poses = found.cells["sequence"][found.cell_of]
+    np.testing.assert_array_equal(poses, some.cells["sequence"][some.cell_of])

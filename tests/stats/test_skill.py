@@ -13,7 +13,8 @@ from posecal.engine.protocol import Protocol
 from posecal.errors import PoseDataError
 from posecal.metrics.proper import joint_energies
 from posecal.report.report import Report
-from posecal.stats.skill import climatology, with_reference
+from posecal.stats import skill
+from posecal.stats.skill import ClimatologyPool, climatology, with_reference
 from tests.helpers.random_worlds import skewed
 from tests.helpers.samplers import gaussian, pairs_of, sequences
 from tests.helpers.sums import accumulate
@@ -56,6 +57,23 @@ def test_climatology_has_as_many_hypotheses_and_is_the_same_every_time() -> None
     assert (read(climatology(pairs, seed=1)) != read(climatology(pairs))).any()
     poses = np.array([3, 1])
     np.testing.assert_array_equal(read(climatology(pairs).select(poses)), read(climatology(pairs))[:, poses])
+
+
+def test_parts_draw_what_the_whole_draws_in_any_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    x, y = skewed(5, 3, 40, 3)
+    labels = {"sequence": np.array([f"s{m // 5}" for m in range(40)])}
+    whole = pairs_of(x, y, labels=labels)
+    parts = [whole.select(rows) for rows in (np.arange(1, 40, 2), np.arange(0, 40, 2))]
+    for most in (100, 17):  # all poses, or some
+        monkeypatch.setattr(skill, "MOST_POSES", most)
+        pool = ClimatologyPool.joined([ClimatologyPool.of(part) for part in parts])
+        assert len(pool.keys) == min(40, most)
+        assert pool.hash == ClimatologyPool.of(whole).hash
+        expected = read(climatology(whole, 30))
+        np.testing.assert_array_equal(read(climatology(parts[0], 30, pool=pool)), expected[:, 1::2])
+        for m in range(40):
+            drawn = [int(np.flatnonzero((pose == y).all(axis=(1, 2)))[0]) // 5 for pose in expected[:, m]]
+            assert m // 5 not in drawn
 
 
 @pytest.mark.parametrize(
