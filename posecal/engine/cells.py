@@ -185,7 +185,7 @@ class CellIndex:
             sequence = (self._poses + np.arange(n_poses)) // self._run_length
         self._poses += n_poses
         moved = None
-        if self._rows and (self.names != columns or self._run_length != run_length):
+        if self._rows and (self.names != columns or self._run_length != length):
             kept = [columns.index(name) for name in self.names]
             before = [tuple(row[column] for column in kept) for row in self._rows]
             if not self.has_sequences:
