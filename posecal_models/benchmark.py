@@ -26,9 +26,9 @@ from posecal_models.data.detector import Detector
 from posecal_models.data.lifting_set import LiftingSet
 from posecal_models.data.mocap import MocapPoses
 from posecal_models.data.training_set import seeded_generator
-from posecal_models.estimators import ReferenceEstimator, parameter_count
+from posecal_models.estimators.registry import ReferenceEstimator, parameter_count
+from posecal_models.estimators.simple_baseline import SimpleBaseline
 from posecal_models.sample import POSES_AT_ONCE, draw
-from posecal_models.simple_baseline import SimpleBaseline
 
 __all__ = ["COLUMNS", "HARD", "BenchmarkRow", "draw_hypotheses", "evaluate_estimator", "held_out_poses", "markdown"]
 

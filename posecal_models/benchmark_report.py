@@ -16,11 +16,11 @@ from posecal.errors import PoseDataError, PoseFileError
 from posecal.plot import save
 from posecal_models import figures
 from posecal_models.benchmark import BenchmarkRow, draw_hypotheses, evaluate_estimator, held_out_poses, markdown
-from posecal_models.cgnf.model import CGNF
 from posecal_models.checkpoint import load_estimator, notes_of
 from posecal_models.contract import Context
 from posecal_models.data.lifting_set import LiftingSet
 from posecal_models.data.training_set import seeded_generator
+from posecal_models.estimators.cgnf.model import CGNF
 from posecal_models.progress import progress_bar
 from posecal_models.sample import check_input
 

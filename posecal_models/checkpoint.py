@@ -21,11 +21,11 @@ import posecal
 from posecal.conversion.containers import load_tensors
 from posecal.data.write import write_file
 from posecal.errors import PoseDataError, PoseFileError, did_you_mean, first_few, refuse_unreadable
-from posecal_models.cgnf.flow import FlowSize
-from posecal_models.cgnf.model import CGNF
-from posecal_models.cgnf.released import from_released
 from posecal_models.data.standardizer import Standardizer
-from posecal_models.estimators import ReferenceEstimator, build, describe
+from posecal_models.estimators.cgnf.flow import FlowSize
+from posecal_models.estimators.cgnf.model import CGNF
+from posecal_models.estimators.cgnf.released import from_released
+from posecal_models.estimators.registry import ReferenceEstimator, build, describe
 
 __all__ = [
     "load_estimator",

@@ -243,8 +243,8 @@ def describe(
     import json
 
     from posecal_models.checkpoint import load_estimator, notes_of
-    from posecal_models.estimators import describe as describe_estimator
-    from posecal_models.estimators import parameter_count
+    from posecal_models.estimators.registry import describe as describe_estimator
+    from posecal_models.estimators.registry import parameter_count
 
     estimator = load_estimator(weights)
     about = {

@@ -40,7 +40,7 @@ class ModelConfig:
     size : str
         Size of a cGNF: ``tiny``, ``small``, ``large``, ``xlarge``.
     backward_weights, scale
-        Options of a cGNF, see :class:`posecal_models.cgnf.flow.GraphFlow`.
+        Options of a cGNF, see :class:`posecal_models.estimators.cgnf.flow.GraphFlow`.
     origin : str
         Origin of the keypoints: ``observed`` (the mean of the observed ones), ``root`` (the hip's keypoint, which the
         data must then hold) or ``none``.

@@ -204,7 +204,7 @@ class PointEstimate:
         """
         raise PoseDataError(
             f"log_prob of {len(truth)} poses: a point estimate has no density. "
-            "Add Gaussian noise with posecal_models.gaussian_noise.GaussianNoise."
+            "Add Gaussian noise with posecal_models.estimators.gaussian_noise.GaussianNoise."
         )
 
     def mode(self) -> Tensor:

@@ -9,13 +9,13 @@ from torch import Tensor
 
 from posecal.errors import PoseDataError
 from posecal_models.batch_shard import draw_rows
-from posecal_models.cgnf.model import CGNF
-from posecal_models.cgnf.objective import FlowObjective
 from posecal_models.config import TrainConfig
 from posecal_models.contract import Context
-from posecal_models.estimators import ReferenceEstimator
-from posecal_models.gaussian_noise import GaussianNoise
-from posecal_models.simple_baseline import SimpleBaseline
+from posecal_models.estimators.cgnf.model import CGNF
+from posecal_models.estimators.cgnf.objective import FlowObjective
+from posecal_models.estimators.gaussian_noise import GaussianNoise
+from posecal_models.estimators.registry import ReferenceEstimator
+from posecal_models.estimators.simple_baseline import SimpleBaseline
 
 __all__ = ["BestOfN", "Likelihood", "Objective", "SquaredError", "build_objective"]
 

@@ -17,9 +17,9 @@ from posecal_models.data.npz import read_npz
 from posecal_models.data.standardizer import check_pixels
 from posecal_models.data.training_set import TrainingSet, seeded_generator
 from posecal_models.distributed import ProcessGroup
-from posecal_models.estimators import ReferenceEstimator, baseline_keypoints, build_from_config, describe
-from posecal_models.gaussian_noise import GaussianNoise
-from posecal_models.simple_baseline import SimpleBaseline
+from posecal_models.estimators.gaussian_noise import GaussianNoise
+from posecal_models.estimators.registry import ReferenceEstimator, baseline_keypoints, build_from_config, describe
+from posecal_models.estimators.simple_baseline import SimpleBaseline
 from posecal_models.train import Training
 from posecal_models.training_folder import CHECKPOINT, check_folder, digests
 

@@ -23,7 +23,7 @@ from posecal.errors import PoseDataError
 from posecal_models.contract import Context, Estimator, PoseDistribution
 from posecal_models.data.keypoint_set import KeypointSet
 from posecal_models.data.training_set import seeded_generator
-from posecal_models.estimators import ReferenceEstimator
+from posecal_models.estimators.registry import ReferenceEstimator
 
 __all__ = ["POSES_AT_ONCE", "check_input", "draw", "sample_to_file"]
 

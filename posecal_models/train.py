@@ -23,7 +23,7 @@ from posecal_models.config import Config
 from posecal_models.cuda_graph import CudaGraphObjective
 from posecal_models.data.training_set import TrainingSet, draw_graphs, seeded_generator
 from posecal_models.distributed import ProcessGroup
-from posecal_models.estimators import ReferenceEstimator
+from posecal_models.estimators.registry import ReferenceEstimator
 from posecal_models.objectives import Objective, build_objective
 from posecal_models.schedule import Schedule
 from posecal_models.training_folder import CHECKPOINT, WEIGHTS, check_same, write_losses

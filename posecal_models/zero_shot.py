@@ -20,11 +20,11 @@ import torch
 from torch import Tensor
 
 from posecal.errors import PoseDataError
-from posecal_models.cgnf.flow import FlowSize
-from posecal_models.cgnf.model import CGNF
 from posecal_models.contract import Context
 from posecal_models.data.training_set import seeded_generator
-from posecal_models.graph import PoseGraph
+from posecal_models.estimators.cgnf.flow import FlowSize
+from posecal_models.estimators.cgnf.graph import PoseGraph
+from posecal_models.estimators.cgnf.model import CGNF
 
 __all__ = ["PENDULUM_MODELS", "LogDensity", "Pendulum", "PoseWorldRow", "fit", "pendulum", "pose_world"]
 

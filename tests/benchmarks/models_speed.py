@@ -24,12 +24,12 @@ import torch
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from posecal_models.cgnf.flow import SIZES
-from posecal_models.cgnf.model import CGNF
-from posecal_models.cgnf.objective import FlowObjective
 from posecal_models.contract import Context
 from posecal_models.cuda_graph import CudaGraphObjective
-from posecal_models.graph import human36m_graph
+from posecal_models.estimators.cgnf.flow import SIZES
+from posecal_models.estimators.cgnf.graph import human36m_graph
+from posecal_models.estimators.cgnf.model import CGNF
+from posecal_models.estimators.cgnf.objective import FlowObjective
 from tests.models import plain_cgnf
 
 GRAPHS, SAMPLES = 200, 200

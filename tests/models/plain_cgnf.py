@@ -1,7 +1,8 @@
 """Naive reference implementation of the cGNF: the formulas as written, one node, one relation, one sample at a time.
 
-Weights are a dictionary by the names of :class:`posecal_models.cgnf.flow.GraphFlow`. Nothing is shared, folded or
-reordered: messages of the context are recomputed for every sample, and those along edges one relation at a time.
+Weights are a dictionary by the names of :class:`posecal_models.estimators.cgnf.flow.GraphFlow`. Nothing is shared,
+folded or reordered: messages of the context are recomputed for every sample, and those along edges one relation at a
+time.
 """
 
 from __future__ import annotations

@@ -9,12 +9,12 @@ import pytest
 import torch
 
 from posecal.errors import PoseDataError
-from posecal_models.cgnf import buffers
-from posecal_models.cgnf.flow import SIZES, FlowSize, GraphFlow
-from posecal_models.cgnf.model import CGNF
-from posecal_models.cgnf.parameters import PUBLISHED, parameter_table
 from posecal_models.contract import Context
-from posecal_models.graph import PoseGraph, human36m_graph
+from posecal_models.estimators.cgnf import buffers
+from posecal_models.estimators.cgnf.flow import SIZES, FlowSize, GraphFlow
+from posecal_models.estimators.cgnf.graph import PoseGraph, human36m_graph
+from posecal_models.estimators.cgnf.model import CGNF
+from posecal_models.estimators.cgnf.parameters import PUBLISHED, parameter_table
 from tests.models import plain_cgnf
 from tests.models.random_flows import POSES, SAMPLES, SIZE, inputs, random_flow, repeat_per_sample
 

@@ -9,10 +9,10 @@ import pytest
 import torch
 
 from posecal.errors import PoseDataError
-from posecal_models.cgnf.flow import FlowSize
-from posecal_models.cgnf.model import CGNF
-from posecal_models.cgnf.objective import FlowObjective
 from posecal_models.contract import Context
+from posecal_models.estimators.cgnf.flow import FlowSize
+from posecal_models.estimators.cgnf.model import CGNF
+from posecal_models.estimators.cgnf.objective import FlowObjective
 
 GRAPHS = 11
 

@@ -9,10 +9,10 @@ import pytest
 import torch
 
 from posecal.errors import PoseDataError
-from posecal_models.cgnf import buffers, context_messages, passes
-from posecal_models.cgnf import flow as flows
-from posecal_models.cgnf.flow import GraphFlow
-from posecal_models.graph import PoseGraph, human36m_graph
+from posecal_models.estimators.cgnf import buffers, context_messages, passes
+from posecal_models.estimators.cgnf import flow as flows
+from posecal_models.estimators.cgnf.flow import GraphFlow
+from posecal_models.estimators.cgnf.graph import PoseGraph, human36m_graph
 from tests.models import plain_cgnf
 from tests.models.random_flows import NODES, POSES, SAMPLES, SIZE, inputs, random_flow, repeat_per_sample
 

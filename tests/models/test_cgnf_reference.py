@@ -9,12 +9,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from posecal_models.cgnf.flow import EmbeddedContext, FlowSize, GraphFlow
-from posecal_models.cgnf.model import CGNF
-from posecal_models.cgnf.objective import FlowObjective
-from posecal_models.cgnf.released import from_released
 from posecal_models.data.standardizer import Standardizer
-from posecal_models.graph import human36m_graph
+from posecal_models.estimators.cgnf.flow import EmbeddedContext, FlowSize, GraphFlow
+from posecal_models.estimators.cgnf.graph import human36m_graph
+from posecal_models.estimators.cgnf.model import CGNF
+from posecal_models.estimators.cgnf.objective import FlowObjective
+from posecal_models.estimators.cgnf.released import from_released
 from tests.models.random_flows import with_hip_keypoint
 
 FOLDER = Path(__file__).parents[1] / "fixtures" / "reference_models"

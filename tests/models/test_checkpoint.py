@@ -16,8 +16,6 @@ import torch
 from safetensors.torch import save_file
 
 from posecal.errors import PoseDataError, PoseFileError
-from posecal_models.cgnf.flow import SIZES, FlowSize
-from posecal_models.cgnf.model import CGNF
 from posecal_models.checkpoint import (
     load_estimator,
     load_released,
@@ -30,10 +28,12 @@ from posecal_models.checkpoint import (
 )
 from posecal_models.config import Config
 from posecal_models.contract import Context
-from posecal_models.estimators import build, describe
-from posecal_models.gaussian_noise import GaussianNoise
-from posecal_models.graph import PoseGraph
-from posecal_models.simple_baseline import SimpleBaseline
+from posecal_models.estimators.cgnf.flow import SIZES, FlowSize
+from posecal_models.estimators.cgnf.graph import PoseGraph
+from posecal_models.estimators.cgnf.model import CGNF
+from posecal_models.estimators.gaussian_noise import GaussianNoise
+from posecal_models.estimators.registry import build, describe
+from posecal_models.estimators.simple_baseline import SimpleBaseline
 from tests.models.random_flows import with_hip_keypoint
 
 ROOT = Path(__file__).parents[2]

@@ -11,9 +11,9 @@ from scipy import stats
 from scipy.optimize import minimize_scalar
 
 from posecal_models.contract import Context
-from posecal_models.gaussian_noise import GaussianDistribution, GaussianNoise, likelihood_optimum
+from posecal_models.estimators.gaussian_noise import GaussianDistribution, GaussianNoise, likelihood_optimum
+from posecal_models.estimators.simple_baseline import SimpleBaseline
 from posecal_models.objectives import BestOfN, Likelihood
-from posecal_models.simple_baseline import SimpleBaseline
 
 JOINTS = ("a", "b")
 

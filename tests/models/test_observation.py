@@ -10,13 +10,13 @@ import torch
 from scipy import stats
 
 from posecal.errors import PoseDataError
-from posecal_models.cgnf.flow import SIZES
-from posecal_models.cgnf.model import CGNF
 from posecal_models.contract import Context
 from posecal_models.data.detector import Detector
 from posecal_models.data.masks import SHARES, mask_keypoints
 from posecal_models.data.standardizer import Standardizer
 from posecal_models.data.training_set import TrainingSet, seeded_generator
+from posecal_models.estimators.cgnf.flow import SIZES
+from posecal_models.estimators.cgnf.model import CGNF
 from posecal_models.train import draw_graphs
 from tests.models.random_flows import with_hip_keypoint
 from tests.models.test_data_formats import lifting_set

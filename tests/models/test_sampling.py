@@ -14,16 +14,16 @@ import pytest
 import torch
 
 from posecal.errors import PoseDataError, PoseFileError
-from posecal_models.cgnf.flow import SIZES
-from posecal_models.cgnf.model import CGNF
 from posecal_models.contract import Context, Estimator, PointEstimate, PoseDistribution
 from posecal_models.data.detector import Detector
 from posecal_models.data.keypoint_set import KeypointSet
 from posecal_models.data.lifting_set import LiftingSet
 from posecal_models.data.mocap import MocapPoses
-from posecal_models.gaussian_noise import GaussianDistribution, GaussianNoise
+from posecal_models.estimators.cgnf.flow import SIZES
+from posecal_models.estimators.cgnf.model import CGNF
+from posecal_models.estimators.gaussian_noise import GaussianDistribution, GaussianNoise
+from posecal_models.estimators.simple_baseline import SimpleBaseline
 from posecal_models.sample import draw, sample_to_file
-from posecal_models.simple_baseline import SimpleBaseline
 
 ROOT = Path(__file__).parents[2]
 
@@ -93,8 +93,8 @@ def test_memory_does_not_grow_with_the_poses(estimator, tmp_path):
     script = """
 import resource, sys
 import numpy as np, torch
-from posecal_models.gaussian_noise import GaussianNoise
-from posecal_models.simple_baseline import SimpleBaseline
+from posecal_models.estimators.gaussian_noise import GaussianNoise
+from posecal_models.estimators.simple_baseline import SimpleBaseline
 from posecal_models.data.keypoint_set import KeypointSet
 from posecal_models.sample import sample_to_file
 torch.set_num_threads(1)

@@ -10,8 +10,8 @@ import torch
 
 from posecal.errors import PoseDataError
 from posecal_models.contract import Context, PointEstimate
+from posecal_models.estimators.simple_baseline import SimpleBaseline, from_public
 from posecal_models.objectives import SquaredError
-from posecal_models.simple_baseline import SimpleBaseline, from_public
 
 FOLDER = Path(__file__).parents[1] / "fixtures" / "reference_models"
 SIXTEEN = tuple(f"joint {k}" for k in range(16))

@@ -11,8 +11,8 @@ import torch
 from posecal_models.checkpoint import save_estimator
 from posecal_models.config import Config
 from posecal_models.distributed import ProcessGroup, torchrun_group
+from posecal_models.estimators.simple_baseline import SimpleBaseline
 from posecal_models.preparation import prepare
-from posecal_models.simple_baseline import SimpleBaseline
 
 BASELINE = {"kind": "simple-baseline", "width": 8, "residuals": 1}
 KINDS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {

@@ -18,8 +18,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import pad
 
-from posecal_models.cgnf.message_passing import MessagePassing
-from posecal_models.graph import PoseGraph
+from posecal_models.estimators.cgnf.graph import PoseGraph
+from posecal_models.estimators.cgnf.message_passing import MessagePassing
 
 __all__ = ["Couplings", "FoldedCouplings"]
 
@@ -30,9 +30,9 @@ class FoldedCouplings(NamedTuple):
     Attributes
     ----------
     first, second, pool : Tensor
-        Of :class:`posecal_models.cgnf.passes.BlockWeights`.
+        Of :class:`posecal_models.estimators.cgnf.passes.BlockWeights`.
     context_first, context_second : Tensor
-        The maps of :class:`posecal_models.cgnf.context_messages.ContextMaps`.
+        The maps of :class:`posecal_models.estimators.cgnf.context_messages.ContextMaps`.
     root, root_offset : Tensor
         The messages of a root at the origin, of the same.
     pending_scale, pending_shift : Tensor
@@ -194,8 +194,8 @@ class Couplings(nn.Module):
         Returns
         -------
         root, root_offset : Tensor
-            Of :class:`posecal_models.cgnf.context_messages.ContextMaps`; the second with the biases of the second
-            layer's update.
+            Of :class:`posecal_models.estimators.cgnf.context_messages.ContextMaps`; the second with the biases of the
+            second layer's update.
         """
         first = pad(self.first.from_root(root), (0, self.width - self.first.from_root.bias.shape[1]))
         second = self.second.from_root(self.first.next_maps()[1](root)) @ self.second.pool.weight.mT

@@ -49,7 +49,7 @@ def from_released(state: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], dict[
     Returns
     -------
     used : dict of str to Tensor
-        Tensors by the names of :class:`posecal_models.cgnf.flow.GraphFlow` with the ``released`` options.
+        Tensors by the names of :class:`posecal_models.estimators.cgnf.flow.GraphFlow` with the ``released`` options.
     unused : dict of str to Tensor
         Parameters that no output depends on, by their published names.
 

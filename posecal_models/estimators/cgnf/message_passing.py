@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import pad
 
-from posecal_models.graph import PoseGraph
+from posecal_models.estimators.cgnf.graph import PoseGraph
 
 __all__ = ["Linears", "MessagePassing"]
 
@@ -116,7 +116,7 @@ class MessagePassing(nn.Module):
 
     Examples
     --------
-    >>> from posecal_models.graph import human36m_graph
+    >>> from posecal_models.estimators.cgnf.graph import human36m_graph
     >>> layer = MessagePassing(
     ...     human36m_graph(), 10, 2, 8, 8, context=4, root=3, last=False, backward_weights=False
     ... )

@@ -1,7 +1,7 @@
 """The conditional graph normalizing flow: L coupling blocks between poses and latents.
 
 Everything here is unitless: standardised poses (P, n, K, D) on one side, standard normal latents of the same shape on
-the other. Millimetres and pixels are converted in :mod:`posecal_models.cgnf.model`.
+the other. Millimetres and pixels are converted in :mod:`posecal_models.estimators.cgnf.model`.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from posecal_models.cgnf.buffers import MessageGraph, Workspace
-from posecal_models.cgnf.context_messages import ContextMaps, NodeIndex
-from posecal_models.cgnf.coupling import Couplings, FoldedCouplings
-from posecal_models.cgnf.embedding import ContextEmbedding
-from posecal_models.cgnf.passes import BlockWeights, PassInputs, Scale, forward_pass, inverse_pass
-from posecal_models.graph import PoseGraph
+from posecal_models.estimators.cgnf.buffers import MessageGraph, Workspace
+from posecal_models.estimators.cgnf.context_messages import ContextMaps, NodeIndex
+from posecal_models.estimators.cgnf.coupling import Couplings, FoldedCouplings
+from posecal_models.estimators.cgnf.embedding import ContextEmbedding
+from posecal_models.estimators.cgnf.graph import PoseGraph
+from posecal_models.estimators.cgnf.passes import BlockWeights, PassInputs, Scale, forward_pass, inverse_pass
 
 __all__ = ["SIZES", "ConditionedFlow", "EmbeddedContext", "FlowSize", "GraphFlow"]
 

@@ -6,11 +6,11 @@ import torch
 from torch import Tensor, nn
 
 from posecal.errors import PoseDataError
-from posecal_models.cgnf.flow import ConditionedFlow, EmbeddedContext, FlowSize, GraphFlow
-from posecal_models.cgnf.passes import Scale
 from posecal_models.contract import Context, check_keypoints, check_truth
 from posecal_models.data.standardizer import Origin, Standardizer
-from posecal_models.graph import PoseGraph, human36m_graph
+from posecal_models.estimators.cgnf.flow import ConditionedFlow, EmbeddedContext, FlowSize, GraphFlow
+from posecal_models.estimators.cgnf.graph import PoseGraph, human36m_graph
+from posecal_models.estimators.cgnf.passes import Scale
 
 __all__ = ["CGNF", "FlowDistribution"]
 
@@ -100,7 +100,7 @@ class CGNF(nn.Module):
         The joints; Human3.6M's 16 below the hip where not given.
     backward_weights, scale
         The paper's own map per direction and its exponential scale, or the released code's; see
-        :class:`posecal_models.cgnf.coupling.Couplings`.
+        :class:`posecal_models.estimators.cgnf.coupling.Couplings`.
     origin : str
         What keypoints are relative to, see :class:`posecal_models.data.standardizer.Standardizer`. With ``root`` a
         context holds the root's keypoint before those of the joints.
@@ -120,7 +120,7 @@ class CGNF(nn.Module):
 
     Examples
     --------
-    >>> from posecal_models.cgnf.flow import SIZES
+    >>> from posecal_models.estimators.cgnf.flow import SIZES
     >>> estimator = CGNF(SIZES["tiny"])
     >>> context = Context(torch.zeros(2, 16, 2), torch.ones(2, 16, dtype=torch.bool))
     >>> poses = estimator(context)

@@ -16,9 +16,9 @@ import torch
 from torch import Tensor
 
 from posecal.errors import PoseDataError
-from posecal_models.cgnf.buffers import Workspace
-from posecal_models.cgnf.model import CGNF
 from posecal_models.contract import Context
+from posecal_models.estimators.cgnf.buffers import Workspace
+from posecal_models.estimators.cgnf.model import CGNF
 
 __all__ = ["FlowObjective", "mode_error"]
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from posecal_models.cgnf.buffers import SAVED, Workspace
+from posecal_models.estimators.cgnf.buffers import SAVED, Workspace
 
 __all__ = ["ContextBackward", "ContextMaps", "ContextMessages", "NodeIndex", "context_messages", "relu_backward"]
 

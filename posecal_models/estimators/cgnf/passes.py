@@ -22,8 +22,8 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from posecal.errors import PoseDataError
-from posecal_models.cgnf.buffers import SAVED, BlockBuffers, MessageGraph, Workspace, parts_of
-from posecal_models.cgnf.context_messages import (
+from posecal_models.estimators.cgnf.buffers import SAVED, BlockBuffers, MessageGraph, Workspace, parts_of
+from posecal_models.estimators.cgnf.context_messages import (
     ContextBackward,
     ContextMaps,
     NodeIndex,

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from posecal_models.contract import Context, check_truth
 from posecal_models.data.standardizer import Standardizer
-from posecal_models.simple_baseline import SimpleBaseline
+from posecal_models.estimators.simple_baseline import SimpleBaseline
 
 __all__ = ["GaussianDistribution", "GaussianNoise", "Spread", "likelihood_optimum"]
 
