@@ -152,7 +152,7 @@ class TrainConfig:
     clip : float
         Maximum norm of the gradient.
     cuda_graph : bool
-        Whether a GPU records a step once and replays it, see :mod:`posecal_models.cuda_graph`.
+        Whether a GPU records a step of a cGNF once and replays it, see :mod:`posecal_models.cuda_graph`.
     seed : int
         Random seed.
     checkpoint_seconds : float
@@ -207,6 +207,11 @@ class Config:
         if self.model.kind == "simple-baseline" and self.train.batch == 1:
             raise PoseDataError(
                 "train.batch: 1 of a simple-baseline; expected 2 or more. Its batch norm needs the variance of a batch."
+            )
+        if self.train.cuda_graph and self.model.kind != "cgnf":
+            raise PoseDataError(
+                f"train.cuda_graph: true of a {self.model.kind}; expected a cgnf, whose steps are thousands of short "
+                "kernels. Leave it out."
             )
 
     @classmethod

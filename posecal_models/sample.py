@@ -148,7 +148,7 @@ def sample_to_file(
     @torch.inference_mode()
     def block(start: int) -> npt.NDArray[np.float32]:
         poses = slice(start, start + POSES_AT_ONCE)
-        generator = seeded_generator(device, seed, start // POSES_AT_ONCE)
+        generator = seeded_generator(seed, start // POSES_AT_ONCE)
         drawn = draw(
             estimator(_context(ordered, poses, device)), n, generator=generator, temperature=temperature, mode=mode
         )

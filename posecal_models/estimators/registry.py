@@ -96,7 +96,7 @@ def describe(estimator: ReferenceEstimator) -> dict[str, Any]:
             "joints": list(estimator.graph.joints),
             "parents": list(estimator.graph.parents),
             "root": estimator.graph.root,
-            "backward_weights": estimator.flow.couplings.first.from_child is not None,
+            "backward_weights": estimator.flow.backward_weights,
             "scale": estimator.flow.scale,
             "origin": estimator.standardizer.origin,
             "dimensions": estimator.flow.dimensions,

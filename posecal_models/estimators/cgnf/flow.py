@@ -7,21 +7,22 @@ the other. Millimetres and pixels are converted in :mod:`posecal_models.estimato
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import torch
 from torch import Tensor, nn
 
-from posecal_models.estimators.cgnf.buffers import MessageGraph, Workspace
-from posecal_models.estimators.cgnf.context_messages import ContextMaps, NodeIndex
-from posecal_models.estimators.cgnf.coupling import Couplings, FoldedCouplings
-from posecal_models.estimators.cgnf.embedding import ContextEmbedding
+from posecal.errors import PoseDataError
+from posecal_models.estimators.cgnf.coupling import CouplingBlock, FoldedBlock, Scale
 from posecal_models.estimators.cgnf.graph import PoseGraph
-from posecal_models.estimators.cgnf.passes import BlockWeights, PassInputs, Scale, forward_pass, inverse_pass
+from posecal_models.estimators.cgnf.message_passing import ContextEmbedding, EmbeddedContext
 
-__all__ = ["SIZES", "ConditionedFlow", "EmbeddedContext", "FlowSize", "GraphFlow"]
+__all__ = ["SIZES", "ConditionedFlow", "FlowSize", "GraphFlow"]
+
+ROWS_AT_ONCE = {"cpu": 48}
+"""Samples in one pass, by the device: a processor's activations stay in its cache. 2^17 on other devices."""
 
 
 @dataclass(frozen=True)
@@ -42,72 +43,23 @@ SIZES = {
 }
 """The paper's three sizes, and a tiny one for quick trials."""
 
-
-class EmbeddedContext(NamedTuple):
-    """The context of P poses: the embedded keypoints that were observed, and the root.
-
-    Attributes
-    ----------
-    keypoints : Tensor or None
-        Features of R keypoints with a 1 at the end, (R, C + 1), zeros where one was not observed; None where none was.
-    node_index : NodeIndex or None
-        Target node and pose of each of them.
-    root : Tensor or None
-        Features of the root, (P, D); None where it is the origin, as of root-relative poses.
-    """
-
-    keypoints: Tensor | None
-    node_index: NodeIndex | None
-    root: Tensor | None
-
-    def select(self, poses: slice) -> EmbeddedContext:
-        """Select the context of some poses.
-
-        Parameters
-        ----------
-        poses : slice
-            p consecutive poses.
-
-        Returns
-        -------
-        EmbeddedContext
-            Of p poses.
-        """
-        root = None if self.root is None else self.root[poses]
-        if self.keypoints is None or self.node_index is None:
-            return EmbeddedContext(None, None, root)
-        rows, node_index = self.node_index.select(poses)
-        return EmbeddedContext(self.keypoints[rows], node_index, root)
+Messages = list[tuple[Tensor, Tensor]]
+"""What keypoints and root add in each block, see :meth:`CouplingBlock.context_messages`."""
 
 
 class ConditionedFlow(NamedTuple):
-    """The flow for given keypoints: a map between poses and latents.
+    """The flow for the keypoints of P poses: a map between poses and latents.
 
     Attributes
     ----------
-    folded : FoldedCouplings
+    blocks : list of FoldedBlock
         The L blocks with their weights multiplied out.
-    context : ContextMaps
-        Keypoints and root with the maps of their messages.
-    node_index : NodeIndex or None
-        Targets of the keypoints.
-    graph : MessageGraph
-        Senders and receivers of messages, in the flow's own order of the nodes.
-    order : Tensor
-        The flow's order of a pose's nodes, (K,), and its inverse, (K,): (2, K), integer.
-    scale : str
-        The function from the unconstrained to the positive scale.
-    workspace : Workspace or None
-        Memory for activations, reused by every pass.
+    messages : Messages
+        Of P poses, or of one where all share it, as for the prior.
     """
 
-    folded: FoldedCouplings
-    context: ContextMaps
-    node_index: NodeIndex | None
-    graph: MessageGraph
-    order: Tensor
-    scale: Scale
-    workspace: Workspace | None = None
+    blocks: list[FoldedBlock]
+    messages: Messages
 
     def forward(self, poses: Tensor) -> tuple[Tensor, Tensor]:
         """Transform poses into latents.
@@ -124,10 +76,16 @@ class ConditionedFlow(NamedTuple):
         log_determinant : Tensor
             (P, n, K): log of the volume change at each node, nats.
         """
-        coordinates, log_scale = forward_pass(self._coordinates(poses), self._pass_inputs())
-        latents = self._poses(coordinates) * self.folded.pending_scale[-1] + self.folded.pending_shift[-1]
-        log_determinant = log_scale[self.order[1]] + self.folded.log_determinant
-        return latents, log_determinant.permute(1, 2, 0)
+
+        def part(coordinates: Tensor, messages: Messages) -> Tensor:
+            log_determinant = torch.zeros_like(coordinates[..., 0])
+            for block, sums in zip(self.blocks, messages, strict=True):
+                coordinates, change = block.forward(coordinates, *sums)
+                log_determinant = log_determinant + change
+            return torch.cat([coordinates, log_determinant[..., None]], dim=-1)
+
+        result = self._in_parts(part, poses)
+        return result[..., :-1], result[..., -1]
 
     def inverse(self, latents: Tensor) -> Tensor:
         """Transform latents into poses.
@@ -142,8 +100,13 @@ class ConditionedFlow(NamedTuple):
         Tensor
             (P, n, K, D), standardised poses, unitless.
         """
-        latents = (latents - self.folded.pending_shift[-1]) / self.folded.pending_scale[-1]
-        return self._poses(inverse_pass(self._coordinates(latents), self._pass_inputs()))
+
+        def part(coordinates: Tensor, messages: Messages) -> Tensor:
+            for block, sums in zip(reversed(self.blocks), reversed(messages), strict=True):
+                coordinates = block.inverse(coordinates, *sums)
+            return coordinates
+
+        return self._in_parts(part, latents)
 
     def log_prob_per_node(self, poses: Tensor) -> Tensor:
         """Compute each node's term of the log density; the terms sum to the log density of the pose.
@@ -162,26 +125,30 @@ class ConditionedFlow(NamedTuple):
         dimensions = latents.shape[-1]
         return log_determinant - 0.5 * (latents.square().sum(-1) + dimensions * math.log(2 * math.pi))
 
-    def _pass_inputs(self) -> PassInputs:
-        folded = self.folded
-        transformed = torch.arange(len(folded.pool), device=folded.pool.device) % folded.pending_scale.shape[1]
-        actnorms = (folded.pending_scale, folded.pending_shift)
-        pending = (actnorm[:-1].gather(1, transformed[:, None]).squeeze(1) for actnorm in actnorms)
-        blocks = BlockWeights(folded.first, folded.second, folded.pool, *pending)
-        return PassInputs(blocks, self.context, self.node_index, self.graph, self.scale, self.workspace)
-
-    def _coordinates(self, poses: Tensor) -> Tensor:
-        """Turn (P, n, K, D) into (D + 1, K, P, n), the last row ones."""
-        coordinates = poses.permute(3, 2, 0, 1)[:, self.order[0]]
-        return torch.cat([coordinates, torch.ones_like(coordinates[:1])])
-
-    def _poses(self, coordinates: Tensor) -> Tensor:
-        """Turn (D + 1, K, P, n) into (P, n, K, D)."""
-        return coordinates[:-1, self.order[1]].permute(2, 3, 1, 0)
+    def _in_parts(self, transform: Callable[[Tensor, Messages], Tensor], values: Tensor) -> Tensor:
+        """Transform (P, n, K, D) values; without gradients, by parts whose activations fit the processor's cache."""
+        poses, samples = values.shape[:2]
+        own = max([1, *(len(message) for message, _ in self.messages)])
+        if own not in (1, poses):
+            raise PoseDataError(f"flow: keypoints of {own} poses and {poses} poses; expected as many.")
+        if torch.is_grad_enabled() or not poses * samples:
+            return transform(values, self.messages)
+        at_once = ROWS_AT_ONCE.get(values.device.type, 2**17)
+        samples_each = math.ceil(samples / math.ceil(samples / at_once))
+        poses_each = max(1, at_once // samples_each)
+        rows = []
+        for first in range(0, poses, poses_each):
+            chosen = slice(first, first + poses_each)
+            messages = self.messages if own == 1 else [(m[chosen], offset[:, chosen]) for m, offset in self.messages]
+            parts = torch.split(values[chosen], samples_each, dim=1)
+            rows.append(torch.cat([transform(part, messages) for part in parts], dim=1))
+        return torch.cat(rows)
 
 
 class GraphFlow(nn.Module):
     """The conditional graph normalizing flow: an embedding of the keypoints and L blocks.
+
+    Block l transforms coordinate l modulo D.
 
     Parameters
     ----------
@@ -208,7 +175,8 @@ class GraphFlow(nn.Module):
     Pierzchlewicz et al. 2022, arXiv:2210.11179, section 4.
     """
 
-    order: Tensor
+    aggregation: Tensor
+    next_to_root: Tensor
 
     def __init__(
         self,
@@ -222,8 +190,7 @@ class GraphFlow(nn.Module):
     ) -> None:
         super().__init__()
         self.dimensions = dimensions
-        order = torch.tensor(graph.order)
-        self.register_buffer("order", torch.stack([order, order.argsort()]), persistent=False)
+        self.backward_weights = backward_weights
         self.scale: Scale = scale
         self.embedding = ContextEmbedding(
             nodes=len(graph.joints),
@@ -231,14 +198,25 @@ class GraphFlow(nn.Module):
             hidden=size.embedding,
             context=size.context,
         )
-        self.couplings = Couplings(
-            graph,
-            blocks=size.blocks,
-            dimensions=dimensions,
-            hidden=size.hidden,
-            context=size.context,
-            backward_weights=backward_weights,
+        self.blocks = nn.ModuleList(
+            CouplingBlock(
+                index % dimensions,
+                dimensions,
+                hidden=size.hidden,
+                context=size.context,
+                backward_weights=backward_weights,
+                scale=scale,
+            )
+            for index in range(size.blocks)
         )
+        next_to_root = torch.tensor([[float(parent < 0)] for parent in graph.parents])
+        self.register_buffer("aggregation", graph.aggregation(3 if backward_weights else 2), persistent=False)
+        self.register_buffer("next_to_root", next_to_root, persistent=False)
+
+    @property
+    def couplings(self) -> list[CouplingBlock]:
+        """The L blocks, from the pose to the latent."""
+        return cast(list[CouplingBlock], list(self.blocks))
 
     def embed(self, keypoints: Tensor, observed: Tensor, root: Tensor | None = None) -> EmbeddedContext:
         """Embed the observed keypoints.
@@ -250,66 +228,43 @@ class GraphFlow(nn.Module):
         observed : Tensor
             (P, K), bool.
         root : Tensor, optional
-            (P, D), the root's features; the origin where not given.
+            (P, D), the root's features; the origin where not given, as of root-relative poses.
 
         Returns
         -------
         EmbeddedContext
             The keypoints' features and the root's.
         """
-        features = torch.cat([self.embedding(keypoints, observed), torch.ones_like(keypoints[..., :1])], dim=-1)
-        features = features[:, self.order[0]].flatten(0, 1)
-        mask = observed[:, self.order[0]].flatten()
-        nodes = observed.shape[1]
-        rows = torch.arange(len(mask), device=mask.device)
-        starts: Sequence[int] = range(0, len(mask) + 1, nodes)
-        if _drops_missing_rows(mask.device):
-            rows, starts = rows[mask], [0, *observed.sum(1).cumsum(0).tolist()]
-            features = features[rows]
-        else:
-            features = features * mask[:, None]
-        return EmbeddedContext(features, NodeIndex(rows // nodes, rows % nodes, starts), root)
+        nothing = self.empty_context()
+        if root is not None and len(root) not in (1, len(keypoints)):
+            raise PoseDataError(f"flow: roots of {len(root)} poses, keypoints of {len(keypoints)}; expected as many.")
+        mask = observed[..., None].to(nothing.root.dtype)
+        features = self.embedding(keypoints, observed) * mask
+        return EmbeddedContext(features, mask, nothing.root if root is None else root)
 
     def empty_context(self) -> EmbeddedContext:
         """Return the context without keypoints, with the root at the origin: that of the prior."""
-        return EmbeddedContext(None, None, None)
+        nothing = self.next_to_root.new_zeros
+        return EmbeddedContext(None, nothing(1, len(self.next_to_root), 1), nothing(1, self.dimensions))
 
-    def condition(
-        self,
-        context: EmbeddedContext,
-        *,
-        folded: FoldedCouplings | None = None,
-        blocks: int | None = None,
-        workspace: Workspace | None = None,
-    ) -> ConditionedFlow:
+    def condition(self, context: EmbeddedContext, *, folded: list[FoldedBlock] | None = None) -> ConditionedFlow:
         """Fold the weights and condition the flow on keypoints.
 
         Parameters
         ----------
         context : EmbeddedContext
             From :meth:`embed` or :meth:`empty_context`.
-        folded : FoldedCouplings, optional
-            The folded weights, where they were computed before.
-        blocks : int, optional
-            Only the first blocks; all of them where not given.
-        workspace : Workspace, optional
-            Memory to reuse. Gradients of one pass must then be taken before the next one begins.
+        folded : list of FoldedBlock, optional
+            The blocks of a conditioned flow with the same weights, to share them.
 
         Returns
         -------
         ConditionedFlow
             The map between poses and latents.
         """
-        folded = self.couplings.fold(blocks) if folded is None else folded
-        root = folded.root, folded.root_offset
-        if context.root is not None:
-            root = self.couplings.root_messages(context.root, blocks)
-        keypoints = context.keypoints
-        if keypoints is None:
-            keypoints = folded.context_first.new_empty(0, folded.context_first.shape[2])
-        maps = ContextMaps(keypoints, folded.context_first, folded.context_second, folded.pool, *root)
-        graph = MessageGraph.of(self.couplings.first.spans, self.couplings.first.aggregation)
-        return ConditionedFlow(folded, maps, context.node_index, graph, self.order, self.scale, workspace)
+        if folded is None:
+            folded = [block.fold(self.aggregation) for block in self.couplings]
+        return ConditionedFlow(folded, [block.context_messages(context, self.next_to_root) for block in self.couplings])
 
     @torch.no_grad()
     def initialise_actnorm(self, poses: Tensor, context: EmbeddedContext) -> None:
@@ -322,13 +277,9 @@ class GraphFlow(nn.Module):
         context : EmbeddedContext
             Their keypoints.
         """
-        for block in range(len(self.couplings.actnorm_shift)):
-            inputs, _ = self.condition(context, blocks=block).forward(poses)
-            deviation, mean = torch.std_mean(inputs, dim=(0, 1, 2))
-            self.couplings.actnorm_log_scale[block] = -torch.log(deviation)
-            self.couplings.actnorm_shift[block] = -mean / deviation
-
-
-def _drops_missing_rows(device: torch.device) -> bool:
-    """Whether rows of missing keypoints are dropped: on a GPU their number would need a synchronisation."""
-    return device.type == "cpu"
+        for block in self.couplings:
+            deviation, mean = torch.std_mean(poses, dim=(0, 1, 2))
+            block.log_scale.copy_(-torch.log(deviation))
+            block.shift.copy_(-mean / deviation)
+            messages = block.context_messages(context, self.next_to_root)
+            poses, _ = ConditionedFlow([block.fold(self.aggregation)], [messages]).forward(poses)

@@ -1,89 +1,102 @@
-"""Learned maps of one message-passing layer between the joints of a pose.
+"""Embedding of 2D keypoints, and message passing between the joints of a pose.
 
-Every message is ReLU(W h + b). The weights of all L blocks of a flow are stacked in one tensor, the block first, so
-that whatever depends on weights alone is computed for all blocks at once.
+Every message is ReLU(W h + b). Messages from keypoints and from the root depend on no pose: they are computed once, and
+the samples of a pose share them.
 """
 
 from __future__ import annotations
 
-import math
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import pad
 
-from posecal_models.estimators.cgnf.graph import PoseGraph
-
-__all__ = ["Linears", "MessagePassing"]
+__all__ = ["ContextEmbedding", "EmbeddedContext", "MessagePassing"]
 
 
-class Linears(nn.Module):
-    """L linear maps with biases, one for each block of a flow.
+class EmbeddedContext(NamedTuple):
+    """Features of the keypoints and the root of P poses.
+
+    Attributes
+    ----------
+    keypoints : Tensor or None
+        (P, K, C), 0 where a keypoint is missing. None where no pose has any, as for the prior.
+    observed : Tensor
+        (P, K, 1): 1 where the keypoint was observed, else 0.
+    root : Tensor
+        (P or 1, features).
+    """
+
+    keypoints: Tensor | None
+    observed: Tensor
+    root: Tensor
+
+
+class ContextEmbedding(nn.Module):
+    r"""Two dense GraphSAGE layers over one learnable adjacency, ReLU between them.
+
+    .. math:: h_v = W_{rel} \frac{\sum_u A_{vu} c_u}{\max(\sum_u A_{vu}, 1)} + W_{root}\, c_v + b
+
+    where rows and columns of A that belong to missing keypoints are zero.
 
     Parameters
     ----------
-    blocks : int
-        L.
-    features, features_out : int
-        Features before and after.
+    nodes : int
+        K, the keypoints.
+    features, hidden, context : int
+        Features of a keypoint, after the first layer and after the second.
 
     Notes
     -----
-    Initialised uniformly within 1/sqrt(features), as :class:`torch.nn.Linear`.
+    Differs from the published code: the value stored for a missing keypoint is never read (there it is multiplied by
+    zero, so that a NaN propagates).
+
+    References
+    ----------
+    Hamilton, Ying and Leskovec 2017, arXiv:1706.02216. Pierzchlewicz et al. 2022, arXiv:2210.11179, section 4,
+    "Occlusion Representation".
 
     Examples
     --------
-    >>> maps = Linears(10, 2, 100)
-    >>> maps.weight.shape, maps.bias.shape
-    (torch.Size([10, 100, 2]), torch.Size([10, 100]))
+    >>> embed = ContextEmbedding(nodes=16, features=2, hidden=128, context=10)
+    >>> sum(p.numel() for p in embed.parameters())  # (256 + 384) + (1,280 + 1,290) + 256
+    3466
     """
 
-    def __init__(self, blocks: int, features: int, features_out: int) -> None:
+    def __init__(self, *, nodes: int, features: int, hidden: int, context: int) -> None:
         super().__init__()
-        bound = 1 / math.sqrt(features)
-        self.weight = nn.Parameter(torch.empty(blocks, features_out, features).uniform_(-bound, bound))
-        self.bias = nn.Parameter(torch.empty(blocks, features_out).uniform_(-bound, bound))
+        self.adjacency = nn.Parameter(torch.ones(nodes, nodes))
+        self.first_neighbours = nn.Linear(features, hidden, bias=False)
+        self.first_own = nn.Linear(features, hidden)
+        self.second_neighbours = nn.Linear(hidden, context, bias=False)
+        self.second_own = nn.Linear(hidden, context)
 
-    def forward(self, features: Tensor) -> Tensor:
-        """Apply the maps, each with its ReLU.
+    def forward(self, keypoints: Tensor, observed: Tensor) -> Tensor:
+        """Embed the observed keypoints of P poses.
 
         Parameters
         ----------
-        features : Tensor
-            (1 or L, P, features).
+        keypoints : Tensor
+            (P, K, features), standardised, unitless. Values of missing keypoints are not read.
+        observed : Tensor
+            (P, K), bool.
 
         Returns
         -------
         Tensor
-            (L, P, features_out).
+            (P, K, context), unitless. Rows of missing keypoints are arbitrary.
         """
-        return torch.relu(features @ self.weight.mT + self.bias[:, None])
-
-    def homogeneous(self, width: int, *, carry: bool = False) -> Tensor:
-        """Return weights and biases as one matrix, for features that end with a 1.
-
-        Parameters
-        ----------
-        width : int
-            Features after the maps: more than ``features_out``, filled up with zeros.
-        carry : bool
-            Whether the first of these is 1 instead, to carry the next biases.
-
-        Returns
-        -------
-        Tensor
-            (L, features + 1, width).
-        """
-        maps = pad(torch.cat([self.weight.mT, self.bias[:, None]], dim=1), (0, width - self.bias.shape[1]))
-        if not carry:
-            return maps
-        carrier = torch.zeros_like(maps[0])
-        carrier[-1, self.bias.shape[1]] = 1
-        return maps + carrier
+        features = torch.where(observed[..., None], keypoints, 0)
+        mask = observed.to(features.dtype)
+        adjacency = self.adjacency * mask[:, :, None] * mask[:, None, :]
+        adjacency = adjacency / adjacency.sum(dim=-1, keepdim=True).clamp(min=1)
+        hidden = torch.relu(self.first_neighbours(adjacency @ features) + self.first_own(features))
+        embedded: Tensor = self.second_neighbours(adjacency @ hidden) + self.second_own(hidden)
+        return embedded
 
 
 class MessagePassing(nn.Module):
-    r"""The maps of one layer, from ``features`` to ``hidden`` and, pooled, to ``features_out``.
+    r"""The maps of one layer, from ``features`` to ``hidden`` and, by its update, to ``features_out``.
 
     .. math:: m_v = \psi_x(h_v) + \sum_{u \to v} \psi_{x \to x}(h_u) + \sum_{u \leftarrow v} \psi_{x \leftarrow x}(h_u)
               + [v \text{ observed}]\, \psi_{c \to x}(c_v) + [v \text{ next to the root}]\, \psi_{r \to x}(r)
@@ -92,10 +105,6 @@ class MessagePassing(nn.Module):
 
     Parameters
     ----------
-    graph : PoseGraph
-        The bones between the K nodes.
-    blocks : int
-        L.
     features, hidden, features_out : int
         Features of a node before, within and after the layer.
     context, root : int
@@ -116,23 +125,14 @@ class MessagePassing(nn.Module):
 
     Examples
     --------
-    >>> from posecal_models.estimators.cgnf.graph import human36m_graph
-    >>> layer = MessagePassing(
-    ...     human36m_graph(), 10, 2, 8, 8, context=4, root=3, last=False, backward_weights=False
-    ... )
-    >>> layer.aggregation.shape  # 16 self messages and 16 along the edges
-    torch.Size([16, 32])
+    >>> layer = MessagePassing(2, 8, 8, context=4, root=3, last=False, backward_weights=True)
+    >>> weight, bias = layer.node_maps()
+    >>> weight.shape, bias.shape  # to itself, from parent to child, from child to parent
+    (torch.Size([3, 8, 2]), torch.Size([3, 8]))
     """
-
-    aggregation: Tensor
-    """(K, S): sums S messages at the K nodes that receive them; messages are ordered as in :attr:`spans`."""
-    next_to_root: Tensor
-    """(K,): 1 for the nodes whose parent is the root, 0 for the others."""
 
     def __init__(
         self,
-        graph: PoseGraph,
-        blocks: int,
         features: int,
         hidden: int,
         features_out: int,
@@ -143,50 +143,68 @@ class MessagePassing(nn.Module):
         backward_weights: bool,
     ) -> None:
         super().__init__()
-        self.from_self = Linears(blocks, features, hidden)
-        self.from_parent = Linears(blocks, features, hidden)
-        self.from_child = Linears(blocks, features, hidden) if backward_weights else None
-        self.from_context = Linears(blocks, context, hidden)
-        self.from_root = Linears(blocks, root, hidden)
-        self.next_context = None if last else Linears(blocks, context, hidden)
-        self.next_root = None if last else Linears(blocks, root, hidden)
-        self.pool = Linears(blocks, hidden, features_out)
-        order = list(graph.order)
-        down = torch.from_numpy(graph.from_parent[order][:, order]).to(torch.get_default_dtype())
-        all_nodes = (0, len(order))
-        to_child, to_parent = graph.spans
-        edges = [(down, to_child), (down.T, to_parent)] if backward_weights else [(down + down.T, all_nodes)]
-        self.spans: tuple[tuple[int, int], ...] = (all_nodes, *(span for _, span in edges))
-        matrices = [torch.eye(len(order)), *(matrix[:, slice(*span)] for matrix, span in edges)]
-        self.register_buffer("aggregation", torch.cat(matrices, dim=1), persistent=False)
-        next_to_root = torch.zeros(len(order))
-        next_to_root[: len(graph.next_to_root)] = 1
-        self.register_buffer("next_to_root", next_to_root, persistent=False)
+        self.from_self = nn.Linear(features, hidden)
+        self.from_parent = nn.Linear(features, hidden)
+        self.from_child = nn.Linear(features, hidden) if backward_weights else None
+        self.from_context = nn.Linear(context, hidden)
+        self.from_root = nn.Linear(root, hidden)
+        self.next_context = None if last else nn.Linear(context, hidden)
+        self.next_root = None if last else nn.Linear(root, hidden)
+        self.pool = nn.Linear(hidden, features_out)
 
-    def next_maps(self) -> tuple[Linears, Linears]:
-        """Return the maps from keypoints and root to their features in the next layer.
+    def node_maps(self) -> tuple[Tensor, Tensor]:
+        """Stack the maps of messages between nodes.
 
         Returns
         -------
-        context, root : Linears
-            The two.
+        weight, bias : Tensor
+            (maps, hidden, features) and (maps, hidden), in the order of
+            :meth:`posecal_models.estimators.cgnf.graph.PoseGraph.aggregation`.
+        """
+        maps = [layer for layer in (self.from_self, self.from_parent, self.from_child) if layer is not None]
+        return torch.stack([layer.weight for layer in maps]), torch.stack([layer.bias for layer in maps])
 
-        Raises
-        ------
-        RuntimeError
-            Where no layer follows.
+    def context_messages(self, context: EmbeddedContext, next_to_root: Tensor) -> Tensor:
+        """Sum the messages from keypoints and root to the nodes.
+
+        Parameters
+        ----------
+        context : EmbeddedContext
+            Keypoints and root of P poses.
+        next_to_root : Tensor
+            (K, 1): 1 for the nodes whose parent is the root, 0 for the others.
+
+        Returns
+        -------
+        Tensor
+            (P or 1, K, hidden).
+        """
+        messages: Tensor = torch.relu(self.from_root(context.root))[:, None] * next_to_root
+        if context.keypoints is None:
+            return messages
+        return messages + _observed_messages(self.from_context, context.keypoints, context.observed)
+
+    def next_features(self, context: EmbeddedContext) -> EmbeddedContext:
+        """Map keypoints and root to their features in the next layer.
+
+        Parameters
+        ----------
+        context : EmbeddedContext
+            Keypoints and root of P poses.
+
+        Returns
+        -------
+        EmbeddedContext
+            With ``hidden`` features; the same where no layer follows.
         """
         if self.next_context is None or self.next_root is None:
-            raise RuntimeError("the last layer has no maps to a next one")
-        return self.next_context, self.next_root
+            return context
+        keypoints = context.keypoints
+        if keypoints is not None:
+            keypoints = _observed_messages(self.next_context, keypoints, context.observed)
+        return EmbeddedContext(keypoints, context.observed, torch.relu(self.next_root(context.root)))
 
-    def weights_and_biases(self) -> tuple[Tensor, Tensor]:
-        """Stack the maps between nodes.
 
-        Returns
-        -------
-        weights, biases : Tensor
-            (L, maps, H, features) and (L, maps, H), in the order of :attr:`spans`.
-        """
-        maps = [self.from_self, self.from_parent, *([] if self.from_child is None else [self.from_child])]
-        return torch.stack([m.weight for m in maps], dim=1), torch.stack([m.bias for m in maps], dim=1)
+def _observed_messages(layer: nn.Linear, keypoints: Tensor, observed: Tensor) -> Tensor:
+    """Apply a map and its ReLU to features that are 0 where a keypoint is missing; so is the result."""
+    return torch.addcmul(keypoints @ layer.weight.mT, observed, layer.bias).relu_()
