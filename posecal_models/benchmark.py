@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import torch
+from torch import nn
 
 import posecal.evaluation
 from posecal.engine.presets import preset
@@ -26,9 +27,9 @@ from posecal_models.data.detector import Detector
 from posecal_models.data.lifting_set import LiftingSet
 from posecal_models.data.mocap import MocapPoses
 from posecal_models.data.training_set import seeded_generator
-from posecal_models.estimators import ReferenceEstimator, parameter_count
+from posecal_models.estimators.registry import ReferenceEstimator, parameter_count
+from posecal_models.estimators.simple_baseline import SimpleBaseline
 from posecal_models.sample import POSES_AT_ONCE, draw
-from posecal_models.simple_baseline import SimpleBaseline
 
 __all__ = ["COLUMNS", "HARD", "BenchmarkRow", "draw_hypotheses", "evaluate_estimator", "held_out_poses", "markdown"]
 
@@ -125,17 +126,24 @@ def draw_hypotheses(
         (N, M, K, 3), mm, in the estimator's order of joints.
     """
     ordered = data.in_order_of(estimator.joints, estimator.keypoints)
+    device = device_of(estimator)
     parts = []
     for start in range(0, len(ordered), POSES_AT_ONCE):
         block = ordered.take(slice(start, start + POSES_AT_ONCE))
         context = Context(
             torch.from_numpy(block.keypoints), torch.from_numpy(block.observed), torch.from_numpy(block.sigma)
-        )
-        generator = seeded_generator("cpu", seed, start // POSES_AT_ONCE)
-        parts.append(draw(estimator(context), n, generator=generator).float().numpy())
+        ).to(device)
+        generator = seeded_generator(seed, start // POSES_AT_ONCE)
+        parts.append(draw(estimator(context), n, generator=generator).float().cpu().numpy())
         if progress is not None:
             progress(min(start + POSES_AT_ONCE, len(ordered)))
     return np.concatenate(parts, axis=1)
+
+
+def device_of(estimator: Estimator) -> torch.device:
+    """Return the device of an estimator's parameters; the CPU, where it has none."""
+    parameters = estimator.parameters() if isinstance(estimator, nn.Module) else iter(())
+    return next((parameter.device for parameter in parameters), torch.device("cpu"))
 
 
 def evaluate_estimator(

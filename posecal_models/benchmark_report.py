@@ -16,11 +16,11 @@ from posecal.errors import PoseDataError, PoseFileError
 from posecal.plot import save
 from posecal_models import figures
 from posecal_models.benchmark import BenchmarkRow, draw_hypotheses, evaluate_estimator, held_out_poses, markdown
-from posecal_models.cgnf.model import CGNF
 from posecal_models.checkpoint import load_estimator, notes_of
 from posecal_models.contract import Context
 from posecal_models.data.lifting_set import LiftingSet
 from posecal_models.data.training_set import seeded_generator
+from posecal_models.estimators.cgnf.model import CGNF
 from posecal_models.progress import progress_bar
 from posecal_models.sample import check_input
 
@@ -38,6 +38,7 @@ def run_benchmark(
     n: int = 200,
     every: int = 16,
     seeds: int = 3,
+    device: torch.device | str = "cpu",
 ) -> str:
     """Evaluate estimators and write all results into a folder.
 
@@ -53,6 +54,8 @@ def run_benchmark(
         Output folder; created if its parent exists.
     n, every, seeds : int
         Hypotheses, frame step and number of sampling seeds.
+    device : torch.device or str
+        Device of the estimators.
 
     Returns
     -------
@@ -70,11 +73,12 @@ def run_benchmark(
             f"models: {', '.join(map(repr, ambiguous))} give files of the same name; expected names that differ in "
             "letters or digits."
         )
-    estimators = {name: load_estimator(weights) for name, weights in models.items()}
+    estimators = {name: load_estimator(weights, device=device) for name, weights in models.items()}
     test = held_out_poses(data, subjects, every=every)
     for estimator in estimators.values():
         ordered = test.in_order_of(estimator.joints, estimator.keypoints)
-        check_input(estimator, Context(torch.from_numpy(ordered.keypoints), torch.from_numpy(ordered.observed)))
+        context = Context(torch.from_numpy(ordered.keypoints), torch.from_numpy(ordered.observed))
+        check_input(estimator, context.to(device))
     try:
         folder.mkdir(exist_ok=True)
     except OSError as problem:
@@ -142,7 +146,7 @@ def _save_figures(estimator: CGNF, test: LiftingSet, folder: Path, stem: str) ->
     joints = (examples.root, *examples.joints)
     save(figures.hypotheses(columns, joints, cloud="RWrist"), folder / f"{stem}-hypotheses.png")
     with torch.inference_mode():
-        prior = estimator.prior().sample(10, generator=seeded_generator("cpu", 0))[:, 0].numpy()
+        prior = estimator.prior().sample(10, generator=seeded_generator(0))[:, 0].cpu().numpy()
     save(figures.prior(np.pad(prior, ((0, 0), (1, 0), (0, 0))), joints), folder / f"{stem}-prior.png")
 
 

@@ -21,13 +21,14 @@ import posecal
 from posecal.conversion.containers import load_tensors
 from posecal.data.write import write_file
 from posecal.errors import PoseDataError, PoseFileError, did_you_mean, first_few, refuse_unreadable
-from posecal_models.cgnf.flow import FlowSize
-from posecal_models.cgnf.model import CGNF
-from posecal_models.cgnf.released import from_released
 from posecal_models.data.standardizer import Standardizer
-from posecal_models.estimators import ReferenceEstimator, build, describe
+from posecal_models.estimators.cgnf.flow import FlowSize
+from posecal_models.estimators.cgnf.model import CGNF
+from posecal_models.estimators.cgnf.released import from_released
+from posecal_models.estimators.registry import ReferenceEstimator, build, describe
 
 __all__ = [
+    "convert_format_1",
     "load_estimator",
     "load_released",
     "named_weights",
@@ -39,7 +40,10 @@ __all__ = [
 ]
 
 _FOLDER = Path(__file__).parent / "weights"
-_HEADER, _DIGEST, _DIGEST_OF_NUMBERS = "posecal", "digest", "sha256"
+_HEADER, _DIGEST = "posecal", "digest"
+
+FORMAT = 2
+"""Version of the files. 1, without a number in the file: the tensors of a cGNF's blocks were stacked."""
 
 
 def named_weights() -> tuple[str, ...]:
@@ -53,7 +57,7 @@ def resolve_device(name: str) -> torch.device:
     Parameters
     ----------
     name : str
-        ``cpu``, ``cuda``, ``cuda:1`` or ``auto`` for the GPU if there is one.
+        ``cpu``, ``cuda``, ``cuda:1``, ``xpu``, ``mps``, or ``auto`` for the GPU if there is one.
 
     Returns
     -------
@@ -65,16 +69,22 @@ def resolve_device(name: str) -> torch.device:
     PoseDataError
         Where the name is unknown or there is no such device.
     """
+    available = {
+        "cpu": True,
+        "cuda": torch.cuda.is_available(),
+        "xpu": torch.xpu.is_available(),
+        "mps": torch.backends.mps.is_available(),
+    }
     if name == "auto":
-        name = "cuda" if torch.cuda.is_available() else "cpu"
+        return torch.device([kind for kind, is_there in available.items() if is_there][-1])
     try:
         device = torch.device(name)
     except RuntimeError as problem:
-        raise PoseDataError(f"device: {name!r} is not known; expected cpu, cuda or auto.") from problem
-    if device.type == "cuda" and not torch.cuda.is_available():
-        raise PoseDataError(f"device: {name}, but PyTorch {torch.__version__} sees no GPU; expected cpu or auto.")
-    if device.type not in ("cpu", "cuda"):
-        raise PoseDataError(f"device: {name!r}; expected cpu, cuda or auto.")
+        raise PoseDataError(f"device: {name!r} is not known; expected {', '.join(available)} or auto.") from problem
+    if device.type not in available:
+        raise PoseDataError(f"device: {name!r}; expected {', '.join(available)} or auto.")
+    if not available[device.type]:
+        raise PoseDataError(f"device: {name}, but PyTorch {torch.__version__} sees no such GPU; expected cpu or auto.")
     return device
 
 
@@ -96,6 +106,7 @@ def write_tensors(path: str | Path, tensors: Mapping[str, Tensor], about: dict[s
         Where it can't be written: no such folder, no permission, no space left.
     """
     on_cpu = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+    about = {"format": FORMAT, **about}
     text = json.dumps({**about, _DIGEST: _digest(on_cpu, json.dumps(about))})
     content = save(on_cpu, metadata={_HEADER: text})  # one entry: safetensors writes several in any order
     write_file(path, lambda file: file.write(content))
@@ -121,8 +132,23 @@ def read_tensors(path: str | Path, *, device: torch.device | str = "cpu") -> tup
     Raises
     ------
     PoseFileError
-        Where the file is missing, damaged, or was not written by :func:`write_tensors`.
+        Where the file is missing, damaged, of another format, or was not written by :func:`write_tensors`.
     """
+    tensors, about = _read(path)
+    if (found := about.pop("format", 1)) != FORMAT:
+        raise PoseFileError(
+            f"{path}: of format {found}; expected {FORMAT}. "
+            + (
+                "Convert weights with posecal-models convert, and start a training anew."
+                if found == 1
+                else "Use the version of posecal that wrote it."
+            )
+        )
+    return {name: tensor.to(device) for name, tensor in tensors.items()}, about
+
+
+def _read(path: str | Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Read tensors and header of any format, and compare the digest."""
     if not Path(path).is_file():
         raise PoseFileError(f"{path}: is not there; expected a .safetensors file.")
     with refuse_unreadable(path, "damaged or no safetensors file ({}). Copy it again."):
@@ -135,23 +161,17 @@ def read_tensors(path: str | Path, *, device: torch.device | str = "cpu") -> tup
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         about: dict[str, Any] = dict(json.loads(header[_HEADER]))
         digest = about.pop(_DIGEST, None)
-        of_numbers = digest is None  # as in files before posecal 0.2
-        expected = _digest(tensors, None if of_numbers else json.dumps(about))
-        if expected != (header.get(_DIGEST_OF_NUMBERS) if of_numbers else digest):
+        if digest != _digest(tensors, json.dumps(about)):
             raise PoseFileError(f"{path}: damaged: its numbers differ from those that were written. Copy it again.")
-    return {name: tensor.to(device) for name, tensor in tensors.items()}, about
+    return tensors, about
 
 
-def _digest(tensors: Mapping[str, Tensor], about: str | None) -> str:
-    """Compute the SHA-256 of the header and of all tensors with their names, types and shapes.
-
-    Without a header, of the numbers alone, as files before posecal 0.2 have it.
-    """
-    sha256 = hashlib.sha256((about or "").encode())
+def _digest(tensors: Mapping[str, Tensor], about: str) -> str:
+    """Compute the SHA-256 of the header and of all tensors with their names, types and shapes."""
+    sha256 = hashlib.sha256(about.encode())
     for name in sorted(tensors):
         tensor = tensors[name]
-        if about is not None:
-            sha256.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}\n".encode())
+        sha256.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}\n".encode())
         sha256.update(tensor.reshape(-1).view(torch.uint8).numpy().data)
     return sha256.hexdigest()
 
@@ -241,6 +261,33 @@ def _path_of(name: str | Path) -> Path:
     return path
 
 
+def convert_format_1(path: str | Path, output: str | Path) -> None:
+    """Convert a weights file of format 1, whose tensors of a cGNF's blocks were stacked: the same numbers.
+
+    Parameters
+    ----------
+    path, output : str or Path
+        The file, and that to write.
+
+    Raises
+    ------
+    PoseFileError, PoseDataError
+        Where it can't be read or written, is damaged, or holds no weights of format 1.
+    """
+    stacked, about = _read(path)
+    if "format" in about or "estimator" not in about:
+        raise PoseDataError(f"{path}: holds no weights of format 1; there is nothing to convert.")
+    tensors: dict[str, Tensor] = {}
+    for name, tensor in stacked.items():
+        before, coupling, parameter = name.rpartition("couplings.")
+        if coupling:
+            parameter = parameter.removeprefix("actnorm_")
+            tensors |= {f"{before}blocks.{block}.{parameter}": part for block, part in enumerate(tensor)}
+        else:
+            tensors[name] = tensor
+    write_tensors(output, tensors, about)
+
+
 def load_released(path: str | Path, *, blocks: int | None = None) -> tuple[CGNF, dict[str, Tensor]]:
     """Read a published cGNF checkpoint, the ``state_dict`` of propose 0.2.0.
 
@@ -268,9 +315,9 @@ def load_released(path: str | Path, *, blocks: int | None = None) -> tuple[CGNF,
         raise PoseDataError(f"{path}: holds no state_dict; expected tensors by name.")
     with refuse_unreadable(path, "lacks {}; expected the complete state_dict of a cGNF."):
         used, unused = from_released(state)
-        hidden, context = used["couplings.first.from_context.weight"].shape[1:]
+        hidden, context = used["blocks.0.first.from_context.weight"].shape
         size = FlowSize(
-            blocks=len(used["couplings.actnorm_shift"]),
+            blocks=sum(name.endswith(".log_scale") for name in used),
             hidden=hidden,
             context=context,
             embedding=used["embedding.first_own.bias"].shape[0],

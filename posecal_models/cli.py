@@ -29,7 +29,7 @@ app = typer.Typer(
 
 _Output = Annotated[Path, typer.Option("--output", "-o", help="The file to write.")]
 _Threads = Annotated[int, typer.Option(help="CPU threads; 0: PyTorch's default.", min=0)]
-_Device = Annotated[str, typer.Option(help="cpu, cuda, cuda:1 or auto.")]
+_Device = Annotated[str, typer.Option(help="cpu, cuda, cuda:1, xpu, mps or auto.")]
 _Seed = Annotated[int, typer.Option(help="Random seed.", min=0, max=2**63 - 1)]
 
 
@@ -220,15 +220,23 @@ def import_(
 
 @app.command()
 def convert(
-    released: Annotated[Path, typer.Argument(help="A published cGNF checkpoint, the state_dict of propose 0.2.0.")],
+    source: Annotated[
+        Path,
+        typer.Argument(
+            help="A published cGNF checkpoint, the state_dict of propose 0.2.0, or a .safetensors file of format 1."
+        ),
+    ],
     output: _Output,
 ) -> None:
-    """Convert a published cGNF checkpoint to a weights file, and list its unused tensors."""
-    check_outputs(released, output=output)
-    from posecal_models.checkpoint import load_released, save_estimator
+    """Convert a published cGNF checkpoint, or weights of an older format, to a weights file."""
+    check_outputs(source, output=output)
+    from posecal_models.checkpoint import convert_format_1, load_released, save_estimator
 
-    estimator, unused = load_released(released)
-    save_estimator(output, estimator, notes={"converted_from": released.name})
+    if source.suffix == ".safetensors":
+        convert_format_1(source, output)
+        return
+    estimator, unused = load_released(source)
+    save_estimator(output, estimator, notes={"converted_from": source.name})
     count = sum(tensor.numel() for tensor in unused.values())
     _print_note(f"{len(unused)} tensors with {count:,} unused parameters were left out:")
     for name, tensor in unused.items():
@@ -243,8 +251,8 @@ def describe(
     import json
 
     from posecal_models.checkpoint import load_estimator, notes_of
-    from posecal_models.estimators import describe as describe_estimator
-    from posecal_models.estimators import parameter_count
+    from posecal_models.estimators.registry import describe as describe_estimator
+    from posecal_models.estimators.registry import parameter_count
 
     estimator = load_estimator(weights)
     about = {
@@ -264,20 +272,23 @@ def benchmark(
     n: Annotated[int, typer.Option(help="Hypotheses of each image.", min=2)] = 200,
     every: Annotated[int, typer.Option(help="Use every n-th frame.", min=1)] = 16,
     seeds: Annotated[int, typer.Option(help="Number of sampling seeds.", min=1)] = 3,
+    device: _Device = "cpu",
     threads: _Threads = 0,
 ) -> None:
     """Compare estimators on motion capture: the paper's Table 1 and its figures."""
     models = _parse_named(model)
     from posecal_models.benchmark_report import leaked_subjects, run_benchmark
+    from posecal_models.checkpoint import resolve_device
 
     _set_threads(threads)
+    torch_device = resolve_device(device)
     for name, weights in models.items():
         if leaked := leaked_subjects(weights, subject):
             _print_note(
                 f"note: the training of {printable(name)} did not hold out {printable(', '.join(leaked))}; on the same "
                 "data this is no test."
             )
-    typer.echo(run_benchmark(data, models, subject, output, n=n, every=every, seeds=seeds))
+    typer.echo(run_benchmark(data, models, subject, output, n=n, every=every, seeds=seeds, device=torch_device))
 
 
 @app.command()

@@ -40,7 +40,7 @@ class ModelConfig:
     size : str
         Size of a cGNF: ``tiny``, ``small``, ``large``, ``xlarge``.
     backward_weights, scale
-        Options of a cGNF, see :class:`posecal_models.cgnf.flow.GraphFlow`.
+        Options of a cGNF, see :class:`posecal_models.estimators.cgnf.flow.GraphFlow`.
     origin : str
         Origin of the keypoints: ``observed`` (the mean of the observed ones), ``root`` (the hip's keypoint, which the
         data must then hold) or ``none``.
@@ -152,7 +152,7 @@ class TrainConfig:
     clip : float
         Maximum norm of the gradient.
     cuda_graph : bool
-        Whether a GPU records a step once and replays it, see :mod:`posecal_models.cuda_graph`.
+        Whether a GPU records a step of a cGNF once and replays it, see :mod:`posecal_models.cuda_graph`.
     seed : int
         Random seed.
     checkpoint_seconds : float
@@ -207,6 +207,11 @@ class Config:
         if self.model.kind == "simple-baseline" and self.train.batch == 1:
             raise PoseDataError(
                 "train.batch: 1 of a simple-baseline; expected 2 or more. Its batch norm needs the variance of a batch."
+            )
+        if self.train.cuda_graph and self.model.kind != "cgnf":
+            raise PoseDataError(
+                f"train.cuda_graph: true of a {self.model.kind}; expected a cgnf, whose steps are thousands of short "
+                "kernels. Leave it out."
             )
 
     @classmethod

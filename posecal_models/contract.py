@@ -17,7 +17,15 @@ from torch import Tensor
 
 from posecal.errors import PoseDataError, first_few, raise_all
 
-__all__ = ["Context", "Estimator", "PointEstimate", "PoseDistribution", "check_keypoints", "check_truth"]
+__all__ = [
+    "Context",
+    "Estimator",
+    "PointEstimate",
+    "PoseDistribution",
+    "check_keypoints",
+    "check_truth",
+    "standard_normal",
+]
 
 
 @dataclass(frozen=True)
@@ -140,12 +148,32 @@ def check_truth(truth: Tensor, poses: int, joints: int, dimensions: int = 3) -> 
         raise PoseDataError(f"truth {tuple(truth.shape)}: expected (M, K, D) = {(poses, joints, dimensions)}.")
 
 
+def standard_normal(shape: tuple[int, ...], like: Tensor, generator: torch.Generator | None = None) -> Tensor:
+    """Draw standard normal numbers on the CPU and move them, so that a seed gives the same ones on every device.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        The shape.
+    like : Tensor
+        A tensor on the device and of the type of the result.
+    generator : torch.Generator, optional
+        A generator of the CPU; torch's own where not given.
+
+    Returns
+    -------
+    Tensor
+        Of this shape.
+    """
+    return torch.randn(shape, generator=generator, dtype=like.dtype).to(like.device)
+
+
 @runtime_checkable
 class PoseDistribution(Protocol):
     """Distributions of the M poses of a context."""
 
     def sample(self, n: int, *, generator: torch.Generator | None = None) -> Tensor:
-        """Draw n hypotheses of each pose: (n, M, K, 3), mm."""
+        """Draw n hypotheses of each pose: (n, M, K, 3), mm; the generator is one of the CPU."""
         ...
 
     def log_prob(self, truth: Tensor) -> Tensor:
@@ -204,7 +232,7 @@ class PointEstimate:
         """
         raise PoseDataError(
             f"log_prob of {len(truth)} poses: a point estimate has no density. "
-            "Add Gaussian noise with posecal_models.gaussian_noise.GaussianNoise."
+            "Add Gaussian noise with posecal_models.estimators.gaussian_noise.GaussianNoise."
         )
 
     def mode(self) -> Tensor:

@@ -1,23 +1,21 @@
-"""Data-parallel training: every process computes a shard of each batch, and gradients are averaged.
+"""Processes of a data-parallel training, started by ``torchrun``.
 
-Started by ``torchrun``; every process draws the same full batch and takes its rows, so that any number of processes
-computes the same gradient as one (:mod:`posecal_models.batch_shard` has what is not a sum over rows). All start with
-the main process's parameters and use its validation loss, so that they stay identical.
+Every process draws the same batch and takes its rows; :class:`torch.nn.parallel.DistributedDataParallel` averages the
+gradients, :class:`torch.nn.SyncBatchNorm` the batch statistics of GPUs. The main process's validation loss is used by
+all, so that they stay identical.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import torch
-from torch import Tensor
 from torch import distributed as torch_distributed
 
 from posecal.errors import PoseDataError
-from posecal_models.batch_shard import batch_shard
 
 __all__ = ["ProcessGroup", "torchrun_group"]
 
@@ -51,7 +49,7 @@ class ProcessGroup:
         Parameters
         ----------
         poses : int
-            Size of the batch.
+            Size of the batch, a multiple of the number of processes.
 
         Returns
         -------
@@ -60,13 +58,14 @@ class ProcessGroup:
 
         Examples
         --------
-        >>> [ProcessGroup(rank, 3).rows(8) for rank in range(3)]
-        [slice(0, 2, None), slice(2, 5, None), slice(5, 8, None)]
+        >>> [ProcessGroup(rank, 3).rows(6) for rank in range(3)]
+        [slice(0, 2, None), slice(2, 4, None), slice(4, 6, None)]
         """
-        return slice(poses * self.rank // self.size, poses * (self.rank + 1) // self.size)
+        share = poses // self.size
+        return slice(share * self.rank, share * (self.rank + 1))
 
     def check_batch(self, poses: int) -> None:
-        """Check that every process has at least one pose of a batch.
+        """Check that all processes have equally many poses of a batch, so that the mean gradient is that of the batch.
 
         Parameters
         ----------
@@ -76,68 +75,25 @@ class ProcessGroup:
         Raises
         ------
         PoseDataError
-            Where there are more processes than poses.
+            Where the processes can't share it equally.
         """
-        if poses < self.size:
+        if poses % self.size:
             raise PoseDataError(
-                f"train.batch: {poses} for {self.size} processes; expected a pose or more for each. "
-                "Raise it, or start fewer processes."
+                f"train.batch: {poses} for {self.size} processes; expected a multiple of {self.size}, equally many "
+                "poses for each."
             )
 
-    @contextmanager
-    def batch_shard(self, poses: int) -> Iterator[slice]:
-        """Split a batch over the processes; batch norm, dropout and noise are those of the full batch meanwhile.
+    def check_cuda_graph(self, recorded: bool) -> None:
+        """Refuse the recording of a step that several processes share."""
+        if recorded and self.size > 1:
+            raise PoseDataError(f"train.cuda_graph: true for {self.size} processes; expected one. Leave it out.")
 
-        Parameters
-        ----------
-        poses : int
-            Size of the batch.
-
-        Yields
-        ------
-        slice
-            This process's rows.
-        """
-        rows = self.rows(poses)
-        if self.size == 1:
-            yield rows
-            return
-        with batch_shard(rows, poses):
-            yield rows
-
-    def average(self, tensors: Iterable[Tensor], weight: float) -> None:
-        """Replace each process's means over its rows by the mean over the full batch, in place.
-
-        Parameters
-        ----------
-        tensors : iterable of Tensor
-            The same ones in every process.
-        weight : float
-            This process's rows by those of the batch.
-        """
-        if self.size == 1:
-            return
-        tensors = list(tensors)
-        flat = torch.cat([tensor.flatten() for tensor in tensors]) * weight
-        torch_distributed.all_reduce(flat)
-        start = 0
-        for tensor in tensors:
-            tensor.copy_(flat[start : start + tensor.numel()].view_as(tensor))
-            start += tensor.numel()
-
-    @torch.no_grad()
-    def broadcast(self, tensors: Iterable[Tensor]) -> None:
-        """Replace every process's tensors by those of the main process, in place."""
-        if self.size > 1:
-            for tensor in tensors:
-                torch_distributed.broadcast(tensor, 0)
-
-    def broadcast_number(self, value: float) -> float:
+    def broadcast(self, value: float) -> float:
         """Return the main process's number in every process."""
         if self.size == 1:
             return value
-        number = torch.tensor([value], dtype=torch.float64, device=self.device)
-        self.broadcast([number])
+        number = torch.tensor([value], device=self.device)
+        torch_distributed.broadcast(number, 0)
         return float(number)
 
 
@@ -161,7 +117,9 @@ def torchrun_group(device: torch.device) -> Iterator[ProcessGroup]:
     if device.type == "cuda":
         device = torch.device("cuda", int(os.environ["LOCAL_RANK"]))
         torch.cuda.set_device(device)
-    torch_distributed.init_process_group("nccl" if device.type == "cuda" else "gloo")
+        torch_distributed.init_process_group("nccl", device_id=device)
+    else:
+        torch_distributed.init_process_group("gloo")
     try:
         yield ProcessGroup(torch_distributed.get_rank(), torch_distributed.get_world_size(), device)
     finally:

@@ -17,9 +17,9 @@ from posecal_models.data.npz import read_npz
 from posecal_models.data.standardizer import check_pixels
 from posecal_models.data.training_set import TrainingSet, seeded_generator
 from posecal_models.distributed import ProcessGroup
-from posecal_models.estimators import ReferenceEstimator, baseline_keypoints, build_from_config, describe
-from posecal_models.gaussian_noise import GaussianNoise
-from posecal_models.simple_baseline import SimpleBaseline
+from posecal_models.estimators.gaussian_noise import GaussianNoise
+from posecal_models.estimators.registry import ReferenceEstimator, baseline_keypoints, build_from_config, describe
+from posecal_models.estimators.simple_baseline import SimpleBaseline
 from posecal_models.train import Training
 from posecal_models.training_folder import CHECKPOINT, check_folder, digests
 
@@ -128,6 +128,7 @@ def prepare(
     """
     processes = processes or ProcessGroup()
     processes.check_batch(config.train.batch)
+    processes.check_cuda_graph(config.train.cuda_graph)
     check_folder(folder, resume=resume)
     mean = _mean(config.model)
     training, validation, exact = split(path, config.data)
@@ -140,7 +141,7 @@ def prepare(
     data = TrainingSet(training, *order, detector=detector, device=device)
     validation_data = None if validation is None else TrainingSet(validation, *order, detector=detector, device=device)
     rows = torch.linspace(0, len(data) - 1, min(len(data), _FIT_POSES), device=data.device).long()
-    context, truth = data.batch(rows, seeded_generator(data.device, config.train.seed))
+    context, truth = data.batch(rows, seeded_generator(config.train.seed))
     context, truth = context.to("cpu"), truth.cpu()
     check_pixels(context)
     if not isinstance(estimator, GaussianNoise) and not config.model.start and config.model.units == "fitted":

@@ -23,7 +23,7 @@ from posecal.errors import PoseDataError
 from posecal_models.contract import Context, Estimator, PoseDistribution
 from posecal_models.data.keypoint_set import KeypointSet
 from posecal_models.data.training_set import seeded_generator
-from posecal_models.estimators import ReferenceEstimator
+from posecal_models.estimators.registry import ReferenceEstimator
 
 __all__ = ["POSES_AT_ONCE", "check_input", "draw", "sample_to_file"]
 
@@ -148,7 +148,7 @@ def sample_to_file(
     @torch.inference_mode()
     def block(start: int) -> npt.NDArray[np.float32]:
         poses = slice(start, start + POSES_AT_ONCE)
-        generator = seeded_generator(device, seed, start // POSES_AT_ONCE)
+        generator = seeded_generator(seed, start // POSES_AT_ONCE)
         drawn = draw(
             estimator(_context(ordered, poses, device)), n, generator=generator, temperature=temperature, mode=mode
         )

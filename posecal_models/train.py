@@ -14,23 +14,28 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
+from torch.nn.parallel import DistributedDataParallel
 
 from posecal.data.write import written_together
 from posecal.errors import PoseDataError, PoseFileError, refuse_unreadable
 from posecal_models.checkpoint import read_tensors, save_estimator, write_tensors
 from posecal_models.config import Config
-from posecal_models.cuda_graph import CudaGraphObjective
+from posecal_models.contract import Context
+from posecal_models.cuda_graph import RecordedStep
 from posecal_models.data.training_set import TrainingSet, draw_graphs, seeded_generator
 from posecal_models.distributed import ProcessGroup
-from posecal_models.estimators import ReferenceEstimator
-from posecal_models.objectives import Objective, build_objective
+from posecal_models.estimators.registry import ReferenceEstimator
+from posecal_models.objectives import build_objective
 from posecal_models.schedule import Schedule
 from posecal_models.training_folder import CHECKPOINT, WEIGHTS, check_same, write_losses
 
 __all__ = ["Training", "TrainingProgress"]
 
 _ORDER, _BATCH, _VALIDATION = 1, 2, 3
+
+_STEPS_BETWEEN_READS = 50
+"""Steps of a GPU after which the losses are read, which needs a synchronisation."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +49,7 @@ class TrainingProgress:
     learning_rate : float
         Learning rate of the last step.
     losses : dict of str to float
-        Losses of the last step.
+        Losses of the last step; of a GPU, of the last step whose losses were read.
     validation : float or None
         Validation loss after the last epoch; None before, and where there are no validation poses.
     """
@@ -101,17 +106,26 @@ class Training:
         self.folder = folder
         self.processes = processes or ProcessGroup()
         self.digests = digests or {}
-        self.parameters = {name: p for name, p in estimator.named_parameters() if self._is_trainable(name)}
-        self.objective: Objective = build_objective(estimator, config.train)
+        self.parameters = {name: p for name, p in estimator.named_parameters() if p.requires_grad}
+        if self.processes.size > 1 and data.device.type == "cuda":
+            nn.SyncBatchNorm.convert_sync_batchnorm(estimator)  # type: ignore[no-untyped-call]
+        self.objective = build_objective(estimator, config.train)
+        self._losses: nn.Module = self.objective
+        if self.processes.size > 1:
+            self._losses = DistributedDataParallel(self.objective)
+        self._learning_rate = torch.tensor(config.train.learning_rate, device=data.device)
+        self.optimizer = torch.optim.Adam(self.parameters.values(), self._learning_rate, fused=True, capturable=True)
+        self._loss_names: list[str] = []
+        self._update: Callable[..., Tensor] = self.update
         if config.train.cuda_graph:
-            self.objective = CudaGraphObjective(self.objective, list(self.parameters.values()), data.device)
-        self.optimizer = torch.optim.Adam(self.parameters.values(), lr=config.train.learning_rate, fused=True)
+            self._update = RecordedStep(self.update, data.device)
         self.steps_per_epoch = config.train.steps_per_epoch or math.ceil(len(data) / config.train.batch)
         self.schedule = Schedule(config.train, self.steps_per_epoch * config.train.epochs)
         self.step = self.epoch = 0
-        self._synchronised = False
         self.best: dict[str, Tensor] = {}
         self._step_losses: list[float] = []
+        self._unread: list[Tensor] = []
+        self._last_losses: dict[str, float] = {}
         self._epochs: list[tuple[float, ...]] = []
         self._order: tuple[int, Tensor] | None = None
 
@@ -136,7 +150,7 @@ class Training:
         while not self.finished:
             if max_steps is not None and self.step >= max_steps:
                 break
-            losses = self._one_step()
+            self.one_step()
             if self.step % self.steps_per_epoch == 0:
                 self._end_epoch()
                 self.save()
@@ -145,16 +159,13 @@ class Training:
                 self.save()
                 saved = time.monotonic()
             if on_step is not None:
-                on_step(self._progress(losses))
+                on_step(self._progress())
         self.save()
 
     @property
     def finished(self) -> bool:
         """Whether all epochs are done or the schedule stops."""
         return self.epoch >= self.config.train.epochs or self.schedule.finished
-
-    def _is_trainable(self, name: str) -> bool:
-        return self.config.model.kind != "gaussian-noise" or not name.startswith("mean.")
 
     def _rows(self, step: int) -> Tensor:
         """Return the poses of a step, from consecutive random permutations of the training set."""
@@ -163,18 +174,25 @@ class Training:
         rows = torch.empty_like(positions)
         for index in torch.unique(positions // poses).tolist():
             if self._order is None or self._order[0] != index:
-                generator = seeded_generator("cpu", self.config.train.seed, _ORDER, index)
+                generator = seeded_generator(self.config.train.seed, _ORDER, index)
                 self._order = (index, torch.randperm(poses, generator=generator))
             selected = positions // poses == index
             rows[selected] = self._order[1][positions[selected] % poses]
         return rows.to(self.data.device)
 
-    def _one_step(self) -> dict[str, float]:
-        config = self.config.train
-        generator = seeded_generator(self.data.device, config.seed, _BATCH, self.step)
+    def one_step(self) -> None:
+        """Run the next step.
+
+        Raises
+        ------
+        PoseDataError
+            Where a loss or a gradient is no longer finite; on a GPU, of any step since the losses were last read.
+        """
+        config, cgnf = self.config.train, self.config.model.kind == "cgnf"
+        generator = seeded_generator(config.seed, _BATCH, self.step)
         context, truth = self.data.batch(self._rows(self.step), generator)
-        graphs = config.graphs_per_pose if self.config.model.kind == "cgnf" else 1
-        if self.config.model.kind == "cgnf":
+        graphs = config.graphs_per_pose if cgnf else 1
+        if cgnf:
             context, truth = draw_graphs(
                 context,
                 truth,
@@ -186,41 +204,70 @@ class Training:
             )
         if self.step == 0 and not self.config.model.start:
             self.objective.initialise(context, truth)
-        if not self._synchronised:
-            self.processes.broadcast(self.estimator.state_dict().values())
-            self._synchronised = True
-
+        poses = self.processes.rows(len(truth) // graphs)
+        rows = slice(poses.start * graphs, poses.stop * graphs)
+        context, truth = context[rows], truth[rows]
+        noise = self.objective.noise(truth, generator)
         self.estimator.train()
-        learning_rate = self.schedule.learning_rate(self.step)
-        for group in self.optimizer.param_groups:
-            group["lr"] = learning_rate
-        self.optimizer.zero_grad(set_to_none=False)
+        self._learning_rate.fill_(self.schedule.learning_rate(self.step))
         device = self.data.device
-        gpus = [device] if device.type == "cuda" else []
-        with torch.random.fork_rng(devices=gpus), self.processes.batch_shard(len(truth) // graphs) as poses:
-            torch.manual_seed(generator.initial_seed())
-            rows = slice(poses.start * graphs, poses.stop * graphs)
-            losses = self.objective.backward(context[rows], truth[rows], generator=generator, graphs_per_pose=graphs)
-        gradients = [p.grad for p in self.parameters.values() if p.grad is not None]
-        self.processes.average([*gradients, *losses.values()], (rows.stop - rows.start) / len(truth))
-        norm = torch.nn.utils.clip_grad_norm_(self.parameters.values(), config.clip)
-        values = {name: float(loss) for name, loss in losses.items()}
-        self._check_finite(values, float(norm))
-        self.optimizer.step()
+        with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
+            torch.manual_seed(generator.initial_seed() ^ self.processes.rank)  # of dropout
+            inputs = [context.keypoints, context.observed, truth, *([] if noise is None else [noise])]
+            self._unread.append(self._update(*inputs))
         self.step += 1
-        self._step_losses.append(values["loss"])
-        return values
+        if device.type == "cpu" or len(self._unread) >= _STEPS_BETWEEN_READS:
+            self._read_losses()
 
-    def _check_finite(self, losses: dict[str, float], norm: float) -> None:
+    def update(self, keypoints: Tensor, observed: Tensor, truth: Tensor, noise: Tensor | None = None) -> Tensor:
+        """Update the weights: forward and backward pass, clipping and Adam, without a synchronisation.
+
+        Parameters
+        ----------
+        keypoints, observed : Tensor
+            The context of this process's graphs.
+        truth : Tensor
+            Their poses, mm.
+        noise : Tensor, optional
+            The random numbers of the loss.
+
+        Returns
+        -------
+        Tensor
+            The losses, and the gradient's norm.
+        """
+        options = {"graphs_per_pose": self.config.train.graphs_per_pose} if self.config.model.kind == "cgnf" else {}
+        self.optimizer.zero_grad()
+        losses = self._losses(Context(keypoints, observed), truth, noise, **options)
+        losses["loss"].backward()
+        norm = nn.utils.clip_grad_norm_(self.parameters.values(), self.config.train.clip)
+        self.optimizer.step()
+        self._loss_names = list(losses)
+        return torch.stack([*(loss.detach() for loss in losses.values()), norm])
+
+    def _read_losses(self) -> None:
+        """Read the losses of the last steps, and check that all are finite."""
+        if not self._unread:
+            return
+        first = self.step - len(self._unread)
+        losses = []
+        for step, (*numbers, norm) in enumerate(torch.stack(self._unread).tolist(), first):
+            self._last_losses = dict(zip(self._loss_names, numbers, strict=True))
+            self._check_finite(step, self._last_losses, norm)
+            losses.append(self._last_losses["loss"])
+        self._step_losses += losses
+        self._unread = []  # not before: weights that a loss made useless are never saved
+
+    def _check_finite(self, step: int, losses: dict[str, float], norm: float) -> None:
         if all(map(math.isfinite, losses.values())) and math.isfinite(norm):
             return
         broken = [name for name, p in self.parameters.items() if p.grad is not None and not p.grad.isfinite().all()]
         raise PoseDataError(
-            f"training: at step {self.step:,} (epoch {self.epoch + 1}) "
+            f"training: at step {step:,} (epoch {self.epoch + 1}) "
             + ", ".join(f"{name} is {value:.6g}" for name, value in losses.items())
             + f", the gradient's norm {norm:.6g}, not finite in {len(broken)} of {len(self.parameters)} tensors"
             + (f" (first: {broken[0]})" if broken else "")
-            + f". {self._advice(self.step)} or check the poses of this batch."
+            + f". {self._advice(step)} or check the poses of this batch."
         )
 
     def _advice(self, step: int) -> str:
@@ -228,6 +275,7 @@ class Training:
         return f"{checkpoint}Lower train.learning_rate ({self.schedule.learning_rate(step):.3g})"
 
     def _end_epoch(self) -> None:
+        self._read_losses()
         self.epoch += 1
         recent = self._step_losses[-self.steps_per_epoch :]
         train = sum(recent) / len(recent)
@@ -240,15 +288,16 @@ class Training:
             self.best = {name: t.detach().clone() for name, t in self.estimator.state_dict().items()}
         self.schedule.after_epoch(loss)
 
+    @torch.no_grad()
     def _validate(self) -> float | None:
         if self.validation is None:
             return None
         self.estimator.eval()
-        generator = seeded_generator(self.validation.device, self.config.train.seed, _VALIDATION)
+        generator = seeded_generator(self.config.train.seed, _VALIDATION)
         rows = torch.arange(len(self.validation), device=self.validation.device)
         context, truth = self.validation.batch(rows, generator)
-        local_losses = self.objective.evaluate(context, truth, generator=generator)
-        losses = {name: self.processes.broadcast_number(float(loss)) for name, loss in local_losses.items()}
+        local_losses = self.objective(context, truth, self.objective.noise(truth, generator))
+        losses = {name: self.processes.broadcast(float(loss)) for name, loss in local_losses.items()}
         if not all(map(math.isfinite, losses.values())):
             raise PoseDataError(
                 f"validation: after step {self.step:,} (epoch {self.epoch}) "
@@ -257,13 +306,13 @@ class Training:
             )
         return losses["loss"]
 
-    def _progress(self, losses: dict[str, float]) -> TrainingProgress:
+    def _progress(self) -> TrainingProgress:
         return TrainingProgress(
             self.epoch,
             self.step,
             self.schedule.total_steps,
             self.schedule.learning_rate(self.step - 1),
-            losses,
+            self._last_losses,
             self._epochs[-1][-1] if self._epochs and self.validation is not None else None,
         )
 
@@ -272,9 +321,12 @@ class Training:
 
         Raises
         ------
+        PoseDataError
+            Where a loss is not finite.
         PoseFileError
             Where one can't be written.
         """
+        self._read_losses()
         if not self.processes.is_main:
             return
         tensors = {f"weights.{name}": tensor for name, tensor in self.estimator.state_dict().items()}

@@ -20,11 +20,11 @@ import torch
 from torch import Tensor
 
 from posecal.errors import PoseDataError
-from posecal_models.cgnf.flow import FlowSize
-from posecal_models.cgnf.model import CGNF
 from posecal_models.contract import Context
 from posecal_models.data.training_set import seeded_generator
-from posecal_models.graph import PoseGraph
+from posecal_models.estimators.cgnf.flow import FlowSize
+from posecal_models.estimators.cgnf.graph import PoseGraph
+from posecal_models.estimators.cgnf.model import CGNF
 
 __all__ = ["PENDULUM_MODELS", "LogDensity", "Pendulum", "PoseWorldRow", "fit", "pendulum", "pose_world"]
 
@@ -75,7 +75,7 @@ def fit(
     PoseDataError
         Where the loss is no longer finite.
     """
-    poses, keypoints, observed = draw(seeded_generator("cpu", seed, steps))
+    poses, keypoints, observed = draw(seeded_generator(seed, steps))
     estimator.standardizer.fit(poses, keypoints, observed)
     flow, standardizer = estimator.flow, estimator.standardizer
     flow.initialise_actnorm(standardizer.poses(poses)[:, None], estimator.embed(Context(keypoints, observed)))
@@ -83,7 +83,7 @@ def fit(
     for step in range(steps):
         for group in optimizer.param_groups:
             group["lr"] = learning_rate * 0.5 * (1 + math.cos(math.pi * step / steps))
-        poses, keypoints, observed = draw(seeded_generator("cpu", seed, step))
+        poses, keypoints, observed = draw(seeded_generator(seed, step))
         optimizer.zero_grad(set_to_none=False)
         loss = -estimator(Context(keypoints, observed)).log_prob(poses).mean()
         if not loss.isfinite():
@@ -321,7 +321,7 @@ def pose_world(
     fit(estimator, draw, steps=steps, seed=seed, progress=progress)
     rows = []
     for count in (0, 4, 8, 12, 16):
-        generator = seeded_generator("cpu", seed, steps + 1, count)
+        generator = seeded_generator(seed, steps + 1, count)
         x, c = draw_poses(poses, generator)
         observed = draw_observed(torch.full((poses,), count), generator)
         true = torch.from_numpy(world.posterior(c.numpy(), observed.numpy()).log_prob(x.numpy()))

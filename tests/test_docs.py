@@ -154,9 +154,9 @@ def test_the_tree_of_the_architecture_page_is_that_of_the_package() -> None:
         if words[0].endswith("/"):
             folders.append(words[0])
         listed |= {"".join([*folders, word]) for word in words if word.endswith(".py")}
-    files = {path.relative_to(ROOT).as_posix() for path in (ROOT / "posecal").rglob("*.py")}
-    empty = {f"posecal/{folder}/__init__.py" for folder in (p.name for p in (ROOT / "posecal").iterdir() if p.is_dir())}
-    assert listed == files - empty
+    packages = [ROOT / "posecal", ROOT / "posecal_models"]
+    files = {path.relative_to(ROOT).as_posix() for package in packages for path in package.rglob("*.py")}
+    assert listed == {file for file in files if file == "posecal/__init__.py" or not file.endswith("/__init__.py")}
 
 
 def test_readme_has_the_two_commands_that_ci_runs() -> None:

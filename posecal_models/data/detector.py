@@ -76,7 +76,7 @@ class Detector:
         keypoints : Tensor
             (M, K, 2), pixels: exact projections of the joints; NaN where unknown, which is never observed.
         generator : torch.Generator
-            The source of randomness.
+            The source of randomness, of the CPU.
 
         Returns
         -------
@@ -87,11 +87,12 @@ class Detector:
         if keypoints.ndim != 3:
             raise PoseDataError(f"keypoints {tuple(keypoints.shape)}: expected (M, K, 2).")
         shape, device = keypoints.shape, keypoints.device
-        hidden = torch.rand(shape[:2], generator=generator, device=device) < self.hidden_share
-        noise = torch.randn(shape, generator=generator, device=device)
+        hidden = (torch.rand(shape[:2], generator=generator) < self.hidden_share).to(device)
+        noise = torch.randn(shape, generator=generator)
         degrees = self.degrees_of_freedom
-        chi_squared = torch.randn((*shape[:2], 1, degrees), generator=generator, device=device).square().sum(-1)
-        heavy_tailed = noise * torch.sqrt((degrees - 2) / chi_squared)
+        chi_squared = torch.randn((*shape[:2], 1, degrees), generator=generator).square().sum(-1)
+        heavy_tailed = (noise * torch.sqrt((degrees - 2) / chi_squared)).to(device)
+        noise = noise.to(device)
         sigma = torch.where(hidden, self.hidden_sigma, self.sigma)
         noisy = keypoints + sigma[..., None] * torch.where(hidden[..., None], heavy_tailed, noise).to(keypoints.dtype)
         observed = (sigma <= self.threshold) & keypoints.isfinite().all(-1)

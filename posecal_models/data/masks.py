@@ -27,7 +27,7 @@ def mask_keypoints(
     share : Tensor
         (M,), between 0 and 1: the share that remains observed.
     generator : torch.Generator
-        The source of randomness.
+        The source of randomness, of the CPU.
     kind : str
         ``paper``: this share of the observed keypoints remains, at least one. ``released``: the rest of all K keypoints
         is removed, observed or not.
@@ -53,7 +53,7 @@ def mask_keypoints(
     (2, False)
     """
     keypoints = observed.shape[1]
-    order = torch.rand(observed.shape, generator=generator, device=observed.device)
+    order = torch.rand(observed.shape, generator=generator).to(observed.device)
     if kind == "released":
         removed = torch.round((1 - share) * keypoints)
         return observed & (order.argsort(1).argsort(1) >= removed[:, None])

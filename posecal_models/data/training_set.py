@@ -16,13 +16,13 @@ from posecal_models.data.masks import SHARES, Augmentation, mask_keypoints
 __all__ = ["TrainingSet", "draw_graphs", "seeded_generator"]
 
 
-def seeded_generator(device: torch.device | str, *numbers: int) -> torch.Generator:
-    """Create a random generator from several numbers, such as a seed, an epoch and a step.
+def seeded_generator(*numbers: int) -> torch.Generator:
+    """Create a random generator of the CPU from several numbers, such as a seed, an epoch and a step.
+
+    Random numbers are drawn on the CPU and moved, so that a seed gives the same ones on every device.
 
     Parameters
     ----------
-    device : torch.device or str
-        Device of the generator.
     *numbers : int
         Non-negative.
 
@@ -33,7 +33,7 @@ def seeded_generator(device: torch.device | str, *numbers: int) -> torch.Generat
 
     Examples
     --------
-    >>> one, same, other = (torch.rand(1, generator=seeded_generator("cpu", 0, step)) for step in (7, 7, 8))
+    >>> one, same, other = (torch.rand(1, generator=seeded_generator(0, step)) for step in (7, 7, 8))
     >>> bool(one == same), bool(one == other)
     (True, False)
     """
@@ -41,7 +41,7 @@ def seeded_generator(device: torch.device | str, *numbers: int) -> torch.Generat
     for number in numbers:
         hashed = ((hashed ^ (number + 0x165667B19E3779F9)) * 0xBF58476D1CE4E5B9) % 2**64
         hashed ^= hashed >> 29
-    return torch.Generator(device).manual_seed(hashed % 2**63)
+    return torch.Generator().manual_seed(hashed % 2**63)
 
 
 class TrainingSet:

@@ -1,13 +1,16 @@
 """Speed of the models: medians of log_prob, samples and a training step, and of the plain formulas in the same run.
 
-    python tests/benchmarks/models_speed.py [--sizes small large xlarge] [--device cpu] [--threads 1]
+    python tests/benchmarks/models_speed.py [--sizes small large xlarge] [--device cpu] [--threads 1] [--compile]
 
 The plain formulation computes the messages of the context anew for every sample and walks the bones one relation at a
-time; its gradients are autograd's. A training step has 200 graphs and their 200 priors. "Alone" are the
-second layers' matrix products in the same run: the floor of any arrangement. With --published FOLDER, a checkout of
-github.com/sinzlab/propose (it needs torch_geometric, torch_sparse, nflows and wandb), its model runs in the same run.
-With --device cuda, an epoch of the published size (390,000 poses, five graphs and a prior each) is extrapolated from
-steps of the batch that is given.
+time. A training step has 200 graphs and their 200 priors. "Alone" are the second layers' matrix products in the same
+run: the floor of any arrangement. With --compile, what torch.compile makes of log_prob, samples and the step runs in
+the same run too. With --published FOLDER, a checkout of github.com/sinzlab/propose (it needs torch_geometric,
+torch_sparse, nflows and wandb), its model runs in the same run.
+
+With --device cuda this one command measures all that docs/models.md says about a GPU: the tables, whether a seed gives
+the hypotheses of a CPU, the memory of many hypotheses, and an epoch of the published size (390,000 poses, five graphs
+and a prior each), extrapolated from steps that are plain, compiled and recorded.
 """
 
 from __future__ import annotations
@@ -24,12 +27,13 @@ import torch
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from posecal_models.cgnf.flow import SIZES
-from posecal_models.cgnf.model import CGNF
-from posecal_models.cgnf.objective import FlowObjective
+from posecal_models.checkpoint import load_estimator
 from posecal_models.contract import Context
-from posecal_models.cuda_graph import CudaGraphObjective
-from posecal_models.graph import human36m_graph
+from posecal_models.cuda_graph import RecordedStep
+from posecal_models.estimators.cgnf.flow import SIZES
+from posecal_models.estimators.cgnf.graph import human36m_graph
+from posecal_models.estimators.cgnf.model import CGNF
+from posecal_models.objectives import FlowLikelihood
 from tests.models import plain_cgnf
 
 GRAPHS, SAMPLES = 200, 200
@@ -37,14 +41,18 @@ VARIANTS = {"paper": (True, "exp"), "released": (False, "sigmoid")}
 
 
 def medians(*calls: Callable[[], object] | None, device: str, most_seconds: float = 60.0) -> list[float | None]:
-    """Median of at least three calls each, in ms, after one to warm up; in turns: a slow minute is shared."""
+    """Median of at least three calls each, in ms, after one to warm up; in turns: a slow minute is shared.
+
+    Of one thread the time of the processor counts, so that other processes count for less.
+    """
+    clock = time.process_time if device == "cpu" and torch.get_num_threads() == 1 else time.perf_counter
 
     def timed(call: Callable[[], object]) -> float:
-        start = time.perf_counter()
+        start = clock()
         call()
         if device.startswith("cuda"):
             torch.cuda.synchronize()
-        return time.perf_counter() - start
+        return clock() - start
 
     there = [call for call in calls if call is not None]
     first = sum(timed(call) for call in there)
@@ -111,28 +119,29 @@ class Published:
 
 def bare_products(model: CGNF, graphs: int, device: str) -> Callable[[], object]:
     """The matrix products of the second layers alone, for so many graphs: what no arrangement can do without."""
-    second = model.flow.couplings.fold().second.detach()
-    at_once = 128
-    nodes = [last - first for first, last in model.flow.couplings.second.spans]
-    senders = torch.randn(max(nodes) * at_once, second.shape[-1], device=device)
-    messages = torch.empty_like(senders)
+    second = [block.fold(model.flow.aggregation).second.detach() for block in model.flow.couplings]
+    at_once, nodes = 48, len(model.joints)
+    senders = torch.randn(nodes * at_once, len(second[0]), device=device)
+    messages = torch.empty(len(senders), second[0].shape[1], device=device)
 
     def multiply() -> None:
         for start in range(0, graphs, at_once):
-            here = min(at_once, graphs - start)
-            for maps in second:
-                for count, weights in zip(nodes, maps, strict=True):
-                    torch.mm(senders[: count * here], weights, out=messages[: count * here])
+            rows = nodes * min(at_once, graphs - start)
+            for weights in second:
+                torch.mm(senders[:rows], weights, out=messages[:rows])
 
     return multiply
 
 
-def measure(size: str, variant: str, device: str, *, plain: bool, published: Published | None) -> None:
+def measure(
+    size: str, variant: str, device: str, *, plain: bool, compile_too: bool, published: Published | None
+) -> None:
     """Print the lines of one size and variant."""
     backward_weights, scale = VARIANTS[variant]
     torch.manual_seed(0)
     model = CGNF(SIZES[size], backward_weights=backward_weights, scale=scale).to(device)
-    model.flow.couplings.second.pool.weight.data.uniform_(-0.01, 0.01)
+    for block in model.flow.couplings:
+        block.second.pool.weight.data.uniform_(-0.01, 0.01)
     weights, parents = dict(model.flow.named_parameters()), model.graph.parents
     root = torch.zeros(1, 3, device=device)
     for poses in (1, 32):
@@ -163,14 +172,26 @@ def measure(size: str, variant: str, device: str, *, plain: bool, published: Pub
         with torch.inference_mode():
             bare = bare_products(model, SAMPLES * poses, device)
             description = f"{poses} pose{'s' * (poses > 1)}, {size}, {variant}"
-            calls = log_prob, None, plain_log_prob if plain else None, published_log_prob if published else None
+            others = plain_log_prob if plain else None, published_log_prob if published else None
+            calls = log_prob, None, *others, torch.compile(log_prob) if compile_too else None
             row(f"log_prob of {description}", *medians(*calls, device=device))
-            calls = sample, bare, plain_sample if plain else None, published_sample if published else None
+            others = plain_sample if plain else None, published_sample if published else None
+            calls = sample, bare, *others, torch.compile(sample) if compile_too else None
             row(f"{SAMPLES} samples of {description}", *medians(*calls, device=device))
-    measure_step(model, scale, f"{size}, {variant}", device, plain=plain, published=published)
+    options = {"plain": plain, "compile_too": compile_too, "published": published}
+    measure_step(model, scale, f"{size}, {variant}", device, **options)
 
 
-def measure_step(model: CGNF, scale: str, which: str, device: str, *, plain: bool, published: Published | None) -> None:
+def measure_step(
+    model: CGNF,
+    scale: str,
+    which: str,
+    device: str,
+    *,
+    plain: bool,
+    compile_too: bool,
+    published: Published | None,
+) -> None:
     """Print the lines of a training step."""
     weights, parents = dict(model.flow.named_parameters()), model.graph.parents
     root = torch.zeros(1, 3, device=device)
@@ -179,17 +200,18 @@ def measure_step(model: CGNF, scale: str, which: str, device: str, *, plain: boo
     observed = torch.rand(GRAPHS, 16, device=device) < 0.88 * share[:, None]
     truth = torch.randn(GRAPHS // 5, 16, 3, device=device).repeat_interleave(5, 0)
     optimizer = torch.optim.Adam(model.parameters(), 1e-4, fused=True)
-    objective = FlowObjective(model)
+    objective = FlowLikelihood(model)
+    compiled = torch.compile(objective) if compile_too else objective
     context = Context(keypoints, observed)
 
-    def step(graphs_per_pose: int) -> None:
-        optimizer.zero_grad(set_to_none=False)
-        objective.backward(context, truth, graphs_per_pose=graphs_per_pose)
+    def step(graphs_per_pose: int, losses: Callable[..., Any] = objective) -> None:
+        optimizer.zero_grad()
+        losses(context, truth, graphs_per_pose=graphs_per_pose)["loss"].backward()
         torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)
         optimizer.step()
 
     def plain_step() -> None:
-        optimizer.zero_grad(set_to_none=False)
+        optimizer.zero_grad()
         posterior = plain_cgnf.log_prob(weights, truth, keypoints, observed, root, parents, scale=scale)
         prior = plain_cgnf.log_prob(weights, truth, keypoints, torch.zeros_like(observed), root, parents, scale=scale)
         (-0.5 * (posterior + prior).mean()).backward()
@@ -201,6 +223,7 @@ def measure_step(model: CGNF, scale: str, which: str, device: str, *, plain: boo
 
     bare = bare_products(model, 3 * (GRAPHS + GRAPHS // 5), device)  # once forwards and twice backwards
     slow = plain_step if plain else None, published_step if published else None
+    slow = *slow, (lambda: step(5, compiled)) if compile_too else None
     ours, shared, alone, *others = medians(lambda: step(1), lambda: step(5), bare, *slow, device=device)
     row(f"training step, {which}", ours, None, *others)
     row(f"  priors of 40 poses shared, {which}", shared, alone, *others)
@@ -214,42 +237,73 @@ def main() -> None:
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--no-plain", action="store_true", help="leave the plain formulation out")
+    parser.add_argument("--compile", action="store_true", help="measure torch.compile too")
     parser.add_argument("--published", metavar="FOLDER", help="a checkout of the published code, for the small model")
     asked = parser.parse_args()
     torch.set_num_threads(asked.threads)
     name = torch.cuda.get_device_name() if asked.device.startswith("cuda") else f"CPU, {asked.threads} thread(s)"
     print(f"PyTorch {torch.__version__}, {name}, single precision; medians in ms")
-    print(f"{'':48} {'ours':>9} {'alone':>9} {'plain':>12} {'ratio':>9} {'published':>12} {'ratio':>9}")
+    compared = "".join(f"{head:>12} {'ratio':>9}" for head in ("plain", "published", "compiled"))
+    print(f"{'':48} {'ours':>9} {'alone':>9} {compared}")
     published = Published(asked.published) if asked.published else None
     for size in asked.sizes:
         for variant in asked.variants:
             other = published if size == "small" else None
-            measure(size, variant, asked.device, plain=not asked.no_plain, published=other)
+            options = {"plain": not asked.no_plain, "compile_too": asked.compile, "published": other}
+            measure(size, variant, asked.device, **options)
     if asked.device.startswith("cuda"):
+        compare_with_cpu(asked.device)
         measure_epoch(asked.device)
 
 
-def measure_epoch(device: str, *, poses: int = 4000, steps: int = 20) -> None:
+def compare_with_cpu(device: str) -> None:
+    """Print how far hypotheses of one seed on a GPU are from those on the CPU, and the memory of many."""
+    estimator = load_estimator("cgnf-small")
+    generator = torch.Generator().manual_seed(0)
+    context = Context(80 * torch.randn(64, 16, 2, generator=generator), torch.rand(64, 16, generator=generator) < 0.7)
+    with torch.inference_mode():
+        on_cpu = estimator(context).sample(200, generator=torch.Generator().manual_seed(1))
+        estimator, context = estimator.to(device), context.to(device)
+        on_gpu = estimator(context).sample(200, generator=torch.Generator().manual_seed(1))
+        print(f"seed 1, CPU and GPU: largest difference {float((on_cpu - on_gpu.cpu()).abs().max()):.2g} mm")
+        torch.cuda.reset_peak_memory_stats()
+        estimator(context).sample(10_000)
+    print(f"10,000 hypotheses of 64 poses: {torch.cuda.max_memory_allocated() / 1e9:.1f} GB")
+
+
+def measure_epoch(device: str, *, steps: int = 50) -> None:
     """Extrapolate a published epoch on a GPU: 390,000 poses, five graphs and a prior each."""
-    model = CGNF(SIZES["small"]).to(device)
-    parameters = list(model.parameters())
-    optimizer = torch.optim.Adam(parameters, 1e-4, fused=True)
-    truth = torch.randn(poses, 16, 3, device=device).repeat_interleave(5, 0)
-    context = Context(torch.randn(5 * poses, 16, 2, device=device), torch.rand(5 * poses, 16, device=device) < 0.5)
-    generator = torch.Generator(device)
-    plain = FlowObjective(model)
-    for name, objective in (("", plain), (", recorded", CudaGraphObjective(plain, parameters, torch.device(device)))):
-        for timed in (False, True):
-            torch.cuda.synchronize()
-            start = time.perf_counter()
-            for _ in range(steps):
-                optimizer.zero_grad(set_to_none=False)
-                objective.backward(context, truth, generator=generator, graphs_per_pose=5)
+    for poses in (40, 400, 4000):
+        truth = torch.randn(poses, 16, 3, device=device).repeat_interleave(5, 0)
+        keypoints = torch.randn(5 * poses, 16, 2, device=device)
+        observed = torch.rand(5 * poses, 16, device=device) < 0.5
+        for name in ("plain", "compiled", "recorded"):
+            model = CGNF(SIZES["small"]).to(device)
+            objective = FlowLikelihood(model)
+            losses = torch.compile(objective) if name == "compiled" else objective
+            rate = torch.tensor(1e-4, device=device)
+            optimizer = torch.optim.Adam(model.parameters(), rate, fused=True, capturable=True)
+
+            def update(keypoints, observed, truth, losses=losses, optimizer=optimizer, model=model) -> torch.Tensor:
+                optimizer.zero_grad()
+                loss = losses(Context(keypoints, observed), truth, graphs_per_pose=5)["loss"]
+                loss.backward()
+                torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)
                 optimizer.step()
-            torch.cuda.synchronize()
-            if timed:
-                seconds = (time.perf_counter() - start) / steps * 390_000 / poses
-                print(f"a published epoch of the small model, {poses:,} poses a step{name}: {seconds:.1f} s")
+                return loss.detach()
+
+            call = RecordedStep(update, torch.device(device)) if name == "recorded" else update
+            for count in (5, steps):
+                torch.cuda.synchronize()
+                start = time.perf_counter()
+                for _ in range(count):
+                    call(keypoints, observed, truth)
+                torch.cuda.synchronize()
+            seconds = (time.perf_counter() - start) / steps
+            print(
+                f"small, {poses:,} poses a step, {name}: {1000 * seconds:.2f} ms, "
+                f"a published epoch {seconds * 390_000 / poses:.1f} s"
+            )
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 """Naive reference implementation of the cGNF: the formulas as written, one node, one relation, one sample at a time.
 
-Weights are a dictionary by the names of :class:`posecal_models.cgnf.flow.GraphFlow`. Nothing is shared, folded or
-reordered: messages of the context are recomputed for every sample, and those along edges one relation at a time.
+Weights are a dictionary by the names of :class:`posecal_models.estimators.cgnf.flow.GraphFlow`. Nothing is shared,
+folded or reordered: messages of the context are recomputed for every sample, and those along edges one relation at a
+time.
 """
 
 from __future__ import annotations
@@ -15,11 +16,8 @@ from torch import Tensor
 Weights = Mapping[str, Tensor]
 
 
-def linear(weights: Weights, name: str, features: Tensor, block: int | None = None) -> Tensor:
-    weight, bias = weights[f"{name}.weight"], weights[f"{name}.bias"]
-    if block is not None:
-        weight, bias = weight[block], bias[block]
-    return features @ weight.T + bias
+def linear(weights: Weights, name: str, features: Tensor) -> Tensor:
+    return features @ weights[f"{name}.weight"].T + weights[f"{name}.bias"]
 
 
 def embedding(weights: Weights, keypoints: Tensor, observed: Tensor) -> Tensor:
@@ -51,10 +49,10 @@ def message_passing(
     """One layer for M graphs: nodes (M, K, F), context (M, K, C), observed (M, K), root (M, R)."""
 
     def map_of(name: str, features: Tensor) -> Tensor:
-        return linear(weights, f"couplings.{layer}.{name}", features, block)
+        return linear(weights, f"blocks.{block}.{layer}.{name}", features)
 
     message = torch.relu(map_of("from_self", nodes))
-    child_map = "from_child" if f"couplings.{layer}.from_child.weight" in weights else "from_parent"
+    child_map = "from_child" if f"blocks.{block}.{layer}.from_child.weight" in weights else "from_parent"
     from_parents = torch.relu(map_of("from_parent", nodes))
     from_children = torch.relu(map_of(child_map, nodes))
     children = [v for v, parent in enumerate(parents) if parent >= 0]
@@ -79,8 +77,8 @@ def shift_and_scale(
 ) -> tuple[Tensor, Tensor]:
     """Both layers of one block's coupling net."""
     nodes = message_passing(weights, block, "first", inputs, context, observed, root, parents)
-    context = torch.relu(linear(weights, "couplings.first.next_context", context, block))
-    root = torch.relu(linear(weights, "couplings.first.next_root", root, block))
+    context = torch.relu(linear(weights, f"blocks.{block}.first.next_context", context))
+    root = torch.relu(linear(weights, f"blocks.{block}.first.next_root", root))
     nodes = message_passing(weights, block, "second", nodes, context, observed, root, parents)
     shift, unconstrained = nodes[..., 0], nodes[..., 1]
     return shift, unconstrained.exp() if scale == "exp" else torch.sigmoid(unconstrained + 2) + 1e-3
@@ -101,8 +99,8 @@ def forward(
     dimensions = poses.shape[-1]
     log_determinant = torch.zeros_like(poses[..., 0])
     for block in range(_blocks(weights)):
-        log_scale = weights["couplings.actnorm_log_scale"][block]
-        shift = weights["couplings.actnorm_shift"][block]
+        log_scale = weights[f"blocks.{block}.log_scale"]
+        shift = weights[f"blocks.{block}.shift"]
         poses = poses * log_scale.exp() + shift
         target = block % dimensions
         others = poses[..., [i for i in range(dimensions) if i != target]]
@@ -132,8 +130,8 @@ def inverse(
         latents = torch.stack(
             [(latents[..., i] - t) / s if i == target else latents[..., i] for i in range(dimensions)], -1
         )
-        log_scale = weights["couplings.actnorm_log_scale"][block]
-        shift = weights["couplings.actnorm_shift"][block]
+        log_scale = weights[f"blocks.{block}.log_scale"]
+        shift = weights[f"blocks.{block}.shift"]
         latents = (latents - shift) * torch.exp(-log_scale)
     return latents
 
@@ -155,4 +153,4 @@ def log_prob(
 
 
 def _blocks(weights: Weights) -> int:
-    return len(weights["couplings.actnorm_shift"])
+    return sum(name.endswith(".log_scale") for name in weights)

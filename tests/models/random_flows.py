@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from posecal_models.cgnf.flow import FlowSize, GraphFlow
 from posecal_models.contract import Context
-from posecal_models.graph import human36m_graph
+from posecal_models.estimators.cgnf.flow import FlowSize, GraphFlow
+from posecal_models.estimators.cgnf.graph import human36m_graph
 
 SIZE = FlowSize(blocks=4, hidden=6, context=3, embedding=5)
 POSES, SAMPLES, NODES = 7, 5, 16

@@ -14,11 +14,11 @@ from posecal.errors import PoseDataError
 from posecal.report.report import Report
 from posecal_models import benchmark
 from posecal_models.benchmark_report import run_benchmark
-from posecal_models.cgnf.flow import SIZES
-from posecal_models.cgnf.model import CGNF
 from posecal_models.checkpoint import save_estimator
-from posecal_models.gaussian_noise import GaussianNoise
-from posecal_models.simple_baseline import SimpleBaseline
+from posecal_models.estimators.cgnf.flow import SIZES
+from posecal_models.estimators.cgnf.model import CGNF
+from posecal_models.estimators.gaussian_noise import GaussianNoise
+from posecal_models.estimators.simple_baseline import SimpleBaseline
 
 
 @pytest.fixture(scope="module")

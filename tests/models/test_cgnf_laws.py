@@ -9,22 +9,20 @@ import pytest
 import torch
 
 from posecal.errors import PoseDataError
-from posecal_models.cgnf import buffers
-from posecal_models.cgnf.flow import SIZES, FlowSize, GraphFlow
-from posecal_models.cgnf.model import CGNF
-from posecal_models.cgnf.parameters import PUBLISHED, parameter_table
 from posecal_models.contract import Context
-from posecal_models.graph import PoseGraph, human36m_graph
+from posecal_models.estimators.cgnf import flow as flows
+from posecal_models.estimators.cgnf.flow import SIZES, FlowSize, GraphFlow
+from posecal_models.estimators.cgnf.graph import PoseGraph, human36m_graph
+from posecal_models.estimators.cgnf.model import CGNF
 from tests.models import plain_cgnf
+from tests.models.parameter_counts import PUBLISHED, parameter_table
 from tests.models.random_flows import POSES, SAMPLES, SIZE, inputs, random_flow, repeat_per_sample
 
 OPTIONS = [{"backward_weights": backward, "scale": scale} for backward in (False, True) for scale in ("sigmoid", "exp")]
 
 
 @pytest.mark.parametrize("options", OPTIONS)
-@pytest.mark.parametrize("rows_in_cache", [16, 48, 100_000])
-def test_density_and_gradients_equal_the_naive_twin_whatever_the_parts(monkeypatch, options, rows_in_cache):
-    monkeypatch.setattr(buffers, "_ROWS_IN_CACHE", rows_in_cache)
+def test_density_and_gradients_equal_the_naive_twin(options):
     flow, (keypoints, observed, poses) = random_flow(**options), inputs()
     weights = dict(flow.named_parameters())
     root = torch.zeros(1, 3, dtype=torch.float64)
@@ -47,9 +45,7 @@ def test_density_and_gradients_equal_the_naive_twin_whatever_the_parts(monkeypat
 
 
 @pytest.mark.parametrize("options", OPTIONS)
-@pytest.mark.parametrize("rows_in_cache", [32, 100_000])
-def test_samples_and_their_gradients_equal_the_naive_twin(monkeypatch, options, rows_in_cache):
-    monkeypatch.setattr(buffers, "_ROWS_IN_CACHE", rows_in_cache)
+def test_samples_and_their_gradients_equal_the_naive_twin(options):
     flow, (keypoints, observed, latents) = random_flow(**options), inputs()
     weights = dict(flow.named_parameters())
     root = torch.zeros(1, 3, dtype=torch.float64)
@@ -69,6 +65,62 @@ def test_samples_and_their_gradients_equal_the_naive_twin(monkeypatch, options, 
     found = torch.autograd.grad((ours * weigh).sum(), list(weights.values()), materialize_grads=True)
     for name, one, other in zip(weights, found, expected, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-8, atol=1e-8, err_msg=name)
+
+
+@pytest.mark.parametrize("at_once", [1, 3, 5, 12, 100])
+def test_parts_change_no_number(monkeypatch, at_once):
+    flow, (keypoints, observed, poses) = random_flow(), inputs()
+    conditioned = flow.condition(flow.embed(keypoints, observed))
+    whole = (*conditioned.forward(poses), conditioned.inverse(poses))  # with gradients there are no parts
+    monkeypatch.setitem(flows.ROWS_AT_ONCE, "cpu", at_once)
+    with torch.no_grad():
+        parts = (*conditioned.forward(poses), conditioned.inverse(poses))
+    for one, other in zip(parts, whole, strict=True):
+        np.testing.assert_allclose(one, other.detach(), rtol=1e-12, atol=1e-12)
+
+
+def test_no_samples_are_no_samples():
+    flow, (keypoints, observed, poses) = random_flow(), inputs()
+    with torch.no_grad():
+        assert flow.condition(flow.embed(keypoints, observed)).inverse(poses[:, :0]).shape == (POSES, 0, 16, 3)
+
+
+@pytest.mark.parametrize("back", [False, True])
+def test_a_root_of_each_pose_and_its_gradients_equal_the_naive_twin(back):
+    flow, (keypoints, observed, poses) = random_flow(), inputs()
+    observed[2] = False
+    root = torch.randn(POSES, 3, generator=torch.Generator().manual_seed(2), dtype=torch.float64, requires_grad=True)
+    conditioned = flow.condition(flow.embed(keypoints, observed, root))
+    ours = conditioned.inverse(poses) if back else conditioned.log_prob_per_node(poses).sum(-1)
+    twin = plain_cgnf.inverse if back else plain_cgnf.log_prob
+    weights = dict(flow.named_parameters())
+    every = poses.flatten(0, 1), *repeat_per_sample(keypoints, observed), root.repeat_interleave(SAMPLES, 0)
+    naive = twin(weights, *every, human36m_graph().parents, scale="exp").view_as(ours)
+    torch.testing.assert_close(ours, naive, rtol=1e-10, atol=1e-12)
+    wanted = [root, *weights.values()]
+    one, two = (
+        torch.autograd.grad(found.square().sum(), wanted, retain_graph=True, materialize_grads=True)
+        for found in (ours, naive)
+    )
+    torch.testing.assert_close(one, two, rtol=1e-9, atol=1e-11)
+
+
+def test_many_poses_may_share_the_keypoints_of_one():
+    flow, (keypoints, observed, poses) = random_flow(), inputs()
+    found = []
+    for of_all in (False, True):
+        seen = (t[:1].expand(POSES, *t.shape[1:]) if of_all else t[:1] for t in (keypoints, observed))
+        density = flow.condition(flow.embed(*seen)).log_prob_per_node(poses)
+        found.append((density, *torch.autograd.grad(density.square().sum(), flow.parameters(), materialize_grads=True)))
+    torch.testing.assert_close(*found, rtol=1e-9, atol=1e-11)
+
+
+def test_keypoints_or_roots_of_another_number_of_poses_are_refused():
+    flow, (keypoints, observed, poses) = random_flow(), inputs()
+    with pytest.raises(PoseDataError, match=r"flow: keypoints of 7 poses and 3 poses; expected as many\."):
+        flow.condition(flow.embed(keypoints, observed)).forward(poses[:3])
+    with pytest.raises(PoseDataError, match=r"flow: roots of 9 poses, keypoints of 7; expected as many\."):
+        flow.embed(keypoints, observed, torch.zeros(9, 3, dtype=torch.float64))
 
 
 @pytest.mark.parametrize("options", OPTIONS)
@@ -97,7 +149,8 @@ def test_inverse_of_forward_is_the_pose_within_1e_4_in_single_precision(size, sc
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
         flow = GraphFlow(human36m_graph(), SIZES[size], scale=scale)
-        flow.couplings.second.pool.weight.data.uniform_(-reach, reach)
+        for block in flow.couplings:
+            block.second.pool.weight.data.uniform_(-reach, reach)
     keypoints, observed, poses = (tensor if tensor.dtype == torch.bool else tensor.float() for tensor in inputs())
     with torch.no_grad():
         embedded = flow.embed(keypoints, observed)
@@ -105,7 +158,7 @@ def test_inverse_of_forward_is_the_pose_within_1e_4_in_single_precision(size, sc
         conditioned = flow.condition(embedded)
         latents, log_determinant = conditioned.forward(poses)
         back = conditioned.inverse(latents)
-    assert float(log_determinant.abs().mean()) > 0.1  # it does move
+    assert float(log_determinant.abs().mean()) > 0.05  # it does move
     np.testing.assert_allclose(back, poses, rtol=0, atol=1e-4)
 
 
@@ -187,7 +240,7 @@ def test_used_and_unused_parameters_make_up_the_published_number(size):
     assert table.published == PUBLISHED[size]
     flow = GraphFlow(human36m_graph(), SIZES[size], backward_weights=False)
     held = {name: parameter.numel() for name, parameter in flow.named_parameters()}
-    times_zero = sum(held[f"couplings.first.{name}.weight"] for name in ("from_root", "next_root"))
+    times_zero = sum(n for name, n in held.items() if name.endswith(("first.from_root.weight", "next_root.weight")))
     assert times_zero == table.times_zero
     assert sum(held.values()) == table.used + table.times_zero
 
@@ -234,11 +287,12 @@ def test_a_stretch_too_small_for_its_type_has_its_exact_log():
     """A last update that says u = -800 everywhere: exp(-800) is 0 in double, and its log is still -800 nats."""
     flow, (keypoints, observed, poses) = random_flow(scale="exp"), inputs()
     with torch.no_grad():
-        flow.couplings.second.pool.weight.zero_()
-        flow.couplings.second.pool.bias.zero_()[0, 1] = -800
+        for index, block in enumerate(flow.couplings):
+            block.second.pool.weight.zero_()
+            block.second.pool.bias.copy_(torch.tensor([0.0, -800.0 if index == 0 else 0.0]))
     poses = poses.requires_grad_()
     _, log_determinant = flow.condition(flow.embed(keypoints, observed)).forward(poses)
-    expected = flow.couplings.actnorm_log_scale.sum() - 800
+    expected = sum(block.log_scale.sum() for block in flow.couplings) - 800
     np.testing.assert_allclose(log_determinant.detach(), expected.expand_as(log_determinant).detach(), rtol=1e-12)
-    (gradient,) = torch.autograd.grad(log_determinant.sum(), flow.couplings.second.pool.bias)
-    np.testing.assert_allclose(gradient[:, 1], log_determinant.numel())
+    (gradient,) = torch.autograd.grad(log_determinant.sum(), flow.couplings[0].second.pool.bias)
+    assert float(gradient[1]) == log_determinant.numel()

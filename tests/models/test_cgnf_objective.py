@@ -1,4 +1,4 @@
-"""The cGNF's training loss: independent of the pieces of a batch, with one prior for the graphs of a pose."""
+"""The cGNF's training loss: its formula, and one prior for the graphs of a pose."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import pytest
 import torch
 
 from posecal.errors import PoseDataError
-from posecal_models.cgnf.flow import FlowSize
-from posecal_models.cgnf.model import CGNF
-from posecal_models.cgnf.objective import FlowObjective
 from posecal_models.contract import Context
+from posecal_models.estimators.cgnf.flow import FlowSize
+from posecal_models.estimators.cgnf.model import CGNF
+from posecal_models.objectives import FlowLikelihood
 
 GRAPHS = 11
 
@@ -35,6 +35,12 @@ def batch(poses: int = GRAPHS) -> tuple[Context, torch.Tensor]:
     return Context(keypoints, observed), 250 * torch.randn(poses, 16, 3, generator=generator, dtype=torch.float64)
 
 
+def backward(objective: FlowLikelihood, *batch, **options) -> dict[str, torch.Tensor]:
+    losses = objective(*batch, **options)
+    losses["loss"].backward()
+    return {name: loss.detach() for name, loss in losses.items()}
+
+
 def gradients(model: CGNF) -> dict[str, torch.Tensor]:
     return {name: p.grad.clone() for name, p in model.named_parameters()}
 
@@ -50,7 +56,7 @@ def test_the_loss_is_the_formula_and_its_gradient_autograd_s(options):
         error = (model(context).mode() - truth).norm(dim=-1).mean()
         loss = loss + 0.1 * error
     expected = torch.autograd.grad(loss, list(model.parameters()), materialize_grads=True)
-    losses = FlowObjective(model, graphs_at_once=4, **options).backward(context, truth)
+    losses = backward(FlowLikelihood(model, **options), context, truth)
     np.testing.assert_allclose(losses["loss"], loss.detach(), rtol=1e-12)
     np.testing.assert_allclose(losses["posterior"], posterior.detach(), rtol=1e-12)
     np.testing.assert_allclose(losses["prior"], prior.detach(), rtol=1e-12)
@@ -58,32 +64,12 @@ def test_the_loss_is_the_formula_and_its_gradient_autograd_s(options):
         np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-10, err_msg=name)
 
 
-@pytest.mark.slow
-def test_evaluating_gives_the_losses_of_training():
-    model, (context, truth) = estimator(), batch()
-    objective = FlowObjective(model, sample_weight=0.1, graphs_at_once=3)
-    trained = objective.backward(context, truth)
-    seen = objective.evaluate(context, truth)
-    assert sorted(trained) == sorted(seen)
-    for name, loss in trained.items():
-        np.testing.assert_allclose(seen[name], loss, rtol=1e-12, err_msg=name)
-
-
-@pytest.mark.parametrize("at_once", [1, 3, 100])
-def test_gradients_do_not_depend_on_the_pieces(at_once):
-    one, other, (context, truth) = estimator(), estimator(), batch()
-    FlowObjective(one, sample_weight=0.1).backward(context, truth)
-    FlowObjective(other, sample_weight=0.1, graphs_at_once=at_once).backward(context, truth)
-    for (name, found), wanted in zip(gradients(other).items(), gradients(one).values(), strict=True):
-        np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-10, err_msg=name)
-
-
 def test_graphs_of_one_pose_share_its_prior():
     one, other, (context, truth) = estimator(), estimator(), batch(4)
     rows = torch.arange(4).repeat_interleave(3)
     context = Context(context.keypoints[rows], torch.rand(12, 16, generator=torch.Generator().manual_seed(5)) < 0.5)
-    FlowObjective(one).backward(context, truth[rows], graphs_per_pose=1)
-    losses = FlowObjective(other).backward(context, truth[rows], graphs_per_pose=3)
+    backward(FlowLikelihood(one), context, truth[rows], graphs_per_pose=1)
+    losses = backward(FlowLikelihood(other), context, truth[rows], graphs_per_pose=3)
     for (name, found), wanted in zip(gradients(other).items(), gradients(one).values(), strict=True):
         np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-10, err_msg=name)
     assert math.isfinite(losses["loss"])
@@ -91,4 +77,4 @@ def test_graphs_of_one_pose_share_its_prior():
 
 def test_a_negative_weight_is_refused():
     with pytest.raises(PoseDataError, match="sample_weight: -1; expected 0 or more"):
-        FlowObjective(estimator(), sample_weight=-1)
+        FlowLikelihood(estimator(), sample_weight=-1)

@@ -9,12 +9,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from posecal_models.cgnf.flow import EmbeddedContext, FlowSize, GraphFlow
-from posecal_models.cgnf.model import CGNF
-from posecal_models.cgnf.objective import FlowObjective
-from posecal_models.cgnf.released import from_released
 from posecal_models.data.standardizer import Standardizer
-from posecal_models.graph import human36m_graph
+from posecal_models.estimators.cgnf.flow import FlowSize, GraphFlow
+from posecal_models.estimators.cgnf.graph import human36m_graph
+from posecal_models.estimators.cgnf.message_passing import EmbeddedContext
+from posecal_models.estimators.cgnf.model import CGNF
+from posecal_models.estimators.cgnf.released import from_released
+from posecal_models.objectives import FlowLikelihood
 from tests.models.random_flows import with_hip_keypoint
 
 FOLDER = Path(__file__).parents[1] / "fixtures" / "reference_models"
@@ -109,7 +110,7 @@ def test_the_actnorms_start_equals_the_reference(numbers, state):
     flow.initialise_actnorm(poses, embedded)
     for block in range(2):
         for name in ("log_scale", "shift"):
-            ours = getattr(flow.couplings, f"actnorm_{name}")[block].detach()
+            ours = getattr(flow.couplings[block], name).detach()
             np.testing.assert_allclose(ours.numpy(), numbers[f"actnorm_init/{block}/{name}"], rtol=0, atol=5e-6)
     ours = flow.condition(embedded).log_prob_per_node(poses)[:, 0].detach()
     np.testing.assert_allclose(ours.numpy(), numbers["actnorm_init/logp_node"], rtol=0, atol=5e-5)
@@ -126,14 +127,14 @@ def training_losses(numbers, state, dtype, **options):
     keypoints = torch.from_numpy(numbers["c"]).to(dtype) * standardizer.keypoint_scale
     context = with_hip_keypoint(keypoints, torch.from_numpy(numbers["mask_part"]))
     truth = standardizer.millimetres(torch.from_numpy(numbers["x"]).to(dtype))
-    objective = FlowObjective(estimator, per_node=True, graphs_at_once=2, **options)
-    losses = objective.backward(context, truth)
+    losses = FlowLikelihood(estimator, per_node=True, **options)(context, truth)
+    losses["loss"].backward()
     gradients = {name: p.grad for name, p in estimator.flow.named_parameters()}
-    return losses, gradients
+    return {name: loss.detach() for name, loss in losses.items()}, gradients
 
 
 def reference_gradients(numbers, prefix):
-    """The reference's gradients by our names, each block's stacked."""
+    """The reference's gradients by our names."""
     found = {
         n.removeprefix(f"{prefix}/"): torch.from_numpy(a) for n, a in numbers.items() if n.startswith(f"{prefix}/")
     }

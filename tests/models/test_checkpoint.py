@@ -16,9 +16,9 @@ import torch
 from safetensors.torch import save_file
 
 from posecal.errors import PoseDataError, PoseFileError
-from posecal_models.cgnf.flow import SIZES, FlowSize
-from posecal_models.cgnf.model import CGNF
 from posecal_models.checkpoint import (
+    _digest,
+    convert_format_1,
     load_estimator,
     load_released,
     named_weights,
@@ -30,10 +30,12 @@ from posecal_models.checkpoint import (
 )
 from posecal_models.config import Config
 from posecal_models.contract import Context
-from posecal_models.estimators import build, describe
-from posecal_models.gaussian_noise import GaussianNoise
-from posecal_models.graph import PoseGraph
-from posecal_models.simple_baseline import SimpleBaseline
+from posecal_models.estimators.cgnf.flow import SIZES, FlowSize
+from posecal_models.estimators.cgnf.graph import PoseGraph
+from posecal_models.estimators.cgnf.model import CGNF
+from posecal_models.estimators.gaussian_noise import GaussianNoise
+from posecal_models.estimators.registry import build, describe
+from posecal_models.estimators.simple_baseline import SimpleBaseline
 from tests.models.random_flows import with_hip_keypoint
 
 ROOT = Path(__file__).parents[2]
@@ -75,7 +77,7 @@ def test_an_estimator_comes_back_from_its_file(tmp_path, index):
 
 
 def test_weights_of_another_size_are_refused(tmp_path):
-    small, large = estimators()[1], CGNF(FlowSize(7, 24, 8, 32))
+    small, large = estimators()[1], CGNF(FlowSize(6, 25, 8, 32))
     about = {"estimator": describe(large)}
     write_tensors(tmp_path / "w.safetensors", small.state_dict(), about)
     with pytest.raises(PoseDataError, match=r"weights don't fit the estimator: \d+ tensors of another size"):
@@ -168,6 +170,45 @@ def test_other_safetensors_are_refused(tmp_path):
         load_estimator(tmp_path / "w.safetensors")
 
 
+def format_1(path: Path) -> dict[str, torch.Tensor]:
+    """Write weights in format 1, whose tensors of a cGNF's blocks were stacked; return them as they are now."""
+    estimator = CGNF(FlowSize(2, 4, 3, 5))
+    for parameter in estimator.parameters():
+        parameter.data.normal_()
+    state, stacked = estimator.state_dict(), {}
+    for name, tensor in state.items():
+        if name.startswith("flow.blocks.0."):
+            other = state[name.replace("blocks.0", "blocks.1")]
+            short = name.removeprefix("flow.blocks.0.")
+            stacked[f"flow.couplings.{'' if '.' in short else 'actnorm_'}{short}"] = torch.stack([tensor, other])
+        elif not name.startswith("flow.blocks."):
+            stacked[name] = tensor
+    about = {"version": "0.1.0", "estimator": describe(estimator), "notes": {"poses": 3}}
+    header = json.dumps({**about, "digest": _digest(stacked, json.dumps(about))})
+    save_file(stacked, path, metadata={"posecal": header})
+    return state
+
+
+def test_weights_of_format_1_are_refused_and_can_be_converted(tmp_path):
+    state = format_1(tmp_path / "old.safetensors")
+    with pytest.raises(PoseFileError, match=r"old\.safetensors: of format 1; expected 2\. Convert weights with"):
+        load_estimator(tmp_path / "old.safetensors")
+    convert_format_1(tmp_path / "old.safetensors", tmp_path / "new.safetensors")
+    found = load_estimator(tmp_path / "new.safetensors").state_dict()
+    assert sorted(found) == sorted(state)
+    for name, tensor in state.items():
+        assert torch.equal(found[name], tensor), name
+    assert notes_of(tmp_path / "new.safetensors") == {"poses": 3}
+    with pytest.raises(PoseDataError, match=r"new\.safetensors: holds no weights of format 1"):
+        convert_format_1(tmp_path / "new.safetensors", tmp_path / "again.safetensors")
+
+
+def test_weights_of_a_later_format_are_refused(tmp_path):
+    write_tensors(tmp_path / "w.safetensors", {"a": torch.zeros(1)}, {"format": 3})
+    with pytest.raises(PoseFileError, match=r"of format 3; expected 2\. Use the version of posecal that wrote it"):
+        load_estimator(tmp_path / "w.safetensors")
+
+
 def test_missing_weights_are_named():
     with pytest.raises(PoseFileError, match=r"nowhere\.safetensors: no such weights"):
         load_estimator("nowhere.safetensors")
@@ -224,14 +265,14 @@ except PoseFileError as problem:
 def test_a_gpu_that_is_not_there_is_refused():
     if torch.cuda.is_available():
         pytest.skip("there is one")
-    with pytest.raises(PoseDataError, match=r"device: cuda, but PyTorch .* sees no GPU"):
+    with pytest.raises(PoseDataError, match=r"device: cuda, but PyTorch .* sees no such GPU"):
         resolve_device("cuda")
     assert resolve_device("auto").type == "cpu"
 
 
-@pytest.mark.parametrize("name", ["gpu", "mps", "cuda:x"])
+@pytest.mark.parametrize("name", ["gpu", "meta", "cuda:x"])
 def test_an_unknown_device_is_refused(name):
-    with pytest.raises(PoseDataError, match="expected cpu, cuda or auto"):
+    with pytest.raises(PoseDataError, match="expected cpu, cuda, xpu, mps or auto"):
         resolve_device(name)
 
 
@@ -279,7 +320,7 @@ def test_a_hostile_checkpoint_is_refused_and_runs_nothing(tmp_path):
     ("content", "error", "words"),
     [
         ({"conv.weight": torch.zeros(1)}, PoseDataError, r"1 tensor is not part of a cGNF \(conv\.weight\)"),
-        ({"_embedding_net.adj": torch.zeros(2, 2)}, PoseFileError, "lacks 'couplings"),
+        ({"_embedding_net.adj": torch.zeros(2, 2)}, PoseFileError, "lacks 'blocks"),
         ([1, 2], PoseDataError, "holds no state_dict"),
     ],
 )

@@ -115,7 +115,7 @@ def test_help_is_quick_and_needs_no_torch():
         (("train", "cgnf-tiny", "--data", "none.npz", "-o", "x"), "none.npz: no such file"),
         (("train", "cgnf-tiny", "--data", "motion.npz", "-o", "tiny"), "holds a training already. Pass --resume"),
         (("train", "cgnf-tiny", "--data", "motion.npz", "-o", "a/b/c"), "can't be made"),
-        (("train", "cgnf-tiny", "--data", "motion.npz", "-o", "x", "--device", "cuda"), "sees no GPU"),
+        (("train", "cgnf-tiny", "--data", "motion.npz", "-o", "x", "--device", "cuda"), "sees no such GPU"),
         (("train", "cgnf-tiny", "--data", "motion.npz", "-o", "x", "--set", 'data.test_subjects=["S9"]'), "S9 not"),
         (("sample", "none.safetensors", "test.npz", "-o", "h.npz"), "none.safetensors: no such weights"),
         (("sample", "tiny/checkpoint.safetensors", "test.npz", "-o", "h.npz"), "holds the state of a training"),

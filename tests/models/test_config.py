@@ -6,8 +6,8 @@ import pytest
 
 from posecal.errors import PoseDataError, PoseFileError
 from posecal_models.config import Config, named_configs
-from posecal_models.estimators import build_from_config
-from posecal_models.simple_baseline import SimpleBaseline
+from posecal_models.estimators.registry import build_from_config
+from posecal_models.estimators.simple_baseline import SimpleBaseline
 
 
 @pytest.mark.parametrize("name", named_configs())

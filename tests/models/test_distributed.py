@@ -42,8 +42,10 @@ def of(folder: Path, rank: int) -> dict[str, dict[str, torch.Tensor]]:
 @pytest.mark.parametrize("kind", list(two_processes.KINDS))
 def test_two_processes_compute_the_gradients_of_one(motion_file, folder, kind):
     one = two_processes.one_step(kind, str(motion_file), folder, ProcessGroup())
-    for rank in range(2):
-        two = of(folder, rank)[kind]
+    first, second = (of(folder, rank)[kind] for rank in range(2))
+    loss = one.pop("loss")
+    np.testing.assert_allclose((first.pop("loss") + second.pop("loss")) / 2, loss, rtol=1e-5)
+    for two in (first, second):
         assert sorted(two) == sorted(one)
         for name, tensor in one.items():
             scale = 1e-6 * float(tensor.abs().max() + 1)
@@ -55,29 +57,22 @@ def test_two_processes_end_with_the_same_weights_and_learning_rates(folder):
     first, second = (of(folder, rank)["to the end"] for rank in range(2))
     assert sorted(first) == sorted(second)
     for name, tensor in first.items():
-        assert torch.equal(tensor, second[name]), name
+        if "running" not in name:  # on CPUs each process's own; the main process's are saved
+            assert torch.equal(tensor, second[name]), name
     assert len(first["progress"][:, 1].unique()) > 1, "the learning rate never fell; the test is void"
 
 
-@pytest.mark.slow
-def test_two_processes_train_as_one_does(motion_file, folder):
-    one = two_processes.to_the_end(str(motion_file), folder, ProcessGroup())["progress"]
-    two = of(folder, 0)["to the end"]["progress"]
-    # Training losses; rounding grows from step to step. Validation may differ: a bias before a batch norm has no
-    # gradient but rounding errors, which Adam makes as large as any, and the running means follow it.
-    np.testing.assert_allclose(two[:6, :3], one[:6, :3], rtol=1e-3)
-
-
-def test_every_process_has_its_rows_of_a_batch_that_does_not_divide():
-    rows = [ProcessGroup(rank, 3).rows(8) for rank in range(3)]
-    assert [row for shard in rows for row in range(8)[shard]] == list(range(8))
-
-
-def test_fewer_poses_than_processes_are_refused(motion_file, tmp_path):
-    config = Config.from_table({"train": {"batch": 2}})
-    with pytest.raises(PoseDataError, match=r"train\.batch: 2 for 3 processes; expected a pose or more for each"):
+def test_a_batch_that_processes_can_t_share_equally_is_refused(motion_file, tmp_path):
+    config = Config.from_table({"train": {"batch": 8}})
+    with pytest.raises(PoseDataError, match=r"train\.batch: 8 for 3 processes; expected a multiple of 3"):
         prepare(config, motion_file, tmp_path / "run", processes=ProcessGroup(0, 3))
     assert not (tmp_path / "run").exists()
+
+
+def test_a_recorded_step_of_several_processes_is_refused(motion_file, tmp_path):
+    config = Config.from_table({"train": {"cuda_graph": True}})
+    with pytest.raises(PoseDataError, match=r"train\.cuda_graph: true for 2 processes; expected one"):
+        prepare(config, motion_file, tmp_path / "run", processes=ProcessGroup(0, 2))
 
 
 def test_of_several_processes_on_a_machine_one_prints_the_error(monkeypatch, capsys):

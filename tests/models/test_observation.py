@@ -10,13 +10,13 @@ import torch
 from scipy import stats
 
 from posecal.errors import PoseDataError
-from posecal_models.cgnf.flow import SIZES
-from posecal_models.cgnf.model import CGNF
 from posecal_models.contract import Context
 from posecal_models.data.detector import Detector
 from posecal_models.data.masks import SHARES, mask_keypoints
 from posecal_models.data.standardizer import Standardizer
 from posecal_models.data.training_set import TrainingSet, seeded_generator
+from posecal_models.estimators.cgnf.flow import SIZES
+from posecal_models.estimators.cgnf.model import CGNF
 from posecal_models.train import draw_graphs
 from tests.models.random_flows import with_hip_keypoint
 from tests.models.test_data_formats import lifting_set
@@ -209,16 +209,16 @@ def test_poses_that_are_all_alike_are_refused():
 def test_batches_are_in_the_estimator_s_order_and_noise_is_drawn_anew():
     data = TrainingSet(lifting_set(), ("RFoot", "RHip"), ("RHip", "RFoot"), detector=Detector())
     rows = torch.tensor([2, 0])
-    (one, truth), (two, _) = (data.batch(rows, seeded_generator("cpu", 0, step)) for step in (1, 2))
+    (one, truth), (two, _) = (data.batch(rows, seeded_generator(0, step)) for step in (1, 2))
     np.testing.assert_array_equal(truth, lifting_set().poses[[2, 0]][:, [2, 0]])
     assert not torch.equal(one.keypoints, two.keypoints)
-    again, _ = data.batch(rows, seeded_generator("cpu", 0, 1))
+    again, _ = data.batch(rows, seeded_generator(0, 1))
     assert torch.equal(one.keypoints, again.keypoints)
 
 
 def test_without_a_detector_keypoints_are_taken_as_they_are():
     data = TrainingSet(lifting_set(), ("RFoot", "RHip"), ("RHip", "RFoot"))
-    context, _ = data.batch(torch.tensor([1]), seeded_generator("cpu", 0))
+    context, _ = data.batch(torch.tensor([1]), seeded_generator(0))
     np.testing.assert_array_equal(context.keypoints[0], lifting_set().keypoints[1][[1, 0]])
 
 

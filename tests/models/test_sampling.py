@@ -14,16 +14,16 @@ import pytest
 import torch
 
 from posecal.errors import PoseDataError, PoseFileError
-from posecal_models.cgnf.flow import SIZES
-from posecal_models.cgnf.model import CGNF
 from posecal_models.contract import Context, Estimator, PointEstimate, PoseDistribution
 from posecal_models.data.detector import Detector
 from posecal_models.data.keypoint_set import KeypointSet
 from posecal_models.data.lifting_set import LiftingSet
 from posecal_models.data.mocap import MocapPoses
-from posecal_models.gaussian_noise import GaussianDistribution, GaussianNoise
+from posecal_models.estimators.cgnf.flow import SIZES
+from posecal_models.estimators.cgnf.model import CGNF
+from posecal_models.estimators.gaussian_noise import GaussianDistribution, GaussianNoise
+from posecal_models.estimators.simple_baseline import SimpleBaseline
 from posecal_models.sample import draw, sample_to_file
-from posecal_models.simple_baseline import SimpleBaseline
 
 ROOT = Path(__file__).parents[2]
 
@@ -38,7 +38,8 @@ def estimator(pairs) -> CGNF:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
         model = CGNF(SIZES["tiny"])
-        model.flow.couplings.second.pool.weight.data.normal_(0, 0.03)
+        for block in model.flow.couplings:
+            block.second.pool.weight.data.normal_(0, 0.03)
     model.standardizer.fit(
         torch.from_numpy(pairs.poses), torch.from_numpy(pairs.keypoints), torch.from_numpy(pairs.observed)
     )
@@ -93,8 +94,8 @@ def test_memory_does_not_grow_with_the_poses(estimator, tmp_path):
     script = """
 import resource, sys
 import numpy as np, torch
-from posecal_models.gaussian_noise import GaussianNoise
-from posecal_models.simple_baseline import SimpleBaseline
+from posecal_models.estimators.gaussian_noise import GaussianNoise
+from posecal_models.estimators.simple_baseline import SimpleBaseline
 from posecal_models.data.keypoint_set import KeypointSet
 from posecal_models.sample import sample_to_file
 torch.set_num_threads(1)
@@ -171,7 +172,7 @@ def test_keypoints_that_do_not_suit_are_refused_and_nothing_is_written(pairs, es
 def test_poses_that_are_not_finite_are_refused_and_nothing_is_written(pairs, estimator, tmp_path):
     broken = CGNF(SIZES["tiny"])
     broken.load_state_dict(estimator.state_dict())
-    broken.flow.couplings.actnorm_shift.data.fill_(torch.nan)
+    broken.flow.couplings[0].shift.data.fill_(torch.nan)
     with pytest.raises(PoseDataError, match=r"hypotheses: 1\d\d of 128 drawn .* are not finite"):
         sample_to_file(broken.eval(), pairs.images, tmp_path / "h.npz", n=2)
     assert not list(tmp_path.iterdir())

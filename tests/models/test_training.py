@@ -141,7 +141,7 @@ def test_a_loss_that_is_not_finite_stops_the_training_and_names_the_step(motion_
     run.run(max_steps=2)
     run.data.poses[:] = math.nan
     before = (tmp_path / "a/checkpoint.safetensors").read_bytes()
-    with pytest.raises(PoseDataError, match=r"at step 2 \(epoch 1\) loss is nan.*not finite in \d+ of 37 tensors"):
+    with pytest.raises(PoseDataError, match=r"at step 2 \(epoch 1\) loss is nan.*not finite in \d+ of \d+ tensors"):
         run.run()
     assert (tmp_path / "a/checkpoint.safetensors").read_bytes() == before
 
@@ -231,5 +231,5 @@ def test_resuming_where_there_is_nothing_starts(motion_file, tmp_path):
 
 
 def test_a_recording_needs_a_gpu(motion_file, tmp_path):
-    with pytest.raises(PoseDataError, match=r"train\.cuda_graph: true with the device cpu; expected a GPU"):
+    with pytest.raises(PoseDataError, match=r"train\.cuda_graph: true with the device cpu; expected cuda"):
         training(CGNF, motion_file, tmp_path / "run", cuda_graph=True)

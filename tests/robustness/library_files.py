@@ -118,16 +118,16 @@ def _estimators(folder: Path) -> Iterator[Case]:
     import torch
     from torch import nn
 
-    from posecal_models.cgnf.flow import FlowSize
-    from posecal_models.cgnf.model import CGNF
     from posecal_models.checkpoint import save_estimator
     from posecal_models.config import Config
     from posecal_models.data.mocap import MocapPoses
     from posecal_models.data.synthetic import synthetic_motion
-    from posecal_models.gaussian_noise import GaussianNoise
-    from posecal_models.graph import PoseGraph
+    from posecal_models.estimators.cgnf.flow import FlowSize
+    from posecal_models.estimators.cgnf.graph import PoseGraph
+    from posecal_models.estimators.cgnf.model import CGNF
+    from posecal_models.estimators.gaussian_noise import GaussianNoise
+    from posecal_models.estimators.simple_baseline import SimpleBaseline
     from posecal_models.preparation import prepare
-    from posecal_models.simple_baseline import SimpleBaseline
     from tests.models.test_data_formats import prohpe, videopose3d
 
     def models(words: str, file: str, changes: Any, exact: Any = _never) -> Case:

@@ -1,4 +1,4 @@
-"""Kinematic tree of a pose as a graph: edges between joints as index lists and matrices.
+"""Kinematic tree of a pose as a graph: edges between joints as index lists and a matrix.
 
 A pose that is relative to its root has no uncertainty at the root, so the root is no node: it is a neighbour of the
 nodes whose parent it is. Nodes are the remaining joints, in the order of the poses' joint axis.
@@ -7,10 +7,9 @@ nodes whose parent it is. Nodes are the remaining joints, in the order of the po
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
-import numpy as np
-import numpy.typing as npt
+import torch
+from torch import Tensor
 
 from posecal.data.skeleton import Skeleton, joint_set
 from posecal.errors import PoseDataError
@@ -36,12 +35,10 @@ class PoseGraph:
     >>> chain = PoseGraph(("first", "second", "third"), (-1, 0, 1))
     >>> chain.bones, chain.next_to_root
     (((0, 1), (1, 2)), (0,))
-    >>> chain.from_parent
-    array([[0., 0., 0.],
-           [1., 0., 0.],
-           [0., 1., 0.]])
-    >>> chain.spans  # all but the third have a child, all but the first a parent
-    ((0, 2), (1, 3))
+    >>> chain.aggregation(2)  # from each node its message to itself, and that to its neighbours
+    tensor([[1., 0., 0., 1., 0., 0.],
+            [0., 1., 1., 0., 0., 1.],
+            [0., 0., 0., 1., 1., 0.]])
     """
 
     joints: tuple[str, ...]
@@ -103,30 +100,26 @@ class PoseGraph:
         """The nodes whose parent is the root."""
         return tuple(child for child, parent in enumerate(self.parents) if parent < 0)
 
-    @cached_property
-    def order(self) -> tuple[int, ...]:
-        """The nodes, those whose parent is the root first and those that have a parent and no children last.
+    def aggregation(self, maps: int) -> Tensor:
+        """Build the matrix that sums the messages between nodes at those that receive them.
 
-        In this order the nodes with children are contiguous, and so are the nodes with a parent.
+        Parameters
+        ----------
+        maps : int
+            3: messages of a node to itself, from parent to child and from child to parent. 2: one map for both
+            directions of an edge.
+
+        Returns
+        -------
+        Tensor
+            (K, K * maps): column ``u * maps + m`` holds 1 at the nodes that receive the message of node u by map m.
         """
-        return tuple(sorted(range(len(self.joints)), key=lambda node: (self.parents[node] >= 0, self._is_leaf(node))))
-
-    @property
-    def spans(self) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Ranges of :attr:`order` with the nodes that have children, and with those that have a parent."""
-        leaves = sum(map(self._is_leaf, range(len(self.joints))))
-        return (0, len(self.joints) - leaves), (len(self.next_to_root), len(self.joints))
-
-    def _is_leaf(self, node: int) -> bool:
-        return self.parents[node] >= 0 and node not in self.parents
-
-    @cached_property
-    def from_parent(self) -> npt.NDArray[np.float64]:
-        """The (K, K) matrix that maps the values of parents to their children."""
-        matrix = np.zeros((len(self.joints), len(self.joints)))
+        nodes = len(self.joints)
+        from_parent = torch.zeros(nodes, nodes)
         for parent, child in self.bones:
-            matrix[child, parent] = 1
-        return matrix
+            from_parent[child, parent] = 1
+        edges = [from_parent, from_parent.T] if maps == 3 else [from_parent + from_parent.T]
+        return torch.stack([torch.eye(nodes), *edges], dim=-1).flatten(1)
 
 
 def human36m_graph() -> PoseGraph:

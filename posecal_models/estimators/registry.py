@@ -9,13 +9,13 @@ from torch import nn
 
 from posecal.data.skeleton import joint_set
 from posecal.errors import PoseDataError
-from posecal_models.cgnf.flow import SIZES, FlowSize
-from posecal_models.cgnf.model import CGNF
 from posecal_models.config import ModelConfig
 from posecal_models.data.standardizer import Standardizer
-from posecal_models.gaussian_noise import GaussianNoise
-from posecal_models.graph import PoseGraph
-from posecal_models.simple_baseline import SimpleBaseline
+from posecal_models.estimators.cgnf.flow import SIZES, FlowSize
+from posecal_models.estimators.cgnf.graph import PoseGraph
+from posecal_models.estimators.cgnf.model import CGNF
+from posecal_models.estimators.gaussian_noise import GaussianNoise
+from posecal_models.estimators.simple_baseline import SimpleBaseline
 
 __all__ = ["ReferenceEstimator", "baseline_keypoints", "build", "build_from_config", "describe", "parameter_count"]
 
@@ -96,7 +96,7 @@ def describe(estimator: ReferenceEstimator) -> dict[str, Any]:
             "joints": list(estimator.graph.joints),
             "parents": list(estimator.graph.parents),
             "root": estimator.graph.root,
-            "backward_weights": estimator.flow.couplings.first.from_child is not None,
+            "backward_weights": estimator.flow.backward_weights,
             "scale": estimator.flow.scale,
             "origin": estimator.standardizer.origin,
             "dimensions": estimator.flow.dimensions,

@@ -14,7 +14,6 @@ from torch import Tensor, nn
 
 from posecal.data.skeleton import joint_set
 from posecal.errors import PoseDataError
-from posecal_models.batch_shard import BatchNorm, dropout
 from posecal_models.contract import Context, PointEstimate, check_keypoints
 from posecal_models.data.standardizer import Origin, Standardizer
 
@@ -27,12 +26,12 @@ class _Layer(nn.Module):
     def __init__(self, features: int, features_out: int, dropout: float) -> None:
         super().__init__()
         self.linear = nn.Linear(features, features_out)
-        self.norm = BatchNorm(features_out)
-        self.dropout = dropout
+        self.norm = nn.BatchNorm1d(features_out)
+        self.dropout = nn.Dropout(dropout)
 
     def forward(self, features: Tensor) -> Tensor:
-        activated = torch.relu(self.norm(self.linear(features)))
-        return dropout(activated, self.dropout, training=self.training)
+        result: Tensor = self.dropout(torch.relu(self.norm(self.linear(features))))
+        return result
 
 
 class _Residual(nn.Module):
@@ -123,10 +122,11 @@ class SimpleBaseline(nn.Module):
         Raises
         ------
         PoseDataError
-            Where there are more or fewer, or one is not finite.
+            Where there are more or fewer, or one is not finite (not checked on a GPU, where it would need a
+            synchronisation).
         """
         check_keypoints(context, self.keypoints)
-        if not context.keypoints.isfinite().all():
+        if context.keypoints.device.type == "cpu" and not context.keypoints.isfinite().all():
             missing = int((~context.keypoints.isfinite().all(-1)).sum())
             raise PoseDataError(
                 f"keypoints: {missing:,} of {context.observed.numel():,} are not finite; "

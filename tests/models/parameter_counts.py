@@ -1,10 +1,10 @@
-"""Parameter counts of the published model sizes: used, without gradient, and unused."""
+"""Parameter counts of the published model sizes: used, without gradient, and unused; those of docs/models.md."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-from posecal_models.cgnf.flow import FlowSize
+from posecal_models.estimators.cgnf.flow import FlowSize
 
 __all__ = ["PUBLISHED", "ParameterTable", "parameter_table"]
 
@@ -62,7 +62,7 @@ def parameter_table(
 
     Examples
     --------
-    >>> from posecal_models.cgnf.flow import SIZES
+    >>> from posecal_models.estimators.cgnf.flow import SIZES
     >>> parameter_table(SIZES["small"]).published
     852546
     """

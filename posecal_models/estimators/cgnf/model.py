@@ -6,11 +6,12 @@ import torch
 from torch import Tensor, nn
 
 from posecal.errors import PoseDataError
-from posecal_models.cgnf.flow import ConditionedFlow, EmbeddedContext, FlowSize, GraphFlow
-from posecal_models.cgnf.passes import Scale
-from posecal_models.contract import Context, check_keypoints, check_truth
+from posecal_models.contract import Context, check_keypoints, check_truth, standard_normal
 from posecal_models.data.standardizer import Origin, Standardizer
-from posecal_models.graph import PoseGraph, human36m_graph
+from posecal_models.estimators.cgnf.coupling import Scale
+from posecal_models.estimators.cgnf.flow import ConditionedFlow, FlowSize, GraphFlow
+from posecal_models.estimators.cgnf.graph import PoseGraph, human36m_graph
+from posecal_models.estimators.cgnf.message_passing import EmbeddedContext
 
 __all__ = ["CGNF", "FlowDistribution"]
 
@@ -41,7 +42,7 @@ class FlowDistribution:
         n : int
             N.
         generator : torch.Generator, optional
-            The source of randomness; torch's own where not given.
+            The source of randomness, of the CPU; torch's own where not given.
         temperature : float
             Standard deviation of the latents: below 1 for hypotheses nearer to the mode, 0 for the mode.
 
@@ -51,7 +52,7 @@ class FlowDistribution:
             (N, M, K, 3), mm.
         """
         mean = self._standardizer.pose_mean
-        latents = torch.randn((self._poses, n, *mean.shape), generator=generator, device=mean.device, dtype=mean.dtype)
+        latents = standard_normal((self._poses, n, *mean.shape), mean, generator)
         return self._standardizer.millimetres(self._flow.inverse(latents * temperature)).transpose(0, 1)
 
     def log_prob(self, truth: Tensor) -> Tensor:
@@ -100,7 +101,7 @@ class CGNF(nn.Module):
         The joints; Human3.6M's 16 below the hip where not given.
     backward_weights, scale
         The paper's own map per direction and its exponential scale, or the released code's; see
-        :class:`posecal_models.cgnf.coupling.Couplings`.
+        :class:`posecal_models.estimators.cgnf.coupling.CouplingBlock`.
     origin : str
         What keypoints are relative to, see :class:`posecal_models.data.standardizer.Standardizer`. With ``root`` a
         context holds the root's keypoint before those of the joints.
@@ -120,7 +121,7 @@ class CGNF(nn.Module):
 
     Examples
     --------
-    >>> from posecal_models.cgnf.flow import SIZES
+    >>> from posecal_models.estimators.cgnf.flow import SIZES
     >>> estimator = CGNF(SIZES["tiny"])
     >>> context = Context(torch.zeros(2, 16, 2), torch.ones(2, 16, dtype=torch.bool))
     >>> poses = estimator(context)

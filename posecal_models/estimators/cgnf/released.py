@@ -8,7 +8,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-import torch
 from torch import Tensor
 
 from posecal.errors import PoseDataError, first_few
@@ -49,7 +48,7 @@ def from_released(state: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], dict[
     Returns
     -------
     used : dict of str to Tensor
-        Tensors by the names of :class:`posecal_models.cgnf.flow.GraphFlow` with the ``released`` options.
+        Tensors by the names of :class:`posecal_models.estimators.cgnf.flow.GraphFlow` with the ``released`` options.
     unused : dict of str to Tensor
         Parameters that no output depends on, by their published names.
 
@@ -70,7 +69,6 @@ def from_released(state: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], dict[
     Traceback (most recent call last):
     posecal.errors.PoseDataError: checkpoint: 1 tensor is not part of a cGNF (_extra.attention.bias)...
     """
-    stacks: dict[str, dict[int, Tensor]] = {}
     used: dict[str, Tensor] = {}
     unused: dict[str, Tensor] = {}
     unknown: list[str] = []
@@ -78,15 +76,14 @@ def from_released(state: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], dict[
         if _BUFFER.search(name):
             continue
         if match := _ACTNORM.match(name):
-            stacks.setdefault(f"couplings.actnorm_{match[2]}", {})[int(match[1]) // 2] = tensor
+            used[f"blocks.{int(match[1]) // 2}.{match[2]}"] = tensor
         elif match := _NET.match(name):
-            block, layer = int(match[1]) // 2, int(match[2])
+            layer = int(match[2])
             map_name = _LAYER.get(match[3])
             if map_name is None or (layer == 1 and map_name.startswith("next_")):
                 unused[name] = tensor
             else:
-                name = f"couplings.{('first', 'second')[layer]}.{map_name}.{match[4]}"
-                stacks.setdefault(name, {})[block] = tensor
+                used[f"blocks.{int(match[1]) // 2}.{('first', 'second')[layer]}.{map_name}.{match[4]}"] = tensor
         elif name.startswith("_embedding_net.") and (parameter := _EMBEDDING.get(name.split(".", 1)[1])):
             used[f"embedding.{parameter}"] = tensor
         else:
@@ -96,5 +93,4 @@ def from_released(state: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], dict[
             f"checkpoint: {len(unknown)} tensor{'s are' if len(unknown) > 1 else ' is'} not part of a cGNF "
             f"({first_few(unknown)}); expected the state_dict of propose 0.2.0's cGNF."
         )
-    used |= {name: torch.stack([blocks[i] for i in sorted(blocks)]) for name, blocks in stacks.items()}
     return used, unused

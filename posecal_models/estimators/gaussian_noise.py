@@ -12,9 +12,9 @@ from typing import Literal
 import torch
 from torch import Tensor, nn
 
-from posecal_models.contract import Context, check_truth
+from posecal_models.contract import Context, check_truth, standard_normal
 from posecal_models.data.standardizer import Standardizer
-from posecal_models.simple_baseline import SimpleBaseline
+from posecal_models.estimators.simple_baseline import SimpleBaseline
 
 __all__ = ["GaussianDistribution", "GaussianNoise", "Spread", "likelihood_optimum"]
 
@@ -44,7 +44,7 @@ class GaussianDistribution:
         n : int
             N.
         generator : torch.Generator, optional
-            The source of randomness; torch's own where not given.
+            The source of randomness, of the CPU; torch's own where not given.
         temperature : float
             Multiplies σ.
 
@@ -53,7 +53,7 @@ class GaussianDistribution:
         Tensor
             (N, M, K, 3), mm.
         """
-        noise = torch.randn((n, *self.mean.shape), generator=generator, device=self.mean.device, dtype=self.mean.dtype)
+        noise = standard_normal((n, *self.mean.shape), self.mean, generator)
         return self.mean + temperature * self.sigma * noise
 
     def log_prob(self, truth: Tensor) -> Tensor:
@@ -116,7 +116,7 @@ class GaussianNoise(nn.Module):
 
     def __init__(self, mean: SimpleBaseline, *, spread: Spread = "joint") -> None:
         super().__init__()
-        self.mean = mean
+        self.mean = mean.requires_grad_(False)
         columns = 1 if spread == "joint" else 3
         self.log_sigma = nn.Parameter(torch.full((len(mean.joints), columns), math.log(100.0)))
 

@@ -1,0 +1,1 @@
+"""Reference estimators, and their construction from a configuration or a weights file."""
