@@ -157,6 +157,7 @@ class ReportOptions:
     """What is written of a report, and how."""
 
     form: Form = "text"
+    all_metrics: Annotated[bool, writing("Show all numbers, each with what it is.", "--all")] = False
     per_joint: Annotated[bool, writing("Add a table per joint; to JSON, groups' curves.", "--per-joint")] = False
     definitions: Annotated[bool, writing("Add the full definition of every number.", "--definitions")] = False
     plot: Annotated[Path | None, writing("Draw the reliability diagram: .svg, .png or .pdf.")] = None
@@ -175,7 +176,7 @@ class ReportOptions:
 
             page = as_html(report, name, for_command_line).encode()
             files.append(partial(write_file, self.html, lambda file: file.write(page)))
-        parts = {"joints": self.per_joint, "definitions": self.definitions}
+        parts = {"all": self.all_metrics, "joints": self.per_joint, "definitions": self.definitions}
         text = report.render(self.form, **parts, **running.terminal(), words=for_command_line)
         with written_together():
             for write in files:

@@ -56,7 +56,7 @@ def _render(report: Report, words: Callable[[str], str] = for_python, **page: ob
     from jinja2 import Environment
 
     template = files("posecal.report").joinpath("page.html").read_text(encoding="utf-8")
-    sheet = report_sheet(report, joints=bool(page), definitions=bool(page), words=words)
+    sheet = report_sheet(report, all=bool(page), joints=bool(page), definitions=bool(page), words=words)
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     return environment.from_string(template).render(sheet=sheet, **page)
 

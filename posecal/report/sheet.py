@@ -135,6 +135,8 @@ class Sheet:
         Terms and what they mean.
     footer : str
         A line that is never broken, such as a signature.
+    more : str
+        In text, a line on what is left out.
     """
 
     title: str
@@ -143,6 +145,7 @@ class Sheet:
     tables: list[Table] = field(default_factory=list)
     definitions: list[tuple[str, str]] = field(default_factory=list)
     footer: str = ""
+    more: str = ""
 
     def __post_init__(self) -> None:
         for part in fields(self):
@@ -175,8 +178,11 @@ class Sheet:
             console.print("", part, sep="\n")
         if self.definitions:
             console.print("", *(Text.assemble((term, "bold"), ": ", text) for term, text in self.definitions), sep="\n")
-        if self.footer:
+        if self.more:
+            console.print("", Text(self.more), sep="\n")
+        elif self.footer:
             console.print()
+        if self.footer:
             console.print(Text(self.footer, style="dim"), soft_wrap=True)
         return "\n".join(line.rstrip() for line in out.getvalue().splitlines())
 
