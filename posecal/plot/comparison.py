@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-import textwrap
+import os
 from typing import TYPE_CHECKING
 
-from posecal.errors import PoseDataError
-from posecal.plot.style import GREEN, INK, STYLE, given
+from posecal.errors import PoseDataError, printable
+from posecal.plot.style import GREEN, given, ink, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -45,15 +45,15 @@ def accuracy_and_calibration(comparison: Comparison, *, ax: Axes | None = None) 
     if not math.isnan(limit):
         ax.axvspan(0, limit, color=GREEN, alpha=0.12, lw=0, gid="feasible")
         words, at = " ◂ calibrated, but for chance", ax.get_xaxis_transform()
-        ax.text(limit, 0.01, words, transform=at, ha="left", va="bottom", fontsize=7, color=GREEN)
+        ax.text(limit, 0.01, words, transform=at, ha="left", va="bottom", fontsize="small", color=GREEN)
     markers = "osD^vP*X"
     for number, name in enumerate(comparison.names):
         x, y = comparison.value("ece", name), comparison.value("min_mpjpe", name)
         interval = comparison.interval("min_mpjpe", name)
         if not math.isnan(interval.low):
-            ax.plot([x, x], [interval.low, interval.high], color=INK, lw=0.8, zorder=1)
-        ax.plot(x, y, marker=markers[number % len(markers)], color=INK, ms=5, ls="", gid=name)
-        ax.annotate(name, (x, y), xytext=(6, 3), textcoords="offset points", fontsize=7.5)
+            ax.plot([x, x], [interval.low, interval.high], color=ink(), lw=0.8, zorder=1)
+        ax.plot(x, y, marker=markers[number % len(markers)], color=ink(), ms=5, ls="", gid=name)
+        ax.annotate(printable(name), (x, y), xytext=(6, 3), textcoords="offset points", fontsize="small")
     most = max(comparison.value("ece", name) for name in comparison.names)
     unit = comparison.metrics["min_mpjpe"].unit
     ax.set(xlabel="ECE (exchangeable)", ylabel=f"minMPJPE [{unit}]" if unit else "minMPJPE")
@@ -61,19 +61,36 @@ def accuracy_and_calibration(comparison: Comparison, *, ax: Axes | None = None) 
     return ax
 
 
-def draw_comparison(comparison: Comparison) -> Figure:
-    """Draw :func:`accuracy_and_calibration` as a figure with its caption, without a display."""
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
+def draw_comparison(
+    comparison: Comparison,
+    *,
+    title: str | None = None,
+    size: tuple[float, float] | None = None,
+    style: str | os.PathLike[str] | None = None,
+) -> Figure:
+    """Draw :func:`accuracy_and_calibration` as a figure with its caption, without a display.
 
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(4.4, 3.7))
-        ax = figure.add_subplot()
-        accuracy_and_calibration(comparison, ax=ax)
-        figure.subplots_adjust(left=0.14, right=0.96, top=0.97, bottom=0.27)
-        words = (
-            "Bars: 95 % over sequences. Green: ECEs up to the 95 % quantile of a calibrated sampler's, by sign-flips."
+    Parameters
+    ----------
+    comparison : Comparison
+        The models.
+    title, size, style
+        As for :func:`posecal.plot.draw`.
+
+    Returns
+    -------
+    matplotlib Figure
+        Ready to be saved.
+
+    Raises
+    ------
+    PoseDataError
+        As :func:`accuracy_and_calibration` does, and for a size or style that is none.
+    """
+    with new_figure(size or (4.4, 3.1), style, title) as figure:
+        accuracy_and_calibration(comparison, ax=figure.add_subplot())
+        figure.set_label(
+            "Bars: 95 % over sequences. Green: ECEs up to the 95 % quantile of a calibrated sampler's, by sign-flips.\n"
+            f"signature: {comparison.totals[0].signature}"
         )
-        lines = [line for text in (words, comparison.totals[0].signature) for line in textwrap.wrap(text, 92)]
-        figure.text(0.03, 0.02, "\n".join(lines), fontsize=5.6, linespacing=1.35, color="#444444")
     return figure

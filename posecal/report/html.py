@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from posecal.data.write import write_file
 from posecal.errors import PoseDataError, for_python, printable
-from posecal.plot import KINDS, draw, figure_bytes
+from posecal.plot import KINDS, caption_of, draw, figure_bytes
 from posecal.report.text import report_sheet
 
 if TYPE_CHECKING:
@@ -40,10 +40,13 @@ def as_html(report: Report, name: str, words: Callable[[str], str] = for_python)
     pictures = []
     for kind, (_, about) in KINDS.items():
         try:
-            svg = figure_bytes(draw(report, kind), ".svg").decode()
+            figure = draw(report, kind)
         except PoseDataError:
             continue  # the report lacks what the picture shows
-        pictures.append((about, _with_unique_ids(svg[svg.index("<svg") :], kind), kind == "rank_tests"))
+        said = caption_of(figure).partition("\nsignature:")[0]  # which stands at the end of the page
+        figure.set_label("")
+        svg = figure_bytes(figure, ".svg").decode()
+        pictures.append((about, _with_unique_ids(svg[svg.index("<svg") :], kind), kind == "rank_tests", said))
     return _render(report, words, name=printable(name), pictures=pictures)
 
 
