@@ -68,7 +68,7 @@ def compare(
     if form in {"csv", "json"}:
         text = comparison.render(form, words=for_command_line)
     else:
-        sheet = comparison_sheet(comparison, for_command_line)
+        sheet = comparison_sheet(comparison, for_command_line, paper=form == "latex")
         text = sheet.text(**terminal()) if form == "text" else getattr(sheet, form)()
     if plot is not None:
         posecal.plot.save(posecal.plot.draw_comparison(comparison), plot)

@@ -127,8 +127,8 @@ def draw(
     ...     for name, sigma in {"ours": 30.0, "theirs": 60.0}.items()
     ... }
     >>> figure = draw(reports, size=(3.3, 3.6))
-    >>> caption_of(figure).partition(",")[0]
-    'ours: ECE 0.4524'
+    >>> caption_of(figure).partition(" (")[0]  # the truth is always central
+    'ours: ECE 0.4309'
     """
     reports = dict(report) if isinstance(report, Mapping) else {"": report}
     for one in reports.values():

@@ -325,7 +325,8 @@ class Report:
             return as_csv(self, words)
         if form not in get_args(Format):
             raise PoseDataError(f"format: {form!r} is not known. {did_you_mean(form, get_args(Format))}")
-        sheet = report_sheet(self, all=all, joints=joints, definitions=definitions, words=words)
+        how = {"all": all, "joints": joints, "definitions": definitions, "paper": form == "latex"}
+        sheet = report_sheet(self, **how, words=words)
         if form == "text":
             return sheet.text(checked_integer(width, "width", 1), colour=colour)
         return sheet.markdown() if form == "markdown" else sheet.latex()

@@ -14,7 +14,7 @@ from posecal.engine.metric import Metric
 from posecal.engine.presets import PRESETS
 from posecal.engine.protocol import CHOICES, Protocol
 from posecal.errors import for_python, option
-from posecal.report.format import MISSING, NONE, counted, number, short_number, short_p, span
+from posecal.report.format import ARROWS, MISSING, NONE, as_printed, counted, number, short_number, short_p, span
 from posecal.report.sheet import Sheet, Table
 from posecal.report.summary import remarks
 from posecal.stats.resampling import MESH
@@ -37,7 +37,6 @@ TOGETHER = ("accuracy", "calibration", "sharpness")
 """Families that are one table where their main metrics alone are shown."""
 
 WHAT = "what it is"
-ARROWS = {"lower": "↓", "higher": "↑", "zero": "0", "none": ""}
 
 
 def report_sheet(
@@ -46,6 +45,7 @@ def report_sheet(
     all: bool = False,  # noqa: A002
     joints: bool = False,
     definitions: bool = False,
+    paper: bool = False,
     words: Words = for_python,
 ) -> Sheet:
     """Lay out a report: by default one screen of what its numbers say and the main metrics.
@@ -56,6 +56,8 @@ def report_sheet(
         The numbers; only those that are shown are computed.
     all, joints, definitions, words
         As for :meth:`posecal.Report.render`.
+    paper : bool
+        Whether units and directions stand in headings, as papers print them, and PCK and AUC are in per cent.
 
     Returns
     -------
@@ -71,14 +73,16 @@ def report_sheet(
     for some in families:
         metrics = [metric for family in some for metric in shown if metric.family == family]
         if metrics:
-            tables.append(_metrics(report, FAMILIES[some[0]] if len(some) == 1 else "Metric", metrics, what=all))
-    tables += [_by_label(report, label) for label in report.by]
+            tables.append(
+                _metrics(report, FAMILIES[some[0]] if len(some) == 1 else "Metric", metrics, what=all, paper=paper)
+            )
+    tables += [_by_label(report, label, paper=paper) for label in report.by]
     others = [metric.label for metric in known if metric not in shown]
     return Sheet(
         title=report_title(report),
         sentences=list(report.summary),
         remarks=list(remarks(report, words)),
-        tables=[*tables, _by_joint(report)] if joints else tables,
+        tables=[*tables, _by_joint(report, paper=paper)] if joints else tables,
         definitions=[(metric.label, metric.definition) for metric in shown] if definitions else [],
         more=f"{words(option('all', True))}: what each number is, and {_listed(others)}." if others else "",
         footer=f"signature: {report.signature}",
@@ -119,7 +123,7 @@ def short_title(report: Report) -> str:
     return f"<posecal Report: {sizes}, {totals.units()}: {numbers}>"
 
 
-def _metrics(report: Report, title: str, metrics: list[Metric], *, what: bool = False) -> Table:
+def _metrics(report: Report, title: str, metrics: list[Metric], *, what: bool, paper: bool) -> Table:
     """Lay out metrics with their intervals, what a calibrated model has, and p-values: of rank tests the adjusted ones.
 
     Columns without an entry are left out.
@@ -140,35 +144,48 @@ def _metrics(report: Report, title: str, metrics: list[Metric], *, what: bool = 
                 expected = (number(test.mean, "", shown), number(test.high, "", shown), short_p(p))
             if f"{metric.name}_floor" in report.auxiliary and len(report.totals.spec.joints) <= MESH:
                 brief += f"; calibrated, independent frames: {report[f'{metric.name}_floor']:.4f}"
-        value = number(report[metric.name], metric.unit, shown)
-        rows.append((metric.label, ARROWS[metric.direction], value, span(*interval, metric.unit), *expected, brief))
+        label, unit, scale = as_printed(metric) if paper else (metric.label, metric.unit, 1.0)
+        low, high = scale * interval[0], scale * interval[1]
+        shown = (low, high) if metric.deviation is None else shown
+        value = number(scale * report[metric.name], unit, shown)
+        arrow = ARROWS[metric.direction]
+        if paper:
+            value, arrow = value.removesuffix(f" {unit}"), ""
+        rows.append((label, arrow, value, span(low, high, unit), *expected, brief))
     kept = [k for k in range(len(headings)) if any(row[k] for row in rows) and (what or headings[k] != WHAT)]
     return Table(title, [headings[k] for k in kept], [tuple(row[k] for k in kept) for row in rows], ("", WHAT))
 
 
-def _by_label(report: Report, label: str) -> Table:
+def _by_label(report: Report, label: str, *, paper: bool) -> Table:
     groups = [group for group in report.groups if (group or "").startswith(f"{label}=")]
     metrics = {n: m for n, m in report.metrics_in(groups[0]).items() if m.in_group_table}
     rows = []
     for group in groups:
         poses = max(report.count(name, group) for name in metrics or report.metrics_in(group))
-        values = (short_number(report.value(name, group), metric.unit) for name, metric in metrics.items())
+        values = (_short(report.value(name, group), metric, paper=paper) for name, metric in metrics.items())
         rows.append((str(group).partition("=")[2], f"{poses:,}", *values))
-    return Table(f"By {label}", (label, "poses", *map(_heading, metrics.values())), rows)
+    return Table(f"By {label}", (label, "poses", *(_heading(m, paper=paper) for m in metrics.values())), rows)
 
 
-def _heading(metric: Metric) -> str:
-    """Name a column of a wide table, with the unit where that is not the usual one."""
+def _short(value: float, metric: Metric, *, paper: bool) -> str:
+    _, unit, scale = as_printed(metric) if paper else ("", metric.unit, 1.0)
+    return short_number(scale * value, unit)
+
+
+def _heading(metric: Metric, *, paper: bool) -> str:
+    """Name a column of a wide table, with the unit where that is not the usual one or a paper prints it."""
+    if paper:
+        return as_printed(metric)[0]
     return f"{metric.label} [{metric.unit}]" if metric.unit not in {"", "mm"} else metric.label
 
 
-def _by_joint(report: Report) -> Table:
+def _by_joint(report: Report, *, paper: bool) -> Table:
     metrics = {name: metric for name, metric in report.metrics.items() if metric.in_joint_table}
     rows = [
-        (joint, *(short_number(report.value(name, joint=joint), metric.unit) for name, metric in metrics.items()))
+        (joint, *(_short(report.value(n, joint=joint), metric, paper=paper) for n, metric in metrics.items()))
         for joint in report.totals.spec.joints
     ]
-    return Table("By joint", ("joint", *map(_heading, metrics.values())), rows)
+    return Table("By joint", ("joint", *(_heading(m, paper=paper) for m in metrics.values())), rows)
 
 
 def presets_sheet() -> Sheet:

@@ -15,6 +15,7 @@ from posecal.errors import for_command_line
 from posecal.report import text as text_module
 from posecal.report.report import Report
 from posecal.report.text import presets_sheet, report_sheet
+from tests.helpers.latex import rows_of
 from tests.helpers.reports import grouped_report, report_of, unlabelled, world
 
 
@@ -210,9 +211,21 @@ def test_the_table_of_joints_has_a_row_per_joint_and_no_number_where_none_counts
 def test_latex_has_every_table_and_is_ascii_but_for_words() -> None:
     latex = report_of(metrics="all", by=("action",)).render("latex", all=True)
     assert latex.count(r"\begin{tabular}") == latex.count(r"\bottomrule") == 6
-    assert r"$\downarrow$" in latex
-    outside = [line for line in latex.splitlines() if not line.startswith("%")]
-    assert not set("↓↑−ωτ‖∫√") & set("".join(outside))
+    rows = rows_of(latex)
+    numbers = {row[0]: row for row in rows}
+    assert [numbers[r"minMPJPE [mm] $\downarrow$"][1]] == [f"{report_of()['min_mpjpe']:.0f}"]
+
+
+def test_papers_have_pck_in_per_cent_and_minus_signs() -> None:
+    report = report_of(0.5, by=("action",))
+    rows = rows_of(report.render("latex"))
+    numbers = {row[0]: row[1] for row in rows}
+    assert float(numbers[r"PCK 150 mm [\%] $\uparrow$"]) == pytest.approx(100 * report["pck"], abs=0.5)
+    assert numbers["signed area"].startswith("$-$0.")
+    (head,) = (row for row in rows if row[0] == "action")
+    (sitting,) = (row for row in rows if row[0] == "sitting")
+    shown = float(sitting[head.index(r"PCK 150 mm [\%] $\uparrow$")])
+    assert shown == pytest.approx(100 * report.value("pck", "action=sitting"), abs=0.05)
 
 
 def test_markdown_has_a_table_for_each_family_label_and_joint() -> None:
