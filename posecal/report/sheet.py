@@ -214,7 +214,7 @@ class Sheet:
         lines = [f"% {text}" for text in (self.title, *self.words)]
         for table in self.tables:
             columns = "".join("r" if is_number else "l" for _, is_number in table.columns)
-            frame = table.frame(BOLD)
+            frame: Any = table.frame(BOLD)
             for column, (_, is_number) in enumerate(table.columns):
                 if is_number:  # a hyphen is no minus
                     frame.isetitem(column, frame.iloc[:, column].str.replace(r"(?<!\w)-(?=\d)", "−", regex=True))
