@@ -18,7 +18,18 @@ from tests.test_structure import PRIVATE_WORDS
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = (
-    *("start", "file-format", "convert", "joints", "calibration", "how-sure", "metrics", "report", "recalibrate"),
+    *(
+        "start",
+        "file-format",
+        "convert",
+        "joints",
+        "calibration",
+        "how-sure",
+        "metrics",
+        "report",
+        "figures",
+        "recalibrate",
+    ),
     *("likelihood", "joint-angles", "training-loop", "own-metric", "models"),
 )
 
