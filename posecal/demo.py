@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -25,10 +24,6 @@ from posecal.report.format import short_number
 from posecal.report.html import write_html
 from posecal.report.report import Report
 from posecal.report.sheet import Sheet, Table
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 SAMPLERS = {"calibrated": 1.0, "overconfident": 0.5, "underconfident": 1.5}
 """The spread of each sampler, relative to the true one."""
@@ -239,28 +234,13 @@ def run_demo(folder: Path, write_line: Callable[[str], object]) -> None:
         save(draw(report, title=f"{name} sampler"), folder / f"{name}.png")
         write_html(report, folder / f"{name}.html", f"{name} sampler")
         report.save(folder / f"{name}-result.npz")
-    save(_together(reports), folder / "samplers.svg")
+    figure = draw(reports, panels=True, size=(8.6, 3.3))
+    for ax, (name, report) in zip(figure.axes, reports.items(), strict=True):
+        ax.set_title(f"{name}\nminMPJPE {report['min_mpjpe']:.1f} mm, ECE {report['ece']:.3f}", fontsize="medium")
+    save(figure, folder / "samplers.svg")
     write_line(f"\n{reports['calibrated']}\n")
     write_line(_summary_of(reports).text())
     write_line(f"\nIn {folder}: the files, a page (.html), a reliability diagram (.png) and a result for each sampler.")
-
-
-def _together(reports: Mapping[str, Report]) -> Figure:
-    """Draw the reliability diagrams of the samplers side by side."""
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
-    from posecal.plot import reliability
-    from posecal.plot.style import STYLE
-
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(9.2, 3.5))
-        axes = figure.subplots(1, len(reports), squeeze=False)[0]
-        for ax, (name, report) in zip(axes, reports.items(), strict=True):
-            reliability(report, ax=ax)
-            ax.set_title(f"{name}: minMPJPE {report['min_mpjpe']:.1f} mm, ECE {report['ece']:.3f}", fontsize=8.5)
-        figure.subplots_adjust(left=0.06, right=0.99, top=0.92, bottom=0.14, wspace=0.28)
-    return figure
 
 
 def _summary_of(reports: Mapping[str, Report]) -> Sheet:

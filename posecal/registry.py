@@ -224,10 +224,7 @@ def metrics_of(
     return {
         name: metric
         for name, metric in known.items()
-        if name in words
-        or "all" in words
-        or metric.family in words
-        or ("default" in words and metric.statistic.name in free)
+        if protocol.asks_for(name, metric.family) or ("default" in words and metric.statistic.name in free)
     }
 
 

@@ -116,8 +116,8 @@ def test_the_same_demonstration_gives_the_same_files(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_it_leaves_files_pages_pictures_and_results(run: tuple[Path, str]) -> None:
     folder, _ = run
-    names = {"gt.npz", "samplers.svg"}
-    names |= {f"{name}{ending}" for name in SAMPLERS for ending in (".npz", ".png", ".html", "-result.npz")}
+    names = {"gt.npz", "samplers.svg", "samplers.svg.txt"}
+    names |= {f"{name}{ending}" for name in SAMPLERS for ending in (".npz", ".png", ".png.txt", ".html", "-result.npz")}
     assert {path.name for path in folder.iterdir()} == names
 
 

@@ -18,8 +18,18 @@ from tests.test_structure import PRIVATE_WORDS
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = (
-    *("start", "file-format", "convert", "joints", "calibration", "how-sure", "metrics", "report", "recalibrate"),
-    *("likelihood", "joint-angles", "training-loop", "scale", "own-metric", "models", "leaderboard", "motion"),
+    *("start", "file-format", "convert", "joints", "calibration", "how-sure", "metrics", "report", "figures"),
+    *(
+        "recalibrate",
+        "likelihood",
+        "joint-angles",
+        "training-loop",
+        "scale",
+        "own-metric",
+        "models",
+        "leaderboard",
+        "motion",
+    ),
 )
 
 
@@ -90,7 +100,7 @@ def test_the_report_of_the_page_of_joint_angles_is_what_is_printed(
     assert check_page(data, tmp_path, monkeypatch) > 5
     command, after = rest.split("\n```", 1)
     shown = after.split("```text\n")[1].split("\n```")[0]
-    printed = run(command, tmp_path, columns=100).stdout.split("\n\nsignature:")[0]
+    printed = run(command, tmp_path, columns=100).stdout.split("\nsignature:")[0]
     assert [line.rstrip() for line in printed.splitlines()] == shown.splitlines()
 
 

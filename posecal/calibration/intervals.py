@@ -14,6 +14,7 @@ hypotheses and truth together.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -303,6 +304,7 @@ def interval_metrics(scope: Scope) -> Iterator[Metric]:
                     else f"sharpness: width of {interval}, mean over poses, then over {over[10:]}; {holds}"
                 ),
                 statistic=statistic,
+                calibrated=math.nan if row else best,
                 finish=lambda means, at=(row, column): mean_over_joints(means[..., *at]),
                 by_joint=(statistic, per_joint(row, column)),
                 headline=alone,

@@ -51,7 +51,7 @@ def compare(
             "expected hypotheses of two or more models and, last, the truth; or two or more saved results."
         )
     protocol = None if scoring == opt.ScoringOptions() else scoring.protocol()
-    sources: dict[str, Any] = dict(zip(_names(models), models, strict=True))
+    sources: dict[str, Any] = dict(zip(opt.model_names(models), models, strict=True))
     if not saved:
         sources = {name: data.read(path, files[-1], **scoring.matching) for name, path in sources.items()}
         several = all(source.shape[0] > 1 for source in sources.values())
@@ -68,15 +68,8 @@ def compare(
     if form in {"csv", "json"}:
         text = comparison.render(form, words=for_command_line)
     else:
-        sheet = comparison_sheet(comparison, for_command_line)
+        sheet = comparison_sheet(comparison, for_command_line, paper=form == "latex")
         text = sheet.text(**terminal()) if form == "text" else getattr(sheet, form)()
     if plot is not None:
         posecal.plot.save(posecal.plot.draw_comparison(comparison), plot)
     typer.echo(text)
-
-
-def _names(files: list[Path]) -> list[str]:
-    """Call models by their files' names, or by their paths where two files are called alike."""
-    stems = [path.stem for path in files]
-    names = stems if len(set(stems)) == len(stems) else [str(path.with_suffix("")) for path in files]
-    return [name if names.index(name) == k else f"{name} #{k + 1}" for k, name in enumerate(names)]

@@ -42,6 +42,36 @@ OwnMetrics = Annotated[list[str] | None, option("Add your own metric. Repeatable
 Form = Annotated[Literal["text", "markdown", "csv", "json", "latex"], writing("How it is written.", "--format")]
 
 
+def model_names(files: list[Path]) -> list[str]:
+    """Call models by their files' names, or by their paths where two files are called alike."""
+    stems = [path.stem for path in files]
+    names = stems if len(set(stems)) == len(stems) else [str(path.with_suffix("")) for path in files]
+    return [name if names.index(name) == k else f"{name} #{k + 1}" for k, name in enumerate(names)]
+
+
+@dataclass(frozen=True)
+class FigureOptions:
+    """How a figure looks; the names are those of the parameters of :func:`posecal.plot.draw`."""
+
+    title: Annotated[str | None, writing("What stands above.")] = None
+    size: Annotated[
+        tuple[float, float] | None, writing("Inches across and down.", metavar="WIDTH HEIGHT", show_default=False)
+    ] = None
+    style: Annotated[str | None, writing("A style of Matplotlib, or an .mplstyle file.")] = None
+
+    def given(self) -> dict[str, Any]:
+        """Give them all; a size or a style that is none is a wrong call."""
+        from posecal.errors import PoseDataError
+        from posecal.plot.style import check_size, style_parameters
+
+        try:
+            check_size(self.size)
+            style_parameters(self.style)
+        except PoseDataError as error:
+            raise typer.BadParameter(for_command_line(error.message)) from None
+        return {"title": self.title, "size": self.size, "style": self.style}
+
+
 @dataclass(frozen=True)
 class HypothesesOptions:
     """How hypotheses are read; the names are those of the parameters of :class:`posecal.PoseData`."""
@@ -159,6 +189,7 @@ class ReportOptions:
     """What is written of a report, and how."""
 
     form: Form = "text"
+    all_metrics: Annotated[bool, writing("Show all numbers, each with what it is.", "--all")] = False
     per_joint: Annotated[bool, writing("Add a table per joint; to JSON, groups' curves.", "--per-joint")] = False
     definitions: Annotated[bool, writing("Add the full definition of every number.", "--definitions")] = False
     plot: Annotated[Path | None, writing("Draw the reliability diagram: .svg, .png or .pdf.")] = None
@@ -177,7 +208,7 @@ class ReportOptions:
 
             page = as_html(report, name, for_command_line).encode()
             files.append(partial(write_file, self.html, lambda file: file.write(page)))
-        parts = {"joints": self.per_joint, "definitions": self.definitions}
+        parts = {"all": self.all_metrics, "joints": self.per_joint, "definitions": self.definitions}
         text = report.render(self.form, **parts, **running.terminal(), words=for_command_line)
         with written_together():
             for write in files:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from posecal.cli import options as opt
-from posecal.cli.running import check_outputs, command, wrong_call
+from posecal.cli.running import check_outputs, command
 
-app = typer.Typer(no_args_is_help=True, help="Draw a saved result, or some poses.", rich_markup_mode="rich")
+app = typer.Typer(no_args_is_help=True, help="Draw saved results, or some poses.", rich_markup_mode="rich")
 
 KINDS = {
     "reliability": "Calibration curves against the diagonal.",
@@ -25,18 +26,52 @@ KINDS = {
 """Figures of a report, with their help."""
 
 
+Results = Annotated[list[Path], opt.argument("Results of evaluate --save; of several models for one figure.")]
+Labels = Annotated[str | None, opt.option("Names of the models, with commas.", show_default="those of the files")]
+
+
+def _named(results: list[Path], labels: str | None) -> dict[str, Path]:
+    """Give each result the name of its model; of one alone none."""
+    names = opt.model_names(results) if labels is None else [name.strip() for name in labels.split(",")]
+    if len(names) != len(results) or len({*names}) < len(names):
+        raise typer.BadParameter(f"--labels: {labels!r}; expected {len(results)} different names, with commas.")
+    return dict(zip(names, results, strict=True))
+
+
 def _add(kind: str, about: str) -> None:
     @command(app, kind, about)
-    def draw_result(result: opt.Result, output: opt.Output) -> None:
-        check_outputs(result, plot=output)
+    def draw_result(
+        results: Results,
+        output: opt.Output,
+        *,
+        labels: Labels = None,
+        panels: Annotated[bool, opt.option("A panel for each model, instead of one for all.", "--panels")] = False,
+        figure: opt.FigureOptions,
+    ) -> None:
+        check_outputs(*results, plot=output)
         import posecal
 
-        report = posecal.Report(posecal.load_totals(result))
-        posecal.plot.save(posecal.plot.draw(report, kind.replace("-", "_")), output)
+        how, files = figure.given(), _named(results, labels)
+        reports = {name: posecal.Report(posecal.load_totals(path)) for name, path in files.items()}
+        one = reports if len(reports) > 1 or labels else next(iter(reports.values()))
+        posecal.plot.save(posecal.plot.draw(one, kind.replace("-", "_"), panels=panels, **how), output)
 
 
 for _kind, _about in KINDS.items():
     _add(_kind, _about)
+
+
+@command(app)
+def comparison(results: Results, output: opt.Output, *, labels: Labels = None, figure: opt.FigureOptions) -> None:
+    """MinMPJPE against the ECE of two or more models."""
+    check_outputs(*results, plot=output)
+    import posecal
+
+    how, files = figure.given(), _named(results, labels)
+    if len(files) < 2:
+        raise typer.BadParameter("expected saved results of two or more models.")
+    compared = posecal.compare({name: posecal.load_totals(path) for name, path in files.items()})
+    posecal.plot.save(posecal.plot.draw_comparison(compared, **how), output)
 
 
 @command(app)
@@ -45,12 +80,19 @@ def poses(
     truth: opt.Truth,
     output: opt.Output,
     *,
-    frames: Annotated[str | None, opt.option("Frame ids or numbers, with commas.", show_default="5 of them")] = None,
+    frames: Annotated[
+        str | None, opt.option("Frame ids or numbers with commas, worst, or even.", show_default="worst, 5 of them")
+    ] = None,
     joint: Annotated[
         str | None,
         opt.option("The joint whose hypotheses are points.", show_default="RWrist, if there is one"),
     ] = None,
     most: Annotated[int, opt.option("How many hypotheses to draw.", min=1)] = 50,
+    view: Annotated[
+        tuple[float, float],
+        opt.option("From where, degrees.", metavar="AZIMUTH ELEVATION", show_default="-62 8"),
+    ] = (-62.0, 8.0),
+    figure: opt.FigureOptions,
     data: opt.DataOptions,
 ) -> None:
     """Skeletons in 2D or 3D: hypotheses grey, truth blue, one joint's hypotheses pink."""
@@ -58,9 +100,9 @@ def poses(
     from posecal.data.joint_names import find_joint
     from posecal.plot import draw_poses, frames_of, save
 
-    matched = data.read(hypotheses, truth)
+    how, matched = figure.given(), data.read(hypotheses, truth)
     cloud = "RWrist" if joint is None and find_joint("RWrist", matched.joints) is not None else joint
-    save(draw_poses(matched, frames_of(matched, frames), cloud=cloud, most=most), output)
+    save(draw_poses(matched, frames_of(matched, frames), cloud=cloud, most=most, view=view, **how), output)
 
 
 @command(app)
@@ -72,17 +114,12 @@ def intervals(
     joint: Annotated[str | None, opt.option("The joint, or its number.", show_default="the first but the root")] = None,
     coordinate: Annotated[str | None, opt.option("x, y, z, or a number.", show_default="the first")] = None,
     sequence: Annotated[str | None, opt.option("Sequences with commas, or all.", show_default="the first")] = None,
-    size: Annotated[
-        tuple[float, float] | None, opt.option("Inches across and down.", metavar="WIDTH HEIGHT", show_default=False)
-    ] = None,
+    figure: opt.FigureOptions,
     data: opt.DataOptions,
 ) -> None:
     """Central 50 % and 90 % intervals of one coordinate or angle over time, against the truth."""
     check_outputs(hypotheses, truth, plot=output)
     from posecal.plot import draw_intervals, save
-    from posecal.plot.intervals import check_size
 
-    with wrong_call():
-        check_size(size)
-    matched = data.read(hypotheses, truth)
-    save(draw_intervals(matched, joint=joint, coordinate=coordinate, sequence=sequence, size=size), output)
+    how, matched = figure.given(), data.read(hypotheses, truth)
+    save(draw_intervals(matched, joint=joint, coordinate=coordinate, sequence=sequence, **how), output)

@@ -112,6 +112,8 @@ def check_outputs(*inputs: Path | str | None, **outputs: Path | None) -> None:
         if path.resolve() in used:
             raise typer.BadParameter(printable(f"{path} is {used[path.resolve()]} already; expected another name."))
         check_writable(path)
+        if kind == "plot":
+            check_writable(path.with_name(f"{path.name}.txt"))
         used[path.resolve()] = "written"
 
 

@@ -7,6 +7,7 @@ poses, shards on several machines and resampling by sequence need nothing else.
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import partial
@@ -145,6 +146,8 @@ class Metric:
         Smallest and largest value, with what they mean.
     bounds : tuple of two float
         Smallest and largest possible value, infinite where there is none: intervals stay between them.
+    calibrated : float
+        What a calibrated model has, where that is one number; NaN else.
     reading : str
         How to read it, and what it does not say.
     source : str
@@ -176,6 +179,7 @@ class Metric:
     in_joint_table: bool = False
     range: str = ""
     bounds: Bounds = UNBOUNDED
+    calibrated: float = math.nan
     reading: str = ""
     source: str = ""
     deviation: Deviation | None = None

@@ -201,6 +201,10 @@ class Protocol:
         """The words of the option ``metrics``, one by one."""
         return tuple(word.strip() for word in str(self.metrics).split(","))
 
+    def asks_for(self, name: str, family: str) -> bool:
+        """Whether the option ``metrics`` names a metric, its family, or all; not whether it is a default one."""
+        return not {name, family, "all"}.isdisjoint(self.wanted)
+
     @property
     def summary_over_joints(self) -> OverJoints:
         """The summary of the ECE over joints: by default the median, and pooled where only some joints count."""

@@ -1,20 +1,20 @@
 """Pictures of a report, a comparison or poses: reliability diagrams and others, ``ax`` in, ``ax`` out.
 
-They draw what is given, and compute nothing. The functions that begin with ``draw`` make a figure without a display;
-:func:`save` writes it.
+They draw what is given. The functions that begin with ``draw`` make a figure without a display, of any size and style.
+Its label is its caption, which :func:`save` writes into a text file beside it.
 """
 
 from __future__ import annotations
 
 import math
-import textwrap
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from posecal.errors import PoseDataError, did_you_mean, printable
+from posecal.plot.captions import caption
 from posecal.plot.comparison import accuracy_and_calibration, draw_comparison
 from posecal.plot.curves import (
-    default_definition,
     errors_by_n,
     event_reliability,
     pck_curves,
@@ -24,9 +24,10 @@ from posecal.plot.curves import (
 )
 from posecal.plot.horizon import draw_horizon, horizon
 from posecal.plot.intervals import draw_intervals, intervals
+from posecal.plot.pose_figures import draw_poses, frames_of, poses
 from posecal.plot.rank_tests import draw_rank_tests, rank_test
-from posecal.plot.skeletons import draw_poses, frames_of, poses, signed_areas, with_sign
-from posecal.plot.style import STYLE, check_suffix, figure_bytes, save
+from posecal.plot.skeletons import signed_areas
+from posecal.plot.style import caption_of, check_suffix, figure_bytes, new_figure, save
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 __all__ = [
     "KINDS",
     "accuracy_and_calibration",
+    "caption_of",
     "check_suffix",
     "draw",
     "draw_comparison",
@@ -73,103 +75,110 @@ KINDS: dict[str, tuple[Callable[..., Any], str]] = {
 """The pictures of a report, by the words of ``posecal plot``: functions of axes, but the last two of a figure."""
 
 
-def draw(report: Report, kind: str = "reliability", *, title: str | None = None) -> Figure:
-    """Draw a report as a figure with its caption, without a display.
+OWN_PANELS = ("rank_tests", "horizon")
+"""Pictures of one model in several panels."""
+
+TOGETHER = ("reliability", "errors", "pck", "sparsification", "risk_coverage")
+"""Pictures that show several models in one panel."""
+
+COLUMNS = 4
+"""Most panels of a figure beside each other."""
+
+
+def draw(
+    report: Report | Mapping[str, Report],
+    kind: str = "reliability",
+    *,
+    panels: bool = False,
+    title: str | None = None,
+    size: tuple[float, float] | None = None,
+    style: str | os.PathLike[str] | None = None,
+) -> Figure:
+    """Draw a report, or several for comparison, as a figure with its caption, without a display.
 
     Parameters
     ----------
-    report : Report
-        The numbers.
+    report : Report, or mapping of Report
+        The numbers; of several models by their names.
     kind : str
         A key of :data:`KINDS`.
+    panels : bool
+        Of several models, whether each has a panel of its own; curves are in one panel by default, all else never.
     title : str, optional
         Above the picture.
+    size : tuple of two floats, optional
+        Width and height in inches.
+    style : str or path, optional
+        A style of Matplotlib, by its name or as an ``.mplstyle`` file; it changes posecal's.
 
     Returns
     -------
     matplotlib Figure
-        Ready to be saved.
+        Ready to be saved. Its label is the caption.
 
     Raises
     ------
     PoseDataError
-        Where the report lacks what the picture shows, and for another kind.
+        Where a report lacks what the picture shows, for another kind, and for a size or style that is none.
+    PoseFileError
+        For a file of a style that can't be read.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from posecal.evaluation import evaluate
+    >>> random = np.random.default_rng(0)
+    >>> truth = random.normal(0, 100, (40, 2, 3))
+    >>> reports = {
+    ...     name: evaluate(truth + random.normal(0, sigma, (20, 40, 2, 3)), truth, unit="mm", axes="NMKD")
+    ...     for name, sigma in {"ours": 30.0, "theirs": 60.0}.items()
+    ... }
+    >>> figure = draw(reports, size=(3.3, 3.6))
+    >>> caption_of(figure).partition(" (")[0]  # the truth is always central
+    'ours: ECE 0.4309'
     """
-    if not hasattr(report, "rank_tests"):
-        raise PoseDataError(f"report: {type(report).__name__}; expected Report.")
+    reports = dict(report) if isinstance(report, Mapping) else {"": report}
+    for one in reports.values():
+        if not hasattr(one, "rank_tests"):
+            raise PoseDataError(f"report: {type(one).__name__}; expected Report.")
+    if not reports:
+        raise PoseDataError("report: none; expected at least one.")
     if str(kind) not in KINDS:
         raise PoseDataError(f"kind: {kind!r} is not known. {did_you_mean(kind, KINDS)}")
-    if kind in {"rank_tests", "horizon"}:
-        figure: Figure = KINDS[kind][0](report)
+    if kind in OWN_PANELS:
+        if len(reports) > 1:
+            raise PoseDataError(f"report: {len(reports)} models; expected one, since its numbers have a panel each.")
+        figure: Figure = KINDS[kind][0](*reports.values(), title=title, size=size, style=style)
         return figure
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
-    with mpl.rc_context(STYLE):
-        figure = Figure()
-        ax = figure.add_subplot()
-        KINDS[kind][0](report, ax=ax)
-        square = kind in {"reliability", "joints", "event"}
-        width, height, columns = (3.7, 3.7, 74) if square else (4.4, 3.1, 90)
-        lines = [line for text in (_caption(kind, report), report.signature) for line in textwrap.wrap(text, columns)]
-        below = 0.1 + 0.112 * len(lines)
-        height += below
-        figure.set_size_inches(width, height)
-        ax.set_anchor("N")
-        if title:
-            ax.set_title(printable(title))
-        labels = 0.1 if kind == "joints" else 0.45
-        figure.subplots_adjust(
-            left=0.04 if kind == "joints" else 0.15,
-            right=0.96,
-            top=1 - (0.3 if title else 0.1) / height,
-            bottom=(below + labels) / height,
-        )
-        figure.text(0.03, 0.06 / height, "\n".join(lines), fontsize=5.6, va="bottom", linespacing=1.35, color="#444444")
+    together = len(reports) > 1 and kind in TOGETHER and not panels
+    number = 1 if together else len(reports)
+    across = min(number, COLUMNS)
+    down = math.ceil(number / across)
+    wide, tall = (3.5, 3.5) if kind in {"reliability", "joints", "event"} else (4.4, 3.1)
+    if number > 1 and kind != "joints":
+        wide, tall = 0.8 * wide, 0.8 * tall
+    longest = max(map(len, reports))
+    in_a_row = max(1, min(len(reports), int((size or (wide, tall))[0] / (0.45 + 0.06 * longest))))  # names of a legend
+    extra = 0.3 * bool(title) + 0.2 * together * math.ceil(len(reports) / in_a_row)
+    layout = "compressed" if kind in {"reliability", "event"} else "constrained"  # of axes that are squares
+    with new_figure(size or (wide * across, tall * down + extra), style, title, layout=layout) as figure:
+        axes = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
+        if together:
+            KINDS[kind][0](reports, ax=axes[0, 0])
+            figure.set_label(caption(reports, kind, together=True))
+            figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=in_a_row)
+            return figure
+        for ax, (name, one) in zip(axes.flat, reports.items(), strict=False):
+            KINDS[kind][0](one, ax=ax)
+            if name:
+                ax.set_title(printable(name), fontsize="medium")
+            ax.label_outer()
+            if number > 1:
+                for label in (ax.xaxis.label, ax.yaxis.label):
+                    label.set_fontsize("small")
+        figure.set_label(caption(reports, kind))
+        for ax in axes.flat[number:]:
+            ax.set_axis_off()
+        if kind in {"errors", "risk_coverage"}:  # from 0 to above all curves
+            axes[0, 0].set_ylim(0, 1.05 * max(ax.dataLim.ymax for ax in axes.flat[:number]))
     return figure
-
-
-def _caption(kind: str, report: Report) -> str:
-    if kind == "reliability":
-        return _reliability_caption(report)
-    if kind == "joints":
-        return (
-            "∫ (ω_k(q) − q) dq of each joint k, exchangeable definition, "
-            f"N={report.totals.spec.n_hypotheses}. A disc grows with the size of its joint's area."
-        )
-    if kind == "errors":
-        return f"{report.curve('errors_by_n')[0].definition}."
-    if kind == "sparsification":
-        return f"AUSE {report.value('ause'):.3f}: {report.definition('ause')}."
-    if kind == "risk_coverage":
-        return _risk_coverage_caption(report)
-    if kind == "event":
-        return f"{report.definition('brier')}. Isotonic regression, equal p pooled."
-    return f"Joints: {report.curve('pck_curve')[0].definition}. Poses: {report.curve('cps_curve')[0].definition}."
-
-
-def _risk_coverage_caption(report: Report) -> str:
-    words = []
-    for name in ("aurc", "excess_aurc", "failure_auroc"):
-        if not math.isnan(value := report.value(name)):
-            metric = report.metrics[name]
-            words.append(f"{metric.label} {value:.3f} {metric.unit}".rstrip())
-            words[-1] += f" (failure rate {report.value('failure_rate'):.4f})" * (name == "failure_auroc")
-    return f"{', '.join(words)}. AURC: {report.definition('aurc')}."
-
-
-def _reliability_caption(report: Report) -> str:
-    definition = default_definition(report)
-    metric = report.metrics.get("ece" if definition == "exchangeable" else f"ece_{definition}")
-    words = f"{definition.capitalize()} definition."
-    if metric is not None:
-        words = f"{metric.label} {report.value(metric.name):.4f}: {metric.definition}."
-    if "signed_area" in report.metrics:
-        words += f" Signed area {with_sign(report.value('signed_area'), 4)}."
-    words += " Grey: each joint; dashed: a calibrated sampler."
-    if metric is None or definition != "exchangeable" or math.isnan((null := report.test(metric.name)).p):
-        return words
-    return (
-        f"{words} Band: 95 % of calibrated samplers, by sign-flips of {report.totals.units(null.sequences)}; "
-        f"their mean ECE {null.mean:.4f}, p = {null.p:.3f}."
-    )

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-import textwrap
+import os
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from posecal.errors import PoseDataError
-from posecal.plot.style import GREEN, INK, STYLE, given
+from posecal.errors import PoseDataError, printable
+from posecal.plot.style import GREEN, given, ink, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -56,9 +56,9 @@ def accuracy_and_calibration(comparison: Comparison, *, ax: Axes | None = None) 
         x, y = comparison.value("ece", name), comparison.value("min_mpjpe", name)
         interval = comparison.interval("min_mpjpe", name)
         if not math.isnan(interval.low):
-            ax.plot([x, x], [interval.low, interval.high], color=INK, lw=0.8, zorder=1)
-        ax.plot(x, y, marker=markers[number % len(markers)], color=INK, ms=5, ls="", gid=name)
-        ax.annotate(name, (x, y), xytext=(6, 3), textcoords="offset points", fontsize=7.5)
+            ax.plot([x, x], [interval.low, interval.high], color=ink(), lw=0.8, zorder=1)
+        ax.plot(x, y, marker=markers[number % len(markers)], color=ink(), ms=5, ls="", gid=name)
+        ax.annotate(printable(name), (x, y), xytext=(6, 3), textcoords="offset points", fontsize="small")
     most = max(comparison.value("ece", name) for name in comparison.names)
     unit = comparison.metrics["min_mpjpe"].unit
     ax.set(xlabel="ECE (exchangeable)", ylabel=f"minMPJPE [{unit}]" if unit else "minMPJPE")
@@ -68,29 +68,44 @@ def accuracy_and_calibration(comparison: Comparison, *, ax: Axes | None = None) 
         within = limit > right / 2  # and no place beside it
         words = "calibrated, but for chance " if within else " ◂ calibrated, but for chance"
         side = "right" if within else "left"
-        ax.text(limit, 0.01, words, transform=ax.get_xaxis_transform(), ha=side, va="bottom", fontsize=7, color=GREEN)
+        at = ax.get_xaxis_transform()
+        ax.text(limit, 0.01, words, transform=at, ha=side, va="bottom", fontsize="small", color=GREEN)
     return ax
 
 
-def draw_comparison(comparison: Comparison | Mapping[str, Comparison]) -> Figure:
+def draw_comparison(
+    comparison: Comparison | Mapping[str, Comparison],
+    *,
+    title: str | None = None,
+    size: tuple[float, float] | None = None,
+    style: str | os.PathLike[str] | None = None,
+) -> Figure:
     """Draw :func:`accuracy_and_calibration` as a figure with its caption, without a display.
 
-    Several comparisons, by their titles, stand side by side, but for those that lack one of the two metrics.
-    """
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
+    Parameters
+    ----------
+    comparison : Comparison or mapping
+        The models. Several comparisons, by their titles, stand side by side, but for those that lack one of the two
+        metrics.
+    title, size, style
+        As for :func:`posecal.plot.draw`.
 
+    Returns
+    -------
+    matplotlib Figure
+        Ready to be saved.
+
+    Raises
+    ------
+    PoseDataError
+        As :func:`accuracy_and_calibration` does, and for a size or style that is none.
+    """
     titled = comparison if isinstance(comparison, Mapping) else {"": comparison}
-    shown = {title: one for title, one in titled.items() if {*BOTH} <= {*one.metrics}} or titled
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(4.4 * len(shown), 3.7))
-        axes = figure.subplots(1, len(shown), squeeze=False)[0]
-        for number, (ax, (title, one)) in enumerate(zip(axes, shown.items(), strict=True)):
+    shown = {name: one for name, one in titled.items() if {*BOTH} <= {*one.metrics}} or titled
+    with new_figure(size or (4.4 * len(shown), 3.1), style, title) as figure:
+        for ax, (name, one) in zip(figure.subplots(1, len(shown), squeeze=False)[0], shown.items(), strict=True):
             accuracy_and_calibration(one, ax=ax)
-            ax.set_title(title)
-            lines = [line for text in (CAPTION, one.totals[0].signature) for line in textwrap.wrap(text, 92)]
-            x = (number + 0.03) / len(shown)
-            figure.text(x, 0.02, "\n".join(lines), fontsize=5.6, linespacing=1.35, color="#444444")
-        top = 0.92 if any(shown) else 0.97
-        figure.subplots_adjust(left=0.14 / len(shown), right=1 - 0.04 / len(shown), top=top, bottom=0.27, wspace=0.24)
+            ax.set_title(printable(name), fontsize="medium")
+        signatures = dict.fromkeys(f"signature: {one.totals[0].signature}" for one in shown.values())
+        figure.set_label("\n".join([CAPTION, *signatures]))
     return figure

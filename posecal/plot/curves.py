@@ -1,16 +1,21 @@
-"""Pictures of curves: reliability diagrams, errors by N, PCK and CPS, sparsification, risk–coverage."""
+"""Pictures of curves: reliability diagrams, errors by N, PCK and CPS, sparsification, risk–coverage.
+
+All but the reliability of an event take several reports, by the names of their models, each in a colour of its own.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from posecal.calibration import DEFINITIONS, Definition
-from posecal.errors import PoseDataError, option
+from posecal.calibration import DEFINITIONS, LEVELS, Definition
+from posecal.errors import PoseDataError, option, printable
 from posecal.metrics.best_of import ROUND_SIZES
 from posecal.metrics.uncertainty import DROPPED
-from posecal.plot.style import FAINT, INK, ORANGE, OVER, OVER_TEXT, UNDER, given
+from posecal.plot.style import FAINT, ORANGE, OVER, OVER_TEXT, UNDER, given, ink
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,12 +25,44 @@ if TYPE_CHECKING:
 MOST_POINTS = 500
 """Points of a curve that has one for each pose."""
 
-_BY_SPREAD: dict[str, Any] = {"color": INK, "lw": 1.8, "label": "by predicted spread"}
+_SUMMARIES = {
+    "median": "median of joints",
+    "mean": "mean of joints",
+    "worst": "worst joint",
+    "pooled": "all joints",
+}
+
+_ORDERS = ("by_spread", "by_error")
+"""By what poses are dropped or kept."""
+
+_BY_SPREAD: dict[str, Any] = {"lw": 1.8, "label": "by predicted spread"}
 _BY_ERROR: dict[str, Any] = {"color": UNDER, "lw": 1.4, "ls": (0, (5, 1.5)), "label": "by the error itself"}
+_CORRECT: tuple[dict[str, Any], dict[str, Any]] = (
+    {"color": UNDER, "lw": 1.8, "label": "joints (PCK)"},
+    {"color": ORANGE, "lw": 1.8, "ls": (0, (5, 1.5)), "label": "whole poses, aligned (CPS)"},
+)
+
+
+def _models(
+    report: Report | Mapping[str, Report], main: Mapping[str, Any], second: Mapping[str, Any] | None = None
+) -> Iterator[tuple[Report, dict[str, Any], dict[str, Any]]]:
+    """Give each report with the styles of its main and its second line: of several models in the colour of the model.
+
+    The label of the main line is then the model's name, and the second line has none.
+    """
+    second = second or {}
+    if not isinstance(report, Mapping):
+        yield report, {"color": ink(), **main}, {**second}
+        return
+    import matplotlib as mpl
+
+    colours = cycle(mpl.rcParams["axes.prop_cycle"].by_key().get("color", [ink()]))
+    for (name, one), colour in zip(report.items(), colours, strict=False):
+        yield one, {**main, "color": colour, "label": printable(name)}, {**second, "color": colour, "label": None}
 
 
 def reliability(
-    report: Report,
+    report: Report | Mapping[str, Report],
     *,
     definition: Definition | None = None,
     group: str | None = None,
@@ -35,7 +72,7 @@ def reliability(
 
     Parameters
     ----------
-    report : Report
+    report : Report, or mapping of Report
         Holds the curves.
     definition : str, optional
         One of :data:`posecal.calibration.ranks.DEFINITIONS`; by default the first of them that the report holds.
@@ -48,37 +85,37 @@ def reliability(
     -------
     matplotlib Axes
         The axes: faint lines for the joints, a dark one for the curve that the ECE is made from, and about the
-        diagonal the band in which a calibrated sampler's curve would stay, where sequences allow one.
+        diagonal the band in which a calibrated sampler's curve would stay, where sequences allow one. Of several
+        models: the curve of each in its colour, and the widest of their bands.
 
     Raises
     ------
     PoseDataError
         Where the report has no such curve.
     """
-    definition = definition or default_definition(report)
-    curve, middle = report.calibration(definition, group), report.summary_curve(definition, group)
+    several = isinstance(report, Mapping)
     ax = given(ax)
     ax.fill_between([0, 1], [0, 1], 1, color=UNDER, alpha=0.07, lw=0, zorder=0)
     ax.fill_between([0, 1], 0, [0, 1], color=OVER, alpha=0.11, lw=0, zorder=0)
     ax.text(0.04, 0.93, "underconfident", color=UNDER, va="top")
     ax.text(0.96, 0.07, "overconfident", color=OVER_TEXT, ha="right")
-    for joint, values in zip(report.totals.spec.joints, curve.joints, strict=True):
-        if not np.isnan(values).any():
-            ax.plot(curve.levels, values, color=FAINT, lw=0.8, zorder=1, gid=f"joint {joint}")
-    band = report.test("ece", group).band if definition == "exchangeable" and "ece" in report.metrics else np.nan
-    if not np.isnan(band):
-        reach = band * np.sqrt(curve.levels * (1 - curve.levels))
-        low, high = np.clip(curve.levels - reach, 0, 1), np.clip(curve.levels + reach, 0, 1)
-        ax.fill_between(curve.levels, low, high, color=INK, alpha=0.1, lw=0, zorder=1.5, gid="band")
-    ax.plot([0, 1], [0, 1], color=INK, lw=0.8, ls=(0, (4, 3)), zorder=2, gid="diagonal")
-    over = report.totals.protocol.summary_over_joints
-    words = {
-        "median": "median of joints",
-        "mean": "mean of joints",
-        "worst": "worst joint",
-        "pooled": "all joints",
-    }
-    ax.plot(curve.levels, middle, color=INK, lw=2, zorder=3, gid="summary", label=words[over])
+    widest = np.nan
+    for one, style, _ in _models(report, {"lw": 2, "zorder": 3}):
+        wanted = definition or default_definition(one)
+        curve, middle = one.calibration(wanted, group), one.summary_curve(wanted, group)
+        for joint, values in zip(one.totals.spec.joints, () if several else curve.joints, strict=not several):
+            if not np.isnan(values).any():
+                ax.plot(curve.levels, values, color=FAINT, lw=0.8, zorder=1, gid=f"joint {joint}")
+        if wanted == "exchangeable" and "ece" in one.metrics:
+            widest = np.fmax(widest, one.test("ece", group).band)
+        label = {"label": _SUMMARIES[one.totals.protocol.summary_over_joints]} | style
+        gid = f"summary {label['label']}" if several else "summary"
+        ax.plot(curve.levels, middle, gid=gid, **label)
+    if not np.isnan(widest):
+        reach = widest * np.sqrt(LEVELS * (1 - LEVELS))
+        low, high = np.clip(LEVELS - reach, 0, 1), np.clip(LEVELS + reach, 0, 1)
+        ax.fill_between(LEVELS, low, high, color=ink(), alpha=0.1, lw=0, zorder=1.5, gid="band")
+    ax.plot([0, 1], [0, 1], color=ink(), lw=0.8, ls=(0, (4, 3)), zorder=2, gid="diagonal")
     ax.set(xlim=(0, 1), ylim=(0, 1), aspect="equal", xticks=np.arange(0, 1.1, 0.25), yticks=np.arange(0, 1.1, 0.25))
     ax.set_xlabel("share of hypotheses within the ball, q")
     ax.set_ylabel("share of truths within it, ω(q)")
@@ -102,12 +139,12 @@ def default_definition(report: Report) -> Definition:
     return known[0]
 
 
-def errors_by_n(report: Report, *, ax: Axes | None = None) -> Axes:
+def errors_by_n(report: Report | Mapping[str, Report], *, ax: Axes | None = None) -> Axes:
     """Draw minMPJPE against the number of hypotheses.
 
     Parameters
     ----------
-    report : Report
+    report : Report, or mapping of Report
         Holds the curve.
     ax : matplotlib Axes, optional
         Where to draw; the current axes by default.
@@ -123,23 +160,27 @@ def errors_by_n(report: Report, *, ax: Axes | None = None) -> Axes:
         Where the report has no such curve.
     """
     ax = given(ax)
-    curve, values = report.curve("errors_by_n")
-    ax.plot(curve.at, values, color=INK, lw=1.8, marker="o", ms=2.5)
+    largest = 1
+    for one, style, _ in _models(report, {"lw": 1.8, "marker": "o", "ms": 2.5}):
+        curve, values = one.curve("errors_by_n")
+        ax.plot(curve.at, values, **style)
+        ax.set(xlabel=curve.axes[0], ylabel=curve.axes[1])
+        largest = max(largest, int(curve.at[-1]))
     ax.set_xscale("log")
-    ticks = [n for n in ROUND_SIZES if n <= curve.at[-1]]
+    ticks = [n for n in ROUND_SIZES if n <= largest]
     ax.set_xticks(ticks, [str(n) for n in ticks])
     ax.minorticks_off()
-    ax.set(xlabel=curve.axes[0], ylabel=curve.axes[1], ylim=(0, None))
+    ax.set_ylim(0, None)
     ax.grid(axis="y", color="#E4E4E4", lw=0.6)
     return ax
 
 
-def pck_curves(report: Report, *, ax: Axes | None = None) -> Axes:
+def pck_curves(report: Report | Mapping[str, Report], *, ax: Axes | None = None) -> Axes:
     """Draw the shares of correct joints (PCK) and of correct poses (CPS) against the threshold.
 
     Parameters
     ----------
-    report : Report
+    report : Report, or mapping of Report
         Holds the curves.
     ax : matplotlib Axes, optional
         Where to draw; the current axes by default.
@@ -155,31 +196,25 @@ def pck_curves(report: Report, *, ax: Axes | None = None) -> Axes:
         Where the report has no such curves.
     """
     ax = given(ax)
-    pck, shares = report.curve("pck_curve")
-    cps, poses_right = report.curve("cps_curve")
-    ax.plot(pck.at, shares, color=UNDER, lw=1.8, label="joints (PCK)", gid="pck_curve")
-    ax.plot(
-        cps.at,
-        poses_right,
-        color=ORANGE,
-        lw=1.8,
-        ls=(0, (5, 1.5)),
-        label="whole poses, aligned (CPS)",
-        gid="cps_curve",
-    )
-    ax.axvline(report.totals.protocol.pck_threshold, color=FAINT, lw=0.8, zorder=0)
+    joints, whole = _CORRECT
+    for one, first, second in _models(report, joints, whole):
+        for name, style in (("pck_curve", first), ("cps_curve", second)):
+            curve, shares = one.curve(name)
+            ax.plot(curve.at, shares, gid=name, **style)
+        ax.axvline(one.totals.protocol.pck_threshold, color=FAINT, lw=0.8, zorder=0)
     ax.set(xlim=(0, 300), ylim=(0, 1), xlabel="threshold τ [mm]", ylabel="share within τ")
     ax.grid(axis="y", color="#E4E4E4", lw=0.6)
-    ax.legend(loc="lower right")
+    if not isinstance(report, Mapping):
+        ax.legend(loc="lower right")
     return ax
 
 
-def sparsification(report: Report, *, ax: Axes | None = None) -> Axes:
+def sparsification(report: Report | Mapping[str, Report], *, ax: Axes | None = None) -> Axes:
     """Draw the error that is left when the most uncertain poses are dropped.
 
     Parameters
     ----------
-    report : Report
+    report : Report, or mapping of Report
         Holds the curves.
     ax : matplotlib Axes, optional
         Where to draw; the current axes by default.
@@ -195,22 +230,23 @@ def sparsification(report: Report, *, ax: Axes | None = None) -> Axes:
         Where the report has no spreads and errors.
     """
     ax = given(ax)
-    by_spread, by_error = report.sparsification()
     ax.axhline(1, color=FAINT, lw=1, ls=(0, (2, 2)))
-    ax.plot(DROPPED, by_spread, gid="by_spread", **_BY_SPREAD)
-    ax.plot(DROPPED, by_error, gid="by_error", **_BY_ERROR)
+    for one, *styles in _models(report, _BY_SPREAD, _BY_ERROR):
+        for curve, name, style in zip(one.sparsification(), _ORDERS, styles, strict=True):
+            ax.plot(DROPPED, curve, gid=name, **style)
     ax.set(xlim=(0, 1), ylim=(0, 1.15), xlabel="share of poses dropped", ylabel="mean error of the rest / of all")
-    ax.text(0.02, 1.02, "at random", color="#777777", fontsize=7.5)
-    ax.legend(loc="lower left")
+    ax.text(0.02, 1.02, "at random", color="#777777", fontsize="small")
+    if not isinstance(report, Mapping):
+        ax.legend(loc="lower left")
     return ax
 
 
-def risk_coverage(report: Report, *, ax: Axes | None = None) -> Axes:
+def risk_coverage(report: Report | Mapping[str, Report], *, ax: Axes | None = None) -> Axes:
     """Draw the mean error of the poses that are kept, against their share.
 
     Parameters
     ----------
-    report : Report
+    report : Report, or mapping of Report
         Holds the curves.
     ax : matplotlib Axes, optional
         Where to draw; the current axes by default.
@@ -226,17 +262,20 @@ def risk_coverage(report: Report, *, ax: Axes | None = None) -> Axes:
         Where the report has no spreads and errors.
     """
     ax = given(ax)
-    coverage, by_spread, by_error = report.risk_coverage()
-    ax.axhline(by_error[-1], color=FAINT, lw=1, ls=(0, (2, 2)))
-    shown = np.unique(np.linspace(0, len(coverage) - 1, MOST_POINTS).astype(int))
-    for curve, name, style in ((by_spread, "by_spread", _BY_SPREAD), (by_error, "by_error", _BY_ERROR)):
-        ax.plot(coverage[shown], curve[shown], gid=name, **style)
-    unit = report.totals.spec.unit
+    highest, overall, unit = 0.0, 0.0, ""
+    for one, *styles in _models(report, _BY_SPREAD, _BY_ERROR):
+        coverage, *curves = one.risk_coverage()
+        shown = np.unique(np.linspace(0, len(coverage) - 1, MOST_POINTS).astype(int))
+        for curve, name, style in zip(curves, _ORDERS, styles, strict=True):
+            ax.plot(coverage[shown], curve[shown], gid=name, **style)
+        overall, unit = float(curves[1][-1]), one.totals.spec.unit
+        ax.axhline(overall, color=styles[1]["color"] if isinstance(report, Mapping) else FAINT, lw=1, ls=(0, (2, 2)))
+        highest = max(highest, overall, float(curves[0][shown].max()))
     error = f"mean error of the poses kept [{unit}]" if unit else "mean error of the poses kept"
-    ax.set(xlim=(0, 1), xlabel="coverage: share of poses kept", ylabel=error)
-    ax.set_ylim(0, 1.1 * max(by_spread[shown].max(), by_error[-1]))
-    ax.text(0.02, by_error[-1], "at random", color="#777777", fontsize=7.5, va="bottom")
-    ax.legend(loc="lower right")
+    ax.set(xlim=(0, 1), ylim=(0, 1.1 * highest), xlabel="coverage: share of poses kept", ylabel=error)
+    ax.text(0.02, overall, "at random", color="#777777", fontsize="small", va="bottom")
+    if not isinstance(report, Mapping):
+        ax.legend(loc="lower right")
     return ax
 
 
@@ -262,11 +301,11 @@ def event_reliability(report: Report, *, ax: Axes | None = None) -> Axes:
     """
     ax = given(ax)
     isotonic = report.event_reliability()
-    ax.plot([0, 1], [0, 1], color=INK, lw=0.8, ls=(0, (4, 3)))
-    ax.step(isotonic.predicted, isotonic.observed, where="mid", color=INK, lw=1.8, gid="isotonic")
+    ax.plot([0, 1], [0, 1], color=ink(), lw=0.8, ls=(0, (4, 3)))
+    ax.step(isotonic.predicted, isotonic.observed, where="mid", color=ink(), lw=1.8, gid="isotonic")
     share = 0.15 * isotonic.weight / isotonic.weight.max(initial=1e-9)
     ax.vlines(isotonic.predicted, 0, share, color=UNDER, lw=1.2, alpha=0.6, gid="weights")
     ax.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.02), aspect="equal")
-    ax.set_xlabel("predicted: share of hypotheses near their median")
-    ax.set_ylabel("observed: share of truths near it")
+    ax.set_xlabel("predicted share of hypotheses near it, p")
+    ax.set_ylabel("observed share of truths near the median")
     return ax

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import textwrap
+import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from posecal.errors import PoseDataError, option
-from posecal.plot.style import FAINT, INK, ORANGE, OVER, STYLE, UNDER, given
+from posecal.plot.captions import caption
+from posecal.plot.style import FAINT, INK, ORANGE, OVER, UNDER, given, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -107,13 +108,21 @@ def by_horizon(report: Report) -> Report:
     return type(report)(report.totals, (*report.by, "horizon"))
 
 
-def draw_horizon(report: Report) -> Figure:
+def draw_horizon(
+    report: Report,
+    *,
+    title: str | None = None,
+    size: tuple[float, float] | None = None,
+    style: str | os.PathLike[str] | None = None,
+) -> Figure:
     """Draw coverage, and beside it errors and spread, against the horizon, without a display.
 
     Parameters
     ----------
     report : Report
         Of a result by horizon.
+    title, size, style
+        As for :func:`posecal.plot.draw`.
 
     Returns
     -------
@@ -125,28 +134,18 @@ def draw_horizon(report: Report) -> Figure:
     PoseDataError
         As :func:`horizon`, and where it holds none of these numbers.
     """
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
     report = by_horizon(report)
     panels = [[name for name in names if name in report.metrics] for names in (SHARES, LENGTHS)]
     panels = [names for names in panels if names]
     if not panels:
         wanted = option("metrics", "default")
         raise PoseDataError(f"horizon: the result has neither coverage nor errors. Evaluate with {wanted}.")
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(3.6 * len(panels), 3.5))
-        for number, names in enumerate(panels):
-            ax = horizon(report, names, ax=figure.add_subplot(1, len(panels), number + 1))
+    with new_figure(size or (3.6 * len(panels), 3.0), style, title) as figure:
+        figure.set_label(caption({"": report}, "horizon"))
+        for names, ax in zip(panels, figure.subplots(1, len(panels), squeeze=False)[0], strict=True):
+            horizon(report, names, ax=ax)
             is_share = names[0] in SHARES
             unit = report.metrics[names[0]].unit
             ax.set_ylabel("share of truths within the ball" if is_share else f"error, radius [{unit}]")
             ax.set_ylim(0, 1.02 if is_share else None)
-        words = (
-            f"Mean over all poses at each horizon; bands: 95 % intervals over {report.totals.units()}; dashed: levels."
-        )
-        lines = [line for text in (words, report.signature) for line in textwrap.wrap(text, 70 * len(panels))]
-        below = 0.1 + 0.112 * len(lines)
-        figure.subplots_adjust(left=0.18 / len(panels), right=0.98, top=0.97, bottom=(below + 0.45) / 3.5, wspace=0.28)
-        figure.text(0.02, 0.02, "\n".join(lines), fontsize=5.6, va="bottom", linespacing=1.35, color="#444444")
     return figure

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,8 +12,8 @@ from posecal.data.arrays import BoolArray, FloatArray
 from posecal.data.joint_names import find_joint
 from posecal.data.root import origin, resting_joints, root_name
 from posecal.data.stored_poses import Rows
-from posecal.errors import PoseDataError, did_you_mean, first_few
-from posecal.plot.style import ORANGE, STYLE, UNDER, given
+from posecal.errors import PoseDataError, did_you_mean, first_few, printable
+from posecal.plot.style import ORANGE, UNDER, given, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,9 +23,6 @@ if TYPE_CHECKING:
 
 SHADES = {0.9: "#DCDCDC", 0.5: "#AFAFAF"}
 """Levels of the intervals that are drawn, the widest first, and their colours."""
-
-MOST_INCHES = 40
-"""The largest width and height of a figure."""
 
 AXES = "xyz"
 """Names of coordinates."""
@@ -76,7 +74,7 @@ def intervals(
     points: dict[str, Any] = {"ls": "", "marker": "o", "ms": 2.6, "color": ORANGE}
     ax.plot(frames[outside], found.truth[outside], label="truth outside", gid="outside", **points)
     share = 1 - outside.sum() / max(np.isfinite(found.truth).sum(), 1)
-    ax.set_title(f"{100 * share:.0f} % within the {100 * widest:.0f} % interval", fontsize=7.5)
+    ax.set_title(f"{100 * share:.0f} % within the {100 * widest:.0f} % interval", fontsize="small")
     ax.margins(x=0)
     return ax
 
@@ -87,8 +85,10 @@ def draw_intervals(
     joint: str | None = None,
     coordinate: str | None = None,
     sequence: str | None = None,
-    size: tuple[float, float] | None = None,
     columns: int = 3,
+    title: str | None = None,
+    size: tuple[float, float] | None = None,
+    style: str | os.PathLike[str] | None = None,
 ) -> Figure:
     """Draw :func:`intervals` of some sequences side by side, without a display.
 
@@ -102,10 +102,10 @@ def draw_intervals(
         ``x``, ``y``, ``z`` or a number; the first by default.
     sequence : str, optional
         Names of sequences with commas, or ``all``; the first by default. Without sequences all frames are drawn.
-    size : tuple of two floats, optional
-        Width and height in inches.
     columns : int
         Pictures in a row.
+    title, size, style
+        As for :func:`posecal.plot.draw`.
 
     Returns
     -------
@@ -117,45 +117,32 @@ def draw_intervals(
     PoseDataError
         For a joint, a coordinate or a sequence that the data don't have, and a size that is none.
     """
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
-    check_size(size)
     k, d = _joint(data, joint), _coordinate(coordinate, data.shape[3])
     parts = _sequences(data, sequence)
     across = min(columns, len(parts))
     down = -(-len(parts) // across)
     hypotheses, truth, counted = _values(data, np.concatenate([*parts.values()]), k, d)
     rate, start = data.fps, 0
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=size or ((4.4, 3.1) if len(parts) == 1 else (2.3 * across, 1.75 * down + 0.6)))
-        figure.set_layout_engine("constrained")
+    best = (4.4, 3.1) if len(parts) == 1 else (2.3 * across, 1.75 * down + 0.6)
+    with new_figure(size or best, style, title) as figure:
         panels = figure.subplots(down, across, squeeze=False, sharey=True)
         for ax, (name, rows) in zip(panels.flat, parts.items(), strict=False):
             these = slice(start, start := start + len(rows))
             x = np.where(counted[these], hypotheses[:, these], np.nan)
             frames = (data.order[rows] - data.order[rows[0]]) / (1 if rate is None else rate)
             intervals(x, truth[these], unit=data.unit or "none", at=frames, ax=ax)
-            ax.set_title(f"{name}\n{ax.get_title()}".lstrip("\n"), fontsize=7.5)
+            ax.set_title(f"{printable(name)}\n{ax.get_title()}".lstrip("\n"), fontsize="small")
         for ax in panels.flat[len(parts) :]:
             ax.set_axis_off()
         for ax in panels.flat[max(len(parts) - across, 0) : len(parts)]:  # the lowest of each column
             ax.set_xlabel("frame" if rate is None else "time [s]")
-        figure.supylabel(_label(data, k, d), fontsize=9)
-        figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=7.5)
+        figure.supylabel(_label(data, k, d), fontsize="medium")
+        figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize="small")
+        figure.set_label(
+            f"{_label(data, k, d)}: central intervals of N={data.shape[0]} hypotheses in grey, the truth in blue, in "
+            f"orange where it lies outside the wider interval; {', '.join(filter(None, parts)) or 'all frames'}."
+        )
     return figure
-
-
-def check_size(size: tuple[float, float] | None) -> None:
-    """Refuse a size that no figure can have.
-
-    Raises
-    ------
-    PoseDataError
-        With what is possible.
-    """
-    if size is not None and not all(0 < inches <= MOST_INCHES for inches in size):
-        raise PoseDataError(f"size: {size}; expected inches across and down, above 0 and at most {MOST_INCHES}.")
 
 
 def _joint(data: PoseData, joint: str | None) -> int:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from posecal.calibration import LEVELS
 from posecal.errors import PoseDataError, option
-from posecal.plot.style import FAINT, INK, ORANGE, STYLE
+from posecal.plot.captions import caption
+from posecal.plot.style import FAINT, ORANGE, ink, new_figure
 from posecal.stats.resampling import LEVEL
 
 if TYPE_CHECKING:
@@ -45,22 +47,29 @@ def rank_test(report: Report, test: str, *, ax: Axes) -> Axes:
     rejected = p < LEVEL
     if not np.isnan(null.band):
         reach = null.band * np.sqrt(LEVELS * (1 - LEVELS))
-        ax.fill_between(LEVELS, -reach, reach, color="#E4E4E4", lw=0, zorder=0, gid="band")
-    ax.axhline(0, color=INK, lw=0.7, zorder=1)
-    colour = ORANGE if rejected else INK
+        ax.fill_between(LEVELS, -reach, reach, color=ink(), alpha=0.12, lw=0, zorder=0, gid="band")
+    ax.axhline(0, color=ink(), lw=0.7, zorder=1)
+    colour = ORANGE if rejected else ink()
     for curve in curves:
         many = len(curves) > 1
         ax.plot(
             LEVELS, curve - LEVELS, color=colour if rejected or not many else FAINT, lw=0.5 if many else 1.6, zorder=2
         )
     words = "no test" if np.isnan(p) else "p < 0.001" if p < 0.001 else f"p = {p:.3f}"
-    ax.set_title(f"{report.metrics[test].label}\n{words}", fontsize=7.5, color=colour)
+    ax.set_title(f"{report.metrics[test].label}\n{words}", fontsize="small", color=colour)
     ax.set(xlim=(0, 1), xticks=(0, 0.5, 1))
-    ax.tick_params(labelsize=6.5)
+    ax.tick_params(labelsize="x-small")
     return ax
 
 
-def draw_rank_tests(report: Report, *, columns: int = 4) -> Figure:
+def draw_rank_tests(
+    report: Report,
+    *,
+    columns: int = 4,
+    title: str | None = None,
+    size: tuple[float, float] | None = None,
+    style: str | os.PathLike[str] | None = None,
+) -> Figure:
     """Draw all rank tests side by side, without a display.
 
     Parameters
@@ -69,6 +78,8 @@ def draw_rank_tests(report: Report, *, columns: int = 4) -> Figure:
         Holds the tests.
     columns : int
         Pictures in a row.
+    title, size, style
+        As for :func:`posecal.plot.draw`.
 
     Returns
     -------
@@ -80,30 +91,18 @@ def draw_rank_tests(report: Report, *, columns: int = 4) -> Figure:
     PoseDataError
         Where the report has no rank tests.
     """
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
     tests = list(report.rank_tests())
     if not tests:
         wanted = option("metrics", "rank_tests")
         raise PoseDataError(f"rank_tests: the report has none. Evaluate with {wanted}.")
     down = -(-len(tests) // columns)
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(1.75 * columns, 1.75 * down + 0.55))
+    with new_figure(size or (1.75 * columns, 1.75 * down + 0.3 * bool(title)), style, title) as figure:
+        figure.set_label(caption({"": report}, "rank_tests"))
         for number, test in enumerate(tests):
             ax = figure.add_subplot(down, columns, number + 1)
             rank_test(report, test, ax=ax)
             if number % columns == 0:
-                ax.set_ylabel("ω(q) − q", fontsize=7.5)
+                ax.set_ylabel("ω(q) − q", fontsize="small")
             if number >= len(tests) - columns:
-                ax.set_xlabel("q", fontsize=7.5)
-        height = figure.get_figheight()
-        figure.subplots_adjust(
-            left=0.09, right=0.99, top=1 - 0.4 / height, bottom=0.72 / height, wspace=0.42, hspace=0.75
-        )
-        words = (
-            "Exchangeable ranks of the truth by each pre-rank, minus uniform; grey: 95 % band by sequence sign-flips; "
-            f"p adjusted for the number of tests (Holm); orange: below 0.05.\n{report.signature}"
-        )
-        figure.text(0.02, 0.06 / height, words, fontsize=5.2, va="bottom", linespacing=1.4, color="#444444")
+                ax.set_xlabel("q", fontsize="small")
     return figure

@@ -1,4 +1,4 @@
-"""Colours and fonts of pictures, and how they are written into files, without a display.
+"""Colours, fonts and sizes of figures, and how they are written into files, without a display.
 
 The colours tell over- from underconfidence for colour-blind readers too.
 """
@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import io
 import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from posecal.data.write import write_file
-from posecal.errors import PoseFileError, printable
+from posecal.data.write import write_file, written_together
+from posecal.errors import PoseDataError, PoseFileError, did_you_mean, printable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,10 +25,17 @@ UNDER, OVER, INK, FAINT = "#0072B2", "#CC79A7", "#222222", "#B8B8B8"
 OVER_TEXT, ORANGE, GREEN = "#9C4A78", "#D55E00", "#009E73"
 """Overconfident as text, and two more lines."""
 
+MODEL_COLOURS = (UNDER, ORANGE, GREEN, "#CC79A7", "#E69F00", "#56B4E9", "#6B6B6B")
+"""Colours of several models in one figure (Okabe and Ito's), which colour-blind readers can tell apart."""
+
+MOST_INCHES = 40
+"""The largest width and height of a figure."""
+
 SUFFIXES = (".svg", ".png", ".pdf")
 
 STYLE: dict[Any, Any] = {
-    "font.family": "DejaVu Sans",
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans", "Verdana", "sans-serif"],  # Verdana is as wide, where an SVG finds no DejaVu
     "font.size": 8.5,
     "axes.labelsize": 9,
     "axes.titlesize": 9.5,
@@ -37,14 +46,101 @@ STYLE: dict[Any, Any] = {
     "xtick.color": INK,
     "ytick.color": INK,
     "text.color": INK,
+    "axes.prop_cycle": f"cycler('color', {list(MODEL_COLOURS)})",
     "legend.frameon": False,
-    "text.parse_math": False,
+    "legend.fontsize": "small",
     "figure.dpi": 110,
+    "figure.titlesize": 9.5,
     "savefig.dpi": 200,
+}
+
+FIXED: dict[Any, Any] = {
+    "text.parse_math": False,  # names from files are no formulas
+    "text.usetex": False,
     "svg.fonttype": "none",
     "svg.hashsalt": "posecal",
     "pdf.fonttype": 42,
 }
+"""What no style of a user changes."""
+
+
+def ink() -> str:
+    """Give the colour of text and main lines in the style in use."""
+    import matplotlib as mpl
+
+    return str(mpl.rcParams["text.color"])
+
+
+def check_size(size: tuple[float, float] | None) -> None:
+    """Refuse a size that no figure can have.
+
+    Raises
+    ------
+    PoseDataError
+        With what is possible.
+    """
+    if size is not None and not all(0 < inches <= MOST_INCHES for inches in size):
+        raise PoseDataError(f"size: {size}; expected inches across and down, above 0 and at most {MOST_INCHES}.")
+
+
+def style_parameters(style: str | os.PathLike[str] | None) -> Mapping[str, Any]:
+    """Give the parameters of a style of Matplotlib, by its name or from an ``.mplstyle`` file.
+
+    Raises
+    ------
+    PoseDataError
+        Where it is neither.
+    PoseFileError
+        Where the file can't be read.
+    """
+    if style is None:
+        return {}
+    from matplotlib import rc_params_from_file
+    from matplotlib.style import available, library
+
+    found: Any
+    if str(style) in available:
+        found = library[str(style)]
+        return dict(found)
+    if not Path(style).is_file():
+        raise PoseDataError(
+            f"style: {str(style)!r} is neither a file nor a style of Matplotlib. {did_you_mean(str(style), available)}"
+        )
+    try:
+        found = rc_params_from_file(style, use_default_template=False)
+        return dict(found)
+    except (OSError, ValueError) as error:
+        raise PoseFileError(f"{style}: no style file of Matplotlib ({error}).") from None
+
+
+@contextmanager
+def new_figure(
+    size: tuple[float, float],
+    style: str | os.PathLike[str] | None = None,
+    title: str | None = None,
+    *,
+    layout: Any = "constrained",
+) -> Iterator[Figure]:
+    """Make a figure in posecal's style, changed by another one, and finish it at the end.
+
+    Raises
+    ------
+    PoseDataError, PoseFileError
+        As :func:`check_size` and :func:`style_parameters` do.
+    """
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    check_size(size)
+    changes = style_parameters(style)
+    with mpl.rc_context(STYLE):
+        mpl.rcParams.update({name: value for name, value in changes.items() if not name.startswith("backend")} | FIXED)
+        figure = Figure(figsize=size, layout=layout)
+        if title:
+            figure.suptitle(printable(title))
+        yield figure
+        if changes:
+            figure.draw_without_rendering()  # ticks take their style when they are first drawn
 
 
 def given(ax: Axes | None) -> Axes:
@@ -57,14 +153,14 @@ def given(ax: Axes | None) -> Axes:
 
 
 def save(figure: Figure, path: str | os.PathLike[str]) -> None:
-    """Write a figure into a file, all of it or nothing.
+    """Write a figure into a file and its caption into a text file beside it, both or neither.
 
     Parameters
     ----------
     figure : matplotlib Figure
-        What is written.
+        What is written. Its label is the caption, which ``draw`` and its kin set; without one there is no text file.
     path : path
-        Ends with ``.svg``, ``.png`` or ``.pdf``.
+        Ends with ``.svg``, ``.png`` or ``.pdf``. The caption's name is this one and ``.txt``.
 
     Raises
     ------
@@ -72,7 +168,15 @@ def save(figure: Figure, path: str | os.PathLike[str]) -> None:
         For another ending, or where the file can't be written.
     """
     contents = figure_bytes(figure, check_suffix(path))
-    write_file(path, lambda file: file.write(contents))
+    with written_together():
+        write_file(path, lambda file: file.write(contents))
+        if words := caption_of(figure):
+            write_file(f"{os.fspath(path)}.txt", lambda file: file.write(f"{words}\n".encode()))
+
+
+def caption_of(figure: Figure) -> str:
+    """Give the caption of a figure: what it shows, numbers with their definitions, and the signature."""
+    return "\n".join(map(printable, str(figure.get_label()).split("\n")))
 
 
 def figure_bytes(figure: Figure, suffix: str) -> bytes:
@@ -85,9 +189,10 @@ def figure_bytes(figure: Figure, suffix: str) -> bytes:
         if isinstance(artist, Text):
             artist.set_text("\n".join(map(printable, artist.get_text().split("\n"))))
     undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(suffix, {})
+    about = {"Subject" if suffix == ".pdf" else "Description": caption_of(figure) or None}
     file = io.BytesIO()
-    with mpl.rc_context(STYLE):
-        figure.savefig(file, format=suffix[1:], metadata=undated)
+    with mpl.rc_context(STYLE | FIXED):
+        figure.savefig(file, format=suffix[1:], metadata={k: v for k, v in about.items() if v} | undated)
     return file.getvalue()
 
 

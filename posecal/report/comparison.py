@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 
 from posecal.engine.metric import Metric
 from posecal.errors import for_python
-from posecal.report.format import MISSING, counted, number, short_p, supported_digits
+from posecal.report.format import ARROWS, MISSING, as_printed, counted, number, short_p, supported_digits
 from posecal.report.sheet import Sheet, Table
 from posecal.report.summary import frames_differ
-from posecal.report.text import ARROWS
 from posecal.stats.pairs import LEVEL_OF_OTHERS
 from posecal.stats.resampling import LEVEL
 
@@ -22,10 +21,13 @@ if TYPE_CHECKING:
 MOST_PAIRS = 15
 """Of more pairs than this, only those with the best model are shown; CSV and JSON hold all."""
 
+BOLD = "bold", "the best model, with all that are not shown to be worse; none where no model is."
+"""What bold numbers of a paper's table are."""
+
 TESTED = ("difference", "95 % interval", "p", "adjusted p", "better")
 
 
-def comparison_sheet(comparison: Comparison, words: Callable[[str], str] = for_python) -> Sheet:
+def comparison_sheet(comparison: Comparison, words: Callable[[str], str] = for_python, *, paper: bool = False) -> Sheet:
     """Lay out a comparison: the primary metrics, then the others; of three and more models, values and ranks first.
 
     Parameters
@@ -34,6 +36,8 @@ def comparison_sheet(comparison: Comparison, words: Callable[[str], str] = for_p
         The models.
     words : callable
         How remarks name options.
+    paper : bool
+        Whether a row is a model, as papers print it, with the differences in a table of their own.
 
     Returns
     -------
@@ -45,15 +49,16 @@ def comparison_sheet(comparison: Comparison, words: Callable[[str], str] = for_p
     primary = [comparison.metrics[name] for name in comparison.primary]
     others = [metric for metric in shown if metric not in primary]
     parts = {"primary metric": primary, "other metric": others}
-    tables = [_values(comparison, heading, metrics) for heading, metrics in parts.items() if metrics]
-    if len(names) > 2:
-        tables.append(pairs_table(comparison, primary))
+    lay_out = _by_model if paper else _values
+    tables = [lay_out(comparison, heading, metrics) for heading, metrics in parts.items() if metrics]
+    if len(names) > 2 or paper:
+        tables.append(pairs_table(comparison, primary, paper=paper))
     return Sheet(
         f"{' against '.join(names)} · the same M = {first.poses.sum():,} poses, paired by {first.units()}",
         sentences=sentences(comparison),
         remarks=list(comparison.remarks_in(words)),
         tables=tables,
-        definitions=definitions(comparison, [*primary, *others]),
+        definitions=definitions(comparison, [*primary, *others]) + [BOLD] * paper,
         footer=f"signature: {first.signature}",
     )
 
@@ -68,7 +73,7 @@ def _values(comparison: Comparison, heading: str, metrics: Iterable[Metric]) -> 
         if max(ranks) > 1:
             best += [(row, 2 + column) for column, rank in enumerate(ranks) if rank == 1]
         if len(names) == 2:
-            values += _tested(comparison.differences_of(metric.name)[0], metric)
+            values += _tested(comparison.differences_of(metric.name)[0], metric.unit)
         elif metric.direction != "none":
             values = [f"{value} ({rank})" for value, rank in zip(values, ranks, strict=True)]
         rows.append((metric.label, ARROWS[metric.direction], *values))
@@ -77,7 +82,23 @@ def _values(comparison: Comparison, heading: str, metrics: Iterable[Metric]) -> 
     return Table(title, (heading, "", *columns), rows, ("", "better"), best=best)
 
 
-def pairs_table(comparison: Comparison, metrics: Iterable[Metric]) -> Table:
+def _by_model(comparison: Comparison, heading: str, metrics: Iterable[Metric]) -> Table:
+    """Lay out the numbers as papers print them: a row per model, a column per metric, the best in bold."""
+    columns, best = [], []
+    for column, metric in enumerate(metrics, 1):
+        label, unit, scale = as_printed(metric)
+        low, high = min(((each.low, each.high) for each in comparison.differences_of(metric.name)), key=_width)
+        values = [scale * comparison.value(metric.name, model) for model in comparison.names]
+        cells = [number(value, unit, (scale * low, scale * high)).removesuffix(f" {unit}") for value in values]
+        ranks = [comparison.rank(metric.name, model) for model in comparison.names]
+        if max(ranks) > 1:
+            best += [(row, column) for row, rank in enumerate(ranks) if rank == 1]
+        columns.append((label, *cells))
+    headings, *rows = zip(("model", *comparison.names), *columns, strict=True)
+    return Table(f"{heading[0].upper()}{heading[1:]}s", headings, rows, best=best)
+
+
+def pairs_table(comparison: Comparison, metrics: Iterable[Metric], *, paper: bool = False) -> Table:
     """Lay out the differences of every pair of models, or of the pairs with the best one."""
     rows = []
     for metric in metrics:
@@ -85,7 +106,8 @@ def pairs_table(comparison: Comparison, metrics: Iterable[Metric]) -> Table:
         if len(differences) > MOST_PAIRS:
             best = best_first(comparison, metric)[0]
             differences = tuple(one for one in differences if best in (one.first, one.second))
-        rows += [(metric.label, f"{one.first} − {one.second}", *_tested(one, metric)) for one in differences]
+        label, unit, scale = as_printed(metric) if paper else (metric.label, metric.unit, 1.0)
+        rows += [(label, f"{one.first} − {one.second}", *_tested(one, unit, scale)) for one in differences]
     return Table("Pairs", ("pair", "models", *TESTED), rows, ("models", "better"))
 
 
@@ -98,12 +120,12 @@ def best_first(comparison: Comparison, metric: Metric) -> list[str]:
     return sorted(values, key=lambda name: (math.isnan(values[name]), values[name]))
 
 
-def _tested(difference: Difference, metric: Metric) -> tuple[str, ...]:
-    low, high = difference.low, difference.high
-    digits = supported_digits(low, high, 2 if metric.unit else 4)
+def _tested(difference: Difference, unit: str, scale: float = 1.0) -> tuple[str, ...]:
+    low, high, found = scale * difference.low, scale * difference.high, scale * difference.value
+    digits = supported_digits(low, high, 2 if unit else 4)
     interval = "" if math.isnan(low) else f"{low:+z.{digits}f} to {high:+z.{digits}f}"
     p = (MISSING if math.isnan(p) else short_p(p) for p in (difference.p, difference.p_adjusted))
-    value = MISSING if math.isnan(difference.value) else f"{difference.value:+z.{digits}f}"
+    value = MISSING if math.isnan(found) else f"{found:+z.{digits}f}"
     return value, interval, *p, difference.better or ""
 
 

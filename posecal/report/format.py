@@ -4,11 +4,39 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from posecal.engine.metric import Metric
 
 MISSING = "–"
 
 
 NONE = math.nan, math.nan
+
+
+ARROWS = {"lower": "↓", "higher": "↑", "zero": "0", "none": ""}
+"""What is best, by the direction of a metric."""
+
+PER_CENT = frozenset(f"{prefix}{name}" for prefix in ("", "pa_", "n_") for name in ("pck", "auc"))
+"""Metrics that papers print in per cent."""
+
+
+def as_printed(metric: Metric) -> tuple[str, str, float]:
+    """Give the heading of a metric in a paper, with unit and direction, and the unit and scale that its numbers are in.
+
+    Examples
+    --------
+    >>> from posecal.registry import metrics_of
+    >>> from posecal.engine.protocol import Protocol
+    >>> from posecal.engine.scope import DataSpec
+    >>> metrics = metrics_of(Protocol(), DataSpec(5, ("Hip", "Knee"), 0))
+    >>> as_printed(metrics["min_mpjpe"]), as_printed(metrics["auc"])
+    (('minMPJPE [mm] ↓', 'mm', 1.0), ('AUC of PCK [%] ↑', '%', 100.0))
+    """
+    unit, scale = ("%", 100.0) if metric.name in PER_CENT else (metric.unit, 1.0)
+    arrow = ARROWS[metric.direction].replace("0", "")
+    return " ".join(filter(None, (metric.label, f"[{unit}]" if unit else "", arrow))), unit, scale
 
 
 def number(value: float, unit: str = "", interval: tuple[float, float] = NONE) -> str:

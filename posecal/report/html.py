@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from posecal.data.write import write_file
 from posecal.errors import PoseDataError, for_python, printable
-from posecal.plot import KINDS, draw, figure_bytes
+from posecal.plot import KINDS, OWN_PANELS, caption_of, draw, figure_bytes
 from posecal.report.text import report_sheet
 
 if TYPE_CHECKING:
@@ -40,10 +40,13 @@ def as_html(report: Report, name: str, words: Callable[[str], str] = for_python)
     pictures = []
     for kind, (_, about) in KINDS.items():
         try:
-            svg = figure_bytes(draw(report, kind), ".svg").decode()
+            figure = draw(report, kind)
         except PoseDataError:
             continue  # the report lacks what the picture shows
-        pictures.append((about, _with_unique_ids(svg[svg.index("<svg") :], kind), kind in {"rank_tests", "horizon"}))
+        said = caption_of(figure).partition("\nsignature:")[0]  # which stands at the end of the page
+        figure.set_label("")
+        svg = figure_bytes(figure, ".svg").decode()
+        pictures.append((about, _with_unique_ids(svg[svg.index("<svg") :], kind), kind in OWN_PANELS, said))
     return _render(report, words, name=printable(name), pictures=pictures)
 
 
@@ -56,7 +59,7 @@ def _render(report: Report, words: Callable[[str], str] = for_python, **page: ob
     from jinja2 import Environment
 
     template = files("posecal.report").joinpath("page.html").read_text(encoding="utf-8")
-    sheet = report_sheet(report, joints=bool(page), definitions=bool(page), words=words)
+    sheet = report_sheet(report, all=bool(page), joints=bool(page), definitions=bool(page), words=words)
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     return environment.from_string(template).render(sheet=sheet, **page)
 

@@ -17,7 +17,7 @@ from posecal.engine.sums import Cells
 from posecal.engine.totals import Totals
 from posecal.errors import PoseDataError, checked_integer, checked_type, did_you_mean, for_python, is_among, option
 from posecal.metrics.occlusion import OCCLUSION, occlusion_metrics_of
-from posecal.registry import GROUPS, metrics_of, unmeasured
+from posecal.registry import metrics_of, unmeasured
 from posecal.report import curves
 from posecal.report.summary import remarks, summarize
 from posecal.report.table import (
@@ -117,12 +117,8 @@ class Report:
     @property
     def headline_metrics(self) -> dict[str, Metric]:
         """The metrics of the first tables: the headlines, and those that were asked for by name or family."""
-        words = set(self.totals.protocol.wanted)
-        return {
-            name: metric
-            for name, metric in self.metrics.items()
-            if metric.headline or name in words - set(GROUPS) or metric.family in words or "all" in words
-        }
+        asks = self.totals.protocol.asks_for
+        return {name: metric for name, metric in self.metrics.items() if metric.headline or asks(name, metric.family)}
 
     @property
     def signature(self) -> str:
@@ -295,6 +291,7 @@ class Report:
         self,
         form: Format = "text",
         *,
+        all: bool = False,  # noqa: A002
         joints: bool = False,
         definitions: bool = False,
         width: int = 120,
@@ -307,6 +304,8 @@ class Report:
         ----------
         form : str
             ``text``, ``markdown``, ``latex`` (tables for a paper), ``csv`` (rows, remarks) or ``json`` (rows, curves).
+        all : bool
+            In text, Markdown and LaTeX, show more than the main metrics, and what each is.
         joints, definitions : bool
             In text, Markdown and LaTeX, add the table per joint, and the definition of every number. In JSON,
             ``joints`` adds the calibration curves of groups at each joint.
@@ -326,7 +325,8 @@ class Report:
             return as_csv(self, words)
         if form not in get_args(Format):
             raise PoseDataError(f"format: {form!r} is not known. {did_you_mean(form, get_args(Format))}")
-        sheet = report_sheet(self, joints=joints, definitions=definitions, words=words)
+        how = {"all": all, "joints": joints, "definitions": definitions, "paper": form == "latex"}
+        sheet = report_sheet(self, **how, words=words)
         if form == "text":
             return sheet.text(checked_integer(width, "width", 1), colour=colour)
         return sheet.markdown() if form == "markdown" else sheet.latex()

@@ -77,11 +77,11 @@ def _one_sided(e: Evidence) -> bool:
     return e.side != NEITHER and e.area.excludes != 0
 
 
-def _share(e: Evidence, before: str = "; ") -> str:
-    """What the balls of 90 % hold; of the largest level that is known where that one is not."""
+def _share(e: Evidence) -> str:
+    """What the balls of 90 % hold, as a sentence; of the largest level that is known where that one is not."""
     for row in sorted(e.coverage, key=lambda row: (row.best != 0.9, -row.best)):
         if not math.isnan(row.value):
-            return f"{before}the {100 * row.best:.0f}\u00a0% {e.balls} hold {100 * row.value:.0f}\u00a0% of the truths"
+            return f" The {100 * row.best:.0f}\u00a0% {e.balls} hold {100 * row.value:.0f}\u00a0% of the truths."
     return ""
 
 
@@ -93,14 +93,14 @@ def _more(e: Evidence) -> str:
 
 def _looks(e: Evidence) -> str:
     return (
-        f"Looks {e.side}: signed area {e.area.value:+.3f} (95\u00a0% interval {span(e.area.low, e.area.high)})"
-        f"{_share(e)}; {_no_test(e)}."
+        f"Looks {e.side}: signed area {e.area.value:+.3f} (95\u00a0% interval {span(e.area.low, e.area.high)}); "
+        f"{_no_test(e)}.{_share(e)}"
     )
 
 
 def _not_tested(e: Evidence) -> str:
     known = "" if math.isnan(e.floor) else f", a perfect sampler's up to {e.floor:.3f} in as many independent frames"
-    return f"Not tested: ECE {e.ece.error:.3f}{known}; signed area {e.area.value:+.3f}{_share(e)}; {_no_test(e)}."
+    return f"Not tested: ECE {e.ece.error:.3f}{known}; signed area {e.area.value:+.3f}; {_no_test(e)}.{_share(e)}"
 
 
 def _no_test(e: Evidence) -> str:
@@ -112,23 +112,24 @@ def _beyond_chance(e: Evidence) -> str:
         verdict = f"{e.side.capitalize()}, beyond chance"
     else:
         verdict = f"Miscalibrated beyond chance, {_more(e)}"
-    return f"{verdict}: {_against(e)}."
+    return f"{verdict}: {_against(e)}"
 
 
 def _weak(e: Evidence) -> str:
-    return f"Weak evidence of miscalibration, {_more(e)}: {_against(e)}."
+    return f"Weak evidence of miscalibration, {_more(e)}: {_against(e)}"
 
 
 def _against(e: Evidence) -> str:
     ece = e.ece
-    return f"ECE {ece.error:.3f} where a calibrated sampler would show {ece.mean:.3f} ({p_value(ece.p)}){_share(e)}"
+    chance = f"chance alone gives a calibrated model about {ece.mean:.3f} ({p_value(ece.p)})"
+    return f"ECE {ece.error:.3f}; {chance}.{_share(e)}"
 
 
 def _nothing_shown(e: Evidence) -> str:
     error, high = e.ece.error, e.ece.high
     return (
-        f"No miscalibration shown on average: ECE {error:.3f} where a calibrated sampler would show up to {high:.3f} "
-        f"({p_value(e.ece.p)}); a true ECE of up to {error + high:.3f} can't be excluded{_share(e)}."
+        f"No miscalibration shown on average: ECE {error:.3f}; chance alone gives a calibrated model up to {high:.3f} "
+        f"({p_value(e.ece.p)}). A true ECE of up to {error + high:.3f} can't be excluded.{_share(e)}"
     )
 
 
@@ -176,9 +177,9 @@ def _sequences_range(e: Evidence) -> str:
     assert e.sequences is not None
     (low, lowest), (high, highest), independent = e.sequences.lowest, e.sequences.highest, e.sequences.independent
     return (
-        f"Single sequences range from signed area {lowest:+.2f} ({low}) to {highest:+.2f} ({high}), by chance only if "
-        f"the {e.sequences.frames:.0f} frames of a sequence say no more than "
-        f"{counted(max(1, math.ceil(independent)), 'independent one')} would."
+        f"Single sequences range from overconfident ({low}, signed area {lowest:+.2f}) to underconfident ({high}, "
+        f"{highest:+.2f}), by chance only if {e.sequences.frames:.0f} frames count as no more than "
+        f"{counted(max(1, math.ceil(independent)), 'independent one')}."
     )
 
 
@@ -212,7 +213,7 @@ def _mean_of_joints(e: Evidence) -> str:
     mean = e.mean_of_joints
     assert mean is not None
     return (
-        f"the joints' own errors average {mean.error:.3f}, a calibrated sampler's {mean.mean:.3f} ({p_value(mean.p)})"
+        f"the joints' own ECEs average {mean.error:.3f}, a calibrated model's about {mean.mean:.3f} ({p_value(mean.p)})"
     )
 
 
@@ -326,14 +327,14 @@ RULES = (
         "mean of joints",
         "nothing is shown by the median, and p < 0.01 of the mean of the joints' ECEs",
         lambda e: _not_shown(e) and _mean_p(e) < STRONG,
-        lambda e: f"The median over joints hides it: {_mean_of_joints(e)}.",
+        lambda e: f"The median over joints hides that some are miscalibrated: {_mean_of_joints(e)}.",
     ),
     Rule(
         "joints",
         "mean of joints, weak",
         "the same, and p < 0.05",
         lambda e: _not_shown(e) and _mean_p(e) < LEVEL,
-        lambda e: f"Weak evidence of what the median over joints would hide: {_mean_of_joints(e)}.",
+        lambda e: f"Weak evidence that some joints are off, which the median over joints hides: {_mean_of_joints(e)}.",
     ),
     Rule(
         "rank tests",

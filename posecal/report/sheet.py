@@ -24,7 +24,17 @@ if TYPE_CHECKING:
 GAP = 2
 """Columns of the terminal between two columns of a table."""
 
-_SYMBOLS = {"↓": "downarrow", "↑": "uparrow", "ω": "omega", "τ": "tau", "∫": "int", "≤": "le", "√": "surd", "‖": "Vert"}
+_SYMBOLS = {
+    "↓": "downarrow",
+    "↑": "uparrow",
+    "ω": "omega",
+    "τ": "tau",
+    "∫": "int",
+    "≤": "le",
+    "√": "surd",
+    "‖": "Vert",
+    "…": "dots",
+}
 BOLD = "\ue010", "\ue011"
 """Marks around bold text, of Unicode's private characters, until LaTeX is written."""
 
@@ -135,6 +145,8 @@ class Sheet:
         Terms and what they mean.
     footer : str
         A line that is never broken, such as a signature.
+    more : str
+        In text, a line on what is left out.
     """
 
     title: str
@@ -143,6 +155,7 @@ class Sheet:
     tables: list[Table] = field(default_factory=list)
     definitions: list[tuple[str, str]] = field(default_factory=list)
     footer: str = ""
+    more: str = ""
 
     def __post_init__(self) -> None:
         for part in fields(self):
@@ -175,8 +188,11 @@ class Sheet:
             console.print("", part, sep="\n")
         if self.definitions:
             console.print("", *(Text.assemble((term, "bold"), ": ", text) for term, text in self.definitions), sep="\n")
-        if self.footer:
+        if self.more:
+            console.print("", Text(self.more), sep="\n")
+        elif self.footer:
             console.print()
+        if self.footer:
             console.print(Text(self.footer, style="dim"), soft_wrap=True)
         return "\n".join(line.rstrip() for line in out.getvalue().splitlines())
 
@@ -194,11 +210,15 @@ class Sheet:
         return "\n\n".join([*blocks, f"`{self.footer}`"] if self.footer else blocks)
 
     def latex(self) -> str:
-        """Write the tables as LaTeX tabulars (packages booktabs and array), all else as comments."""
+        """Write the tables as LaTeX tabulars (package booktabs), all else as comments."""
         lines = [f"% {text}" for text in (self.title, *self.words)]
         for table in self.tables:
             columns = "".join("r" if is_number else "l" for _, is_number in table.columns)
-            tabular = table.frame(BOLD).to_latex(index=False, escape=True, column_format=columns)
+            frame: Any = table.frame(BOLD)
+            for column, (_, is_number) in enumerate(table.columns):
+                if is_number:  # a hyphen is no minus
+                    frame.isetitem(column, frame.iloc[:, column].str.replace(r"(?<!\w)-(?=\d)", "−", regex=True))
+            tabular = frame.to_latex(index=False, escape=True, column_format=columns)
             lines += ["", f"% {table.title}", tabular.translate(LATEX).rstrip("\n")]
         lines += ["", *(f"% {term}: {meaning}" for term, meaning in self.definitions), f"% {self.footer}"]
         return "\n".join(lines)

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 from posecal.engine.metric import Metric
 from posecal.errors import for_python
 from posecal.report.comparison import definitions, pairs_table, sentences
-from posecal.report.format import MISSING, number, p_value, span
+from posecal.report.format import ARROWS, MISSING, number, p_value, span
 from posecal.report.sheet import Sheet, Table
-from posecal.report.text import ARROWS
 
 if TYPE_CHECKING:
     from posecal.evaluation.entries import Entry

@@ -91,14 +91,14 @@ def _joints_without_a_rank(totals: Totals) -> list[str]:
 
 
 def _of_symmetry(report: Report) -> str:
-    """Say what p-values assume, and between which values that of the ECE is without one of the sequences."""
+    """Say what p-values assume, and between which values that of the ECE is without any one of the sequences."""
     p = report.once(("p without each",), lambda: p_without_each(report.totals, report.metrics["ece"]))
     known = p[~np.isnan(p)]
     if not len(known):
         return f"{_SYMMETRY}."
     low, high = (f"{p:.2f}" if p >= STRONG else f"below {STRONG:g}" for p in (known.min(), known.max()))
     moves = f"stays {high}" if low == high else f"is {low} to {high}"
-    return f"{_SYMMETRY}; without any one sequence, that of the ECE {moves}."
+    return f"{_SYMMETRY}; without any one, p {moves}."
 
 
 def summarize(report: Report) -> list[str]:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import fields
+from itertools import groupby
 from typing import TYPE_CHECKING
 
 from posecal.data.root import root_name
 from posecal.engine.metric import Metric
 from posecal.engine.presets import PRESETS
 from posecal.engine.protocol import CHOICES, Protocol
-from posecal.errors import for_python
-from posecal.report.format import MISSING, counted, number, short_number, short_p, span
+from posecal.errors import for_python, option
+from posecal.report.format import ARROWS, MISSING, NONE, as_printed, counted, number, short_number, short_p, span
 from posecal.report.sheet import Sheet, Table
 from posecal.report.summary import remarks
 from posecal.stats.resampling import MESH
@@ -23,51 +25,80 @@ if TYPE_CHECKING:
 Words = Callable[[str], str]
 
 FAMILIES = {
-    ("accuracy", False): "Accuracy",
-    ("calibration", True): "Calibration error",
-    ("calibration", False): "Calibration",
-    ("rank_tests", True): "Rank test",
-    ("scores", False): "Proper score",
-    ("sharpness", False): "Sharpness",
+    "accuracy": "Accuracy",
+    "calibration": "Calibration",
+    "rank_tests": "Rank test",
+    "scores": "Proper score",
+    "sharpness": "Sharpness",
 }
-"""Titles of tables, by family and whether its metrics are tested against a calibrated sampler."""
+"""Titles of tables, by family."""
+
+TOGETHER = ("accuracy", "calibration", "sharpness")
+"""Families that are one table where their main metrics alone are shown."""
 
 WHAT = "what it is"
-ARROWS = {"lower": "↓", "higher": "↑", "zero": "0", "none": ""}
 
 
 def report_sheet(
-    report: Report, *, joints: bool = False, definitions: bool = False, words: Words = for_python
+    report: Report,
+    *,
+    all: bool = False,  # noqa: A002
+    joints: bool = False,
+    definitions: bool = False,
+    paper: bool = False,
+    words: Words = for_python,
 ) -> Sheet:
-    """Lay out a report: by default one screen of what its numbers say and the headline metrics.
+    """Lay out a report: by default one screen of what its numbers say and the main metrics.
 
     Parameters
     ----------
     report : Report
         The numbers; only those that are shown are computed.
-    joints, definitions, words
+    all, joints, definitions, words
         As for :meth:`posecal.Report.render`.
+    paper : bool
+        Whether units and directions stand in headings, as papers print them, and PCK and AUC are in per cent.
 
     Returns
     -------
     Sheet
         To be written as text, Markdown, LaTeX or HTML.
     """
-    shown = report.headline_metrics.values()
+    known = [*report.headline_metrics.values()]
+    shown = known if all else [metric for metric in known if _is_main(report, metric)] or known
+    families = [[family] for family in FAMILIES]
+    if not all:
+        families = [[*TOGETHER], *(each for each in families if each[0] not in TOGETHER)]
     tables = []
-    for (family, tested), title in FAMILIES.items():
-        metrics = [m for m in shown if m.family == family and (m.deviation is not None) == tested]
+    for some in families:
+        metrics = [metric for family in some for metric in shown if metric.family == family]
         if metrics:
-            tables.append((_tests if tested else _values)(report, title, metrics))
-    tables += [_by_label(report, label) for label in report.by]
+            tables.append(
+                _metrics(report, FAMILIES[some[0]] if len(some) == 1 else "Metric", metrics, what=all, paper=paper)
+            )
+    tables += [_by_label(report, label, paper=paper) for label in report.by]
+    others = [metric.label for metric in known if metric not in shown]
     return Sheet(
         title=report_title(report),
         sentences=list(report.summary),
         remarks=list(remarks(report, words)),
-        tables=[*tables, _by_joint(report)] if joints else tables,
+        tables=[*tables, _by_joint(report, paper=paper)] if joints else tables,
         definitions=[(metric.label, metric.definition) for metric in shown] if definitions else [],
+        more=f"{words(option('all', True))}: what each number is, and {_listed(others)}." if others else "",
         footer=f"signature: {report.signature}",
     )
+
+
+def _listed(labels: list[str]) -> str:
+    """Name some metrics in a line; of those that differ in a number the first words once."""
+    groups = groupby(labels, key=lambda label: label[: re.search(r"\d|$", label).start()])  # type: ignore[union-attr]
+    return ", ".join(first + ", ".join(label.removeprefix(first) for label in some) for first, some in groups)
+
+
+def _is_main(report: Report, metric: Metric) -> bool:
+    totals = report.totals
+    asked = totals.protocol.asks_for(metric.name, metric.family)
+    return asked or metric.in_group_table or metric.name in {own.name for own in totals.own_metrics}
 
 
 def report_title(report: Report) -> str:
@@ -92,56 +123,69 @@ def short_title(report: Report) -> str:
     return f"<posecal Report: {sizes}, {totals.units()}: {numbers}>"
 
 
-def _values(report: Report, title: str, metrics: list[Metric]) -> Table:
+def _metrics(report: Report, title: str, metrics: list[Metric], *, what: bool, paper: bool) -> Table:
+    """Lay out metrics with their intervals, what a calibrated model has, and p-values: of rank tests the adjusted ones.
+
+    Columns without an entry are left out.
+    """
+    adjusted = {name: p for name, (_, p) in report.rank_tests().items() if name in {m.name for m in metrics}}
+    headings = (title, "", "value", "95 % interval", "if calibrated", "up to", "adjusted p" if adjusted else "p", WHAT)
     rows = []
     for metric in metrics:
-        interval = report.interval(metric.name)
-        value = number(report[metric.name], metric.unit, interval)
-        rows.append((metric.label, value, span(*interval, metric.unit), ARROWS[metric.direction], metric.brief))
-    return Table(title, (title, "value", "95 % interval", "", WHAT), rows, ("", WHAT))
+        interval, expected, brief = NONE, ("", "", ""), metric.brief
+        if metric.deviation is None:
+            interval = shown = report.interval(metric.name)
+            if not math.isnan(metric.calibrated):
+                expected = (f"{metric.calibrated:.3g}", "", "")
+        else:
+            test, expected = report.test(metric.name), (MISSING, MISSING, "no test")
+            p, shown = adjusted.get(metric.name, test.p), (0.0, min(test.high, 0.09))  # three digits or more
+            if not math.isnan(p):
+                expected = (number(test.mean, "", shown), number(test.high, "", shown), short_p(p))
+            if f"{metric.name}_floor" in report.auxiliary and len(report.totals.spec.joints) <= MESH:
+                brief += f"; calibrated, independent frames: {report[f'{metric.name}_floor']:.4f}"
+        label, unit, scale = as_printed(metric) if paper else (metric.label, metric.unit, 1.0)
+        low, high = scale * interval[0], scale * interval[1]
+        shown = (low, high) if metric.deviation is None else shown
+        value = number(scale * report[metric.name], unit, shown)
+        arrow = ARROWS[metric.direction]
+        if paper:
+            value, arrow = value.removesuffix(f" {unit}"), ""
+        rows.append((label, arrow, value, span(low, high, unit), *expected, brief))
+    kept = [k for k in range(len(headings)) if any(row[k] for row in rows) and (what or headings[k] != WHAT)]
+    return Table(title, [headings[k] for k in kept], [tuple(row[k] for k in kept) for row in rows], ("", WHAT))
 
 
-def _tests(report: Report, title: str, metrics: list[Metric]) -> Table:
-    """Lay out errors with those of a calibrated sampler and p-values, of rank tests the adjusted ones."""
-    adjusted = {name: p for name, (_, p) in report.rank_tests().items()}
-    p_heading = "adjusted p" if any(metric.name in adjusted for metric in metrics) else "p"
-    headings = (title, "value", "null mean", "null 95 %", p_heading, "", WHAT)
-    rows = []
-    for metric in metrics:
-        test, brief = report.test(metric.name), metric.brief
-        p = adjusted.get(metric.name, test.p)
-        known, null = (0.0, min(test.high, 0.09)), (MISSING, MISSING, "no test")  # three digits or more
-        if not math.isnan(p):
-            null = (number(test.mean, "", known), number(test.high, "", known), short_p(p))
-        if f"{metric.name}_floor" in report.auxiliary and len(report.totals.spec.joints) <= MESH:
-            brief += f"; calibrated, independent frames: {report[f'{metric.name}_floor']:.4f}"
-        rows.append((metric.label, number(report[metric.name], "", known), *null, ARROWS[metric.direction], brief))
-    return Table(title, headings, rows, ("", WHAT))
-
-
-def _by_label(report: Report, label: str) -> Table:
+def _by_label(report: Report, label: str, *, paper: bool) -> Table:
     groups = [group for group in report.groups if (group or "").startswith(f"{label}=")]
     metrics = {n: m for n, m in report.metrics_in(groups[0]).items() if m.in_group_table}
     rows = []
     for group in groups:
         poses = max(report.count(name, group) for name in metrics or report.metrics_in(group))
-        values = (short_number(report.value(name, group), metric.unit) for name, metric in metrics.items())
+        values = (_short(report.value(name, group), metric, paper=paper) for name, metric in metrics.items())
         rows.append((str(group).partition("=")[2], f"{poses:,}", *values))
-    return Table(f"By {label}", (label, "poses", *map(_heading, metrics.values())), rows)
+    return Table(f"By {label}", (label, "poses", *(_heading(m, paper=paper) for m in metrics.values())), rows)
 
 
-def _heading(metric: Metric) -> str:
-    """Name a column of a wide table, with the unit where that is not the usual one."""
+def _short(value: float, metric: Metric, *, paper: bool) -> str:
+    _, unit, scale = as_printed(metric) if paper else ("", metric.unit, 1.0)
+    return short_number(scale * value, unit)
+
+
+def _heading(metric: Metric, *, paper: bool) -> str:
+    """Name a column of a wide table, with the unit where that is not the usual one or a paper prints it."""
+    if paper:
+        return as_printed(metric)[0]
     return f"{metric.label} [{metric.unit}]" if metric.unit not in {"", "mm"} else metric.label
 
 
-def _by_joint(report: Report) -> Table:
+def _by_joint(report: Report, *, paper: bool) -> Table:
     metrics = {name: metric for name, metric in report.metrics.items() if metric.in_joint_table}
     rows = [
-        (joint, *(short_number(report.value(name, joint=joint), metric.unit) for name, metric in metrics.items()))
+        (joint, *(_short(report.value(n, joint=joint), metric, paper=paper) for n, metric in metrics.items()))
         for joint in report.totals.spec.joints
     ]
-    return Table("By joint", ("joint", *map(_heading, metrics.values())), rows)
+    return Table("By joint", ("joint", *(_heading(m, paper=paper) for m in metrics.values())), rows)
 
 
 def presets_sheet() -> Sheet:
@@ -151,9 +195,9 @@ def presets_sheet() -> Sheet:
         for preset in PRESETS.values()
     ]
     options = []
-    for option in fields(Protocol):
-        values = " | ".join(CHOICES.get(option.name, ())) or option.metadata["form"]
-        options.append((option.name, str(option.default), values, option.metadata["about"]))
+    for field in fields(Protocol):
+        values = " | ".join(CHOICES.get(field.name, ())) or field.metadata["form"]
+        options.append((field.name, str(field.default), values, field.metadata["about"]))
     headings = ("preset", "follows", "sets", "note"), ("option", "default", "values", "what it says")
     return Sheet(
         "Published protocols, each with the options that it sets, and all options",

@@ -19,7 +19,7 @@ def test_save_plot_and_html_write_these_files_and_no_others() -> None:
     plain = done("evaluate", "hyps.npz", "gt.npz")
     assert {path.name for path in Path().iterdir()} == before
     assert done("evaluate", "hyps.npz", "gt.npz", "--save=s.npz", "--plot=p.svg", "--html=h.html") == plain
-    assert {path.name for path in Path().iterdir()} == before | {"s.npz", "p.svg", "h.html"}
+    assert {path.name for path in Path().iterdir()} == before | {"s.npz", "p.svg", "p.svg.txt", "h.html"}
     assert Path("p.svg").read_text(encoding="utf-8").startswith("<?xml")
     assert Path("h.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
     assert load_totals("s.npz").signature == load_totals("result.npz").signature
@@ -84,7 +84,7 @@ def test_poses_are_drawn_by_frame_and_joint() -> None:
     words = ("plot", "poses", "hyps.npz", "gt.npz", "-o", "poses.svg")
     done(*words, "--frames", f"{ids[4]}, 7", "--joint", "LFoot", "--most", "3")
     text = Path("poses.svg").read_text(encoding="utf-8")
-    for words in (ids[4], ids[7], f"grey: 3 of {N} hypotheses", "pink: LFoot"):
+    for words in (ids[4], ids[7], f"hypotheses: grey, 3 of {N}", "LFoot: pink"):
         assert words in text
 
 
@@ -111,13 +111,14 @@ def test_where_one_output_can_not_be_written_all_stay_as_they_were(monkeypatch: 
 
     def store(output: write._Output) -> None:
         calls.append(output.path.name)
-        if len(calls) == 3:
+        if len(calls) == 4:
             raise OSError(28, "No space left on device")
         stored(output)
 
     monkeypatch.setattr(write._Output, "store", store)
     words = ("--metrics=ece", "--save=s.npz", "--plot=p.svg", "--html=h.html")
     assert refused(*EVALUATE, *words) == "posecal: h.html: can't be written (No space left on device)."
-    assert calls == ["s.npz", "p.svg", "h.html"]
-    assert {Path(name).read_text() for name in calls} == {"before"}
+    assert calls == ["s.npz", "p.svg", "p.svg.txt", "h.html"]
+    assert {Path(name).read_text() for name in calls if name != "p.svg.txt"} == {"before"}
+    assert not Path("p.svg.txt").exists()
     assert not list(Path().glob(".posecal-*"))

@@ -136,3 +136,10 @@ def test_every_picture_of_a_report_has_a_command() -> None:
     from posecal.plot import KINDS as PICTURES
 
     assert {kind.replace("-", "_") for kind in KINDS} == set(PICTURES)
+
+
+@pytest.mark.parametrize("kind", ["reliability", "comparison", "poses", "intervals"])
+def test_every_plot_command_takes_the_same_options_of_a_figure(kind: str) -> None:
+    text = done("plot", kind, "--help")
+    for flag in ("--title", "--size", "--style", "--output"):
+        assert flag in text

@@ -26,16 +26,16 @@ OVER = Law(0.1, -0.1, {"Head": (0.1, -0.1), "LWrist": (0.0, 0.0), "RKnee": (0.1,
         ("Weak evidence of miscalibration, more over- than underconfident: ECE", CAUTIOUS, RIGHT),
         ("Weak evidence of miscalibration, more under- than overconfident: ECE", CAUTIOUS, WRONG),
         ("Looks overconfident: signed area -0.1.", CAUTIOUS, RIGHT),
-        ("No miscalibration shown on average: up to 0.2; a true ECE of up to 0.100 can't", RIGHT, CAUTIOUS),
-        ("No miscalibration shown on average: up to 0.2; a true ECE of up to 0.099 can't", RIGHT, WRONG),
+        ("No miscalibration shown on average: up to 0.2. A true ECE of up to 0.100 can't", RIGHT, CAUTIOUS),
+        ("No miscalibration shown on average: up to 0.2. A true ECE of up to 0.099 can't", RIGHT, WRONG),
         ("Not tested: ECE 0.1.", CAUTIOUS, CAUTIOUS),
         ("Yet the 95 % interval of x excludes what is best.", CAUTIOUS, RIGHT),
         ("Some sequences are off throughout.", WRONG, WRONG),
         ("Joint by joint: overconfident at Head, underconfident at RKnee (adjusted", WRONG, RIGHT),
         ("Joint by joint: overconfident at Head and LWrist (adjusted", WRONG, WRONG),
         ("Joint by joint: overconfident at RKnee (adjusted", WRONG, WRONG),
-        ("The median over joints hides it: x.", WRONG, RIGHT),
-        ("Weak evidence of what the median over joints would hide: x.", CAUTIOUS, RIGHT),
+        ("The median over joints hides that some are miscalibrated: x.", WRONG, RIGHT),
+        ("Weak evidence that some joints are off, which the median over joints hides: x.", CAUTIOUS, RIGHT),
         ("Rank tests reject as well: x.", WRONG, RIGHT),
         ("Weak evidence from rank tests: x.", CAUTIOUS, RIGHT),
         ("No rank test rejects.", RIGHT, CAUTIOUS),
@@ -49,7 +49,7 @@ def test_sentences_are_judged_by_the_law(sentence: str, of_good: str, of_narrow:
 
 def test_a_range_of_sequences_is_wrong_where_frames_count_as_more() -> None:
     nothing: Any = None
-    sentence = "Single sequences range from … say no more than 5 independent ones would."
+    sentence = "Single sequences range from … no more than 5 independent ones."
     assert judge(sentence, World(frames=6), NONE, nothing) == WRONG
     assert judge(sentence, World(frames=5), NONE, nothing) == CAUTIOUS
     assert judge(sentence, World(frames=20, likeness=0.95), NONE, nothing) == CAUTIOUS

@@ -3,13 +3,15 @@
 from pathlib import Path
 
 import matplotlib as mpl
+import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 import posecal
 from posecal.demo import sample
 from posecal.errors import PoseDataError, PoseFileError
-from posecal.plot import check_suffix, draw, figure_bytes, save
+from posecal.plot import TOGETHER, caption_of, check_suffix, draw, figure_bytes, save
+from posecal.report.report import Report
 from tests.helpers.reports import report_of, unlabelled, world
 
 STARTS = {".svg": b"<?xml", ".png": b"\x89PNG\r\n", ".pdf": b"%PDF-"}
@@ -17,8 +19,8 @@ KINDS = ("reliability", "joints", "errors", "pck")
 
 
 def words_of(kind: str, **how: str) -> str:
-    """All text below the picture."""
-    return " ".join(" ".join(text.get_text() for text in draw(report_of(**how), kind).texts).split())
+    """The caption."""
+    return caption_of(draw(report_of(**how), kind))
 
 
 @pytest.mark.slow
@@ -27,7 +29,24 @@ def test_a_picture_is_written_in_the_form_of_its_ending(suffix: str, tmp_path: P
     path = tmp_path / f"picture{suffix.upper()}"
     save(draw(report_of()), path)
     assert path.read_bytes().startswith(STARTS[suffix])
-    assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == [path.name, f"{path.name}.txt"]
+    assert (tmp_path / f"{path.name}.txt").read_text(encoding="utf-8") == f"{words_of('reliability')}\n"
+
+
+def test_the_caption_is_beside_the_picture_and_in_its_metadata_not_in_it() -> None:
+    figure = draw(report_of())
+    assert figure.texts == []
+    text = figure_bytes(figure, ".svg").decode()
+    about, _, picture = text.partition("</metadata>")
+    assert report_of().signature in about
+    assert report_of().signature not in picture
+
+
+def test_a_figure_without_a_caption_has_no_text_file(tmp_path: Path) -> None:
+    figure = draw(report_of(), "pck")
+    figure.set_label("")
+    save(figure, tmp_path / "picture.svg")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["picture.svg"]
 
 
 @pytest.mark.slow
@@ -57,7 +76,8 @@ def test_every_picture_carries_the_signature(kind: str) -> None:
 
 def test_the_reliability_diagram_s_caption_gives_the_ece_its_definition_and_the_chance() -> None:
     report, words = report_of(), words_of("reliability")
-    assert f"ECE {report.value('ece'):.4f}: {report.definition('ece')}." in words
+    assert words.startswith(f"ECE {report.value('ece'):.4f} (of a calibrated sampler {report.test('ece').mean:.4f}")
+    assert f"ECE: {report.definition('ece')}." in words
     assert f"p = {report.test('ece').p:.3f}" in words
     assert "Grey: each joint; dashed: a calibrated sampler." in words
 
@@ -65,13 +85,13 @@ def test_the_reliability_diagram_s_caption_gives_the_ece_its_definition_and_the_
 def test_a_diagram_of_another_definition_says_so() -> None:
     report = report_of(metrics="ece_paper")
     words = words_of("reliability", metrics="ece_paper")
-    assert f"{report.value('ece_paper'):.4f}: {report.definition('ece_paper')}." in words
+    assert words.startswith(f"ECE (paper) {report.value('ece_paper'):.4f}. ")
+    assert f"ECE (paper): {report.definition('ece_paper')}." in words
     assert "Band" not in words
 
 
 def test_a_title_stands_above() -> None:
-    (ax,) = draw(report_of(), title="[model] $x_1$").axes
-    assert ax.get_title() == "[model] $x_1$"
+    assert draw(report_of(), title="[model] $x_1$").get_suptitle() == "[model] $x_1$"
 
 
 def test_a_dollar_in_a_title_is_a_dollar() -> None:
@@ -140,7 +160,7 @@ def test_no_text_of_a_picture_lies_outside_it_or_over_another(kind: str) -> None
     whole = figure.bbox
     boxes = [text.get_window_extent() for text in figure.texts]
     (ax,) = figure.axes
-    boxes += [label.get_window_extent() for label in (ax.xaxis.label, ax.yaxis.label, ax.title) if label.get_text()]
+    boxes += [label.get_window_extent() for label in (ax.xaxis.label, ax.yaxis.label) if label.get_text()]
     boxes += [text.get_window_extent() for text in ax.texts]
     for box in boxes:
         assert whole.x0 <= box.x0
@@ -155,3 +175,87 @@ def test_a_label_of_the_data_is_no_formula_either() -> None:
     names = ["a$b$_1", *posecal.JOINT_SETS["h36m-17"][1:]]
     report = posecal.evaluate(sample(here, 3), here.truth, joints=names, root_joint="none")
     assert figure_bytes(draw(report), ".png").startswith(STARTS[".png"])
+
+
+# --- several models, sizes and styles ---------------------------------------------------------------------------
+
+
+def three() -> dict[str, Report]:
+    return {"narrow": report_of(0.5), "right": report_of(), "wide": report_of(2.0)}
+
+
+@pytest.mark.parametrize("kind", TOGETHER)
+def test_several_models_are_in_one_panel_each_in_its_colour_with_its_name(kind: str) -> None:
+    figure = draw(three(), kind)
+    (ax,) = figure.axes
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["narrow", "right", "wide"]
+    colours = [line.get_color() for line in ax.lines if line.get_label() in three()]
+    assert len({*colours}) == 3
+    assert colours == [handle.get_color() for handle in legend.legend_handles]  # type: ignore[union-attr]
+
+
+def test_the_models_lines_are_those_of_their_own_figures_and_the_band_is_the_widest() -> None:
+    (ax,) = draw(three()).axes
+    for name, report in three().items():
+        (line,) = (line for line in ax.lines if line.get_gid() == f"summary {name}")
+        np.testing.assert_array_equal(line.get_ydata(), report.summary_curve())
+    widest = max(report.test("ece").band for report in three().values())
+    (band,) = (c for c in ax.collections if c.get_gid() == "band")
+    corners = np.asarray(band.get_paths()[0].vertices)
+    lowest = corners[np.isclose(corners[:, 0], 0.5), 1].min()
+    np.testing.assert_allclose(lowest, max(0.0, 0.5 - widest * 0.5))
+
+
+@pytest.mark.parametrize(("kind", "panels"), [("reliability", True), ("errors", True), ("joints", False)])
+def test_several_models_have_panels_where_asked_and_where_one_can_not_hold_them(kind: str, panels: bool) -> None:
+    figure = draw(three(), kind, panels=panels)
+    assert [ax.get_title() for ax in figure.axes] == ["narrow", "right", "wide"]
+    tops = {ax.get_ylim() for ax in figure.axes}
+    assert len(tops) == 1
+    if kind == "errors":
+        assert tops.pop()[1] > max(report.curve("errors_by_n")[1].max() for report in three().values())
+
+
+def test_the_caption_of_several_models_has_the_numbers_of_each_and_one_signature_where_they_agree() -> None:
+    words = caption_of(draw(three()))
+    for name, report in three().items():
+        assert f"{name}: ECE {report['ece']:.4f} " in words
+    assert words.count(report_of().signature) == 1
+    other = caption_of(draw({"few": report_of(n=11), "many": report_of()}))
+    assert f"\nfew: {report_of(n=11).signature}\nmany: {report_of().signature}" in other
+
+
+def test_rank_tests_are_those_of_one_model() -> None:
+    with pytest.raises(PoseDataError, match=r"^report: 3 models; expected one, since its tests have a panel each\.$"):
+        draw(three(), "rank_tests")
+    with pytest.raises(PoseDataError, match=r"^report: none; expected at least one\.$"):
+        draw({})
+
+
+def test_a_size_is_that_of_the_file() -> None:
+    text = figure_bytes(draw(three(), size=(3.25, 2)), ".svg").decode()
+    assert 'width="234pt" height="144pt"' in text
+    with pytest.raises(PoseDataError, match=r"^size: \(3, 41\); expected inches across and down, above 0"):
+        draw(report_of(), size=(3, 41))
+
+
+def test_a_style_changes_fonts_and_colours_but_makes_no_name_a_formula(tmp_path: Path) -> None:
+    style = tmp_path / "paper.mplstyle"
+    style.write_text("font.family: monospace\nxtick.color: FF0000\ntext.usetex: True\ntext.parse_math: True\n")
+    text = figure_bytes(draw({"a$b$": report_of()}, style=style), ".svg").decode()
+    assert "DejaVu Sans Mono" in text
+    assert "#ff0000" in text
+    assert "a$b$" in text
+    (ax,) = draw(report_of(), style="dark_background").axes
+    assert {line.get_color() for line in ax.lines if line.get_gid() == "summary"} == {"white"}
+
+
+def test_what_is_no_style_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(PoseDataError, match=r"^style: 'ggplto' is neither a file nor a style of Matplotlib\. Did you"):
+        draw(report_of(), style="ggplto")
+    with pytest.raises(PoseDataError, match=r"^style: 'https://[^']+' is neither a file nor a style"):
+        draw(report_of(), style="https://example.org/a.mplstyle")
+    (tmp_path / "broken").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(PoseFileError, match=r"broken: no style file of Matplotlib \("):
+        draw(report_of(), style=tmp_path / "broken")

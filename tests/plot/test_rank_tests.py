@@ -10,8 +10,16 @@ from matplotlib.figure import Figure
 from posecal.calibration import LEVELS
 from posecal.calibration.rank_tests import RANK_TESTS
 from posecal.errors import PoseDataError
-from posecal.plot import draw, draw_rank_tests, event_reliability, rank_test, risk_coverage, sparsification
-from posecal.plot.style import INK, ORANGE
+from posecal.plot import (
+    caption_of,
+    draw,
+    draw_rank_tests,
+    event_reliability,
+    rank_test,
+    risk_coverage,
+    sparsification,
+)
+from posecal.plot.style import ORANGE, ink
 from tests.helpers.reports import report_of
 
 WIDE = {"spread": 2.5, "metrics": "default, rank_tests, scores"}
@@ -45,7 +53,7 @@ def test_what_is_rejected_is_orange_and_what_is_not_is_dark(ax: Axes) -> None:
             axes = Figure().add_subplot()
             rank_test(report, test, ax=axes)
             rejected = report.rank_tests()[test][1] < 0.05
-            assert axes.title.get_color() == (ORANGE if rejected else INK)
+            assert axes.title.get_color() == (ORANGE if rejected else ink())
 
 
 @pytest.mark.slow
@@ -95,7 +103,7 @@ def test_the_risk_coverage_shows_the_error_of_what_is_kept_by_spread_and_by_erro
 
 def test_the_caption_of_the_risk_coverage_has_the_numbers_that_there_are() -> None:
     report = report_of()
-    (words,) = (text.get_text().replace("\n", " ") for text in draw(report, "risk_coverage").texts)
+    words = caption_of(draw(report, "risk_coverage"))
     assert words.startswith(f"AURC {report['aurc']:.3f} mm, excess AURC {report['excess_aurc']:.3f} mm")
     assert ("AUROC" in words.partition(". AURC:")[0]) == (report["failure_rate"] > 0)
 

@@ -18,6 +18,7 @@ from posecal.report.sheet import Table
 from posecal.stats.comparison import Comparison, compare_totals
 from posecal.stats.pairs import Difference
 from tests.helpers.comparisons import METRICS
+from tests.helpers.latex import rows_of
 from tests.helpers.reports import report_of, unlabelled
 from tests.situations.people import JOINTS, about, people
 
@@ -89,7 +90,7 @@ def test_more_models_stand_with_their_ranks_and_then_in_pairs() -> None:
 @pytest.mark.parametrize("form", ["text", "markdown", "latex"])
 def test_three_models_stand_with_p_and_interval_in_every_form(form: str) -> None:
     comparison = comparison_of("right", "narrow", "wide")
-    text = getattr(comparison_sheet(comparison), form)()
+    text = getattr(comparison_sheet(comparison), form)().replace("$-$", "-")
     for difference in comparison.differences_of("energy_score"):
         for cell in shown(difference)[:2]:
             assert cell in text
@@ -153,6 +154,33 @@ def test_the_best_is_bold_with_its_ties_where_one_is_beaten(form: str) -> None:
         assert [cell[-2] for cell in bold.findall(line)] == ["1"] * ranks.count(1)
     tied = compare_totals([comparison.totals[0]] * 2, ["a", "b"])
     assert set(bold.findall(getattr(comparison_sheet(tied), form)())) <= {"adjusted p", "signed area"}  # terms
+
+
+def test_a_paper_has_a_row_per_model_with_units_and_directions_in_its_headings() -> None:
+    comparison = comparison_of("right", "narrow", "wide", metrics="default,scores")
+    rows = rows_of(comparison_sheet(comparison, paper=True).latex())
+    (head, *models), (others, *values) = rows[:4], rows[4:8]
+    assert head[0] == "model"
+    assert head[2] == r"ECE $\downarrow$"
+    assert [row[0] for row in models] == ["right", "narrow", "wide"]
+    column = others.index(r"PCK 150 mm [\%] $\uparrow$")
+    for row, name in zip(values, comparison.names, strict=True):
+        shown = float(row[column].removeprefix(r"\textbf{").removesuffix("}"))
+        assert abs(shown - 100 * comparison.value("pck", name)) < 0.06
+    for row, name in zip(models, comparison.names, strict=True):
+        assert row[2].startswith(r"\textbf") is (comparison.rank("ece", name) == 1)
+    differences = [row for row in rows[9:] if row[0] == r"ECE $\downarrow$"]
+    for row, one in zip(differences, comparison.differences_of("ece"), strict=True):
+        assert row[1] == f"{one.first} $-$ {one.second}"
+        assert row[2].replace("$-$", "-") == f"{one.value:+.{len(row[2].partition('.')[2])}f}"
+        assert len(row) == 7
+
+
+def test_a_paper_s_table_of_two_models_has_their_differences_in_per_cent_too() -> None:
+    comparison = comparison_of("right", "wide", metrics="pck", primary=("pck",))
+    (_, row) = rows_of(comparison_sheet(comparison, paper=True).latex())[-2:]
+    (one,) = comparison.differences_of("pck")
+    assert abs(float(row[2].replace("$-$", "-")) - 100 * one.value) < 0.5
 
 
 def test_a_comparison_has_the_remarks_of_its_models_and_no_word_on_calibration_where_frames_differ() -> None:

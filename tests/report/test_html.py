@@ -88,7 +88,7 @@ def test_the_page_needs_no_other_file_and_runs_nothing() -> None:
 
 def test_the_tables_hold_the_cells_of_the_report() -> None:
     report, cells = report_of(metrics="all", by=("action",)), Page(written()).cells
-    for table in report_sheet(report, joints=True).tables:
+    for table in report_sheet(report, all=True, joints=True).tables:
         assert list(table.headings) in cells
         for row in table.rows:
             assert list(row) in cells

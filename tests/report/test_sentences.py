@@ -77,11 +77,11 @@ def test_nothing_is_judged_of_weights_of_a_small_effective_number() -> None:
 def test_beyond_chance_is_below_one_percent() -> None:
     assert STRONG == 0.01
     assert first(evidence(0.0099, area_of(-0.03))) == (
-        "Overconfident, beyond chance: ECE 0.040 where a calibrated sampler would show 0.010 (p = 0.010)."
+        "Overconfident, beyond chance: ECE 0.040; chance alone gives a calibrated model about 0.010 (p = 0.010)."
     )
     assert first(evidence(0.01, area_of(-0.03))) == (
-        "Weak evidence of miscalibration, more over- than underconfident: ECE 0.040 where a calibrated sampler would "
-        "show 0.010 (p = 0.010)."
+        "Weak evidence of miscalibration, more over- than underconfident: ECE 0.040; chance alone gives a calibrated "
+        "model about 0.010 (p = 0.010)."
     )
 
 
@@ -112,8 +112,8 @@ def test_weak_evidence_is_below_five_percent() -> None:
         "Weak evidence of miscalibration, on neither side throughout: ECE 0.040"
     )
     assert first(evidence(0.05)) == (
-        "No miscalibration shown on average: ECE 0.040 where a calibrated sampler would show up to 0.020 (p = 0.050); "
-        "a true ECE of up to 0.060 can't be excluded."
+        "No miscalibration shown on average: ECE 0.040; chance alone gives a calibrated model up to 0.020 (p = 0.050). "
+        "A true ECE of up to 0.060 can't be excluded."
     )
 
 
@@ -140,10 +140,10 @@ def test_without_a_test_a_side_is_named_where_the_signed_area_excludes_zero() ->
 @pytest.mark.parametrize(
     ("rows", "words"),
     [
-        ((coverage_of(0.916),), "; the 90\u00a0% balls hold 92\u00a0% of the truths."),
-        ((coverage_of(0.0),), "; the 90\u00a0% balls hold 0\u00a0% of the truths."),
-        ((coverage_of(0.5, level=50), coverage_of(1.0), coverage_of(0.9, level=95)), "; the 90\u00a0% balls hold 100"),
-        ((coverage_of(0.4, level=50), coverage_of(0.7, level=80), coverage_of(NAN)), "; the 80\u00a0% balls hold 70"),
+        ((coverage_of(0.916),), " The 90\u00a0% balls hold 92\u00a0% of the truths."),
+        ((coverage_of(0.0),), " The 90\u00a0% balls hold 0\u00a0% of the truths."),
+        ((coverage_of(0.5, level=50), coverage_of(1.0), coverage_of(0.9, level=95)), " The 90\u00a0% balls hold 100"),
+        ((coverage_of(0.4, level=50), coverage_of(0.7, level=80), coverage_of(NAN)), " The 80\u00a0% balls hold 70"),
         ((coverage_of(NAN),), "can't be excluded."),
     ],
 )
@@ -154,7 +154,7 @@ def test_what_the_balls_hold_is_said_of_90_percent_or_of_the_largest_known(
 
 
 def test_coordinates_have_intervals() -> None:
-    assert "the 90\u00a0% intervals hold 92\u00a0%" in first(
+    assert "The 90\u00a0% intervals hold 92\u00a0%" in first(
         evidence(coverage=(coverage_of(0.916),), balls="intervals")
     )
 
@@ -209,8 +209,8 @@ def test_sequences_differ_where_both_sides_and_a_test_show_it() -> None:
 def test_sequences_that_range_widely_are_said_with_what_chance_would_take() -> None:
     wide = evidence(sequences=of_sequences(-0.1, 0.1, independent=2.1))
     assert list(sentences(wide))[1] == (
-        "Single sequences range from signed area -0.10 (A) to +0.10 (B), by chance only if the 50 frames of a sequence "
-        "say no more than 3 independent ones would."
+        "Single sequences range from overconfident (A, signed area -0.10) to underconfident (B, +0.10), by chance only "
+        "if 50 frames count as no more than 3 independent ones."
     )
     assert spoken(replace(wide, sequences=of_sequences(-0.1, 0.099))) == ["not shown"]
     assert spoken(replace(wide, sequences=of_sequences(-0.099, 0.1))) == ["not shown"]
@@ -219,7 +219,7 @@ def test_sequences_that_range_widely_are_said_with_what_chance_would_take() -> N
     assert spoken(evidence(0.001, sequences=wide.sequences)) == ["beyond chance"]
     assert spoken(evidence(0.02, sequences=wide.sequences)) == ["weak evidence", "sequences range"]
     few = replace(wide, sequences=of_sequences(-0.4, 0.4, independent=0.5))
-    assert list(sentences(few))[1].endswith("say no more than 1 independent one would.")
+    assert list(sentences(few))[1].endswith("count as no more than 1 independent one.")
 
 
 # --- joints -------------------------------------------------------------------------------------------------------
@@ -285,11 +285,13 @@ def test_up_to_six_joints_are_named(number: int, words: str) -> None:
 
 def test_the_median_hides_what_the_mean_of_the_joints_shows() -> None:
     known = evidence(0.05, mean_of_joints=mean_of_joints(0.009))
-    errors = "the joints' own errors average 0.060, a calibrated sampler's 0.030"
-    assert list(sentences(known))[1] == f"The median over joints hides it: {errors} (p = 0.009)."
+    errors = "the joints' own ECEs average 0.060, a calibrated model's about 0.030"
+    assert (
+        list(sentences(known))[1] == f"The median over joints hides that some are miscalibrated: {errors} (p = 0.009)."
+    )
     weak = replace(known, mean_of_joints=mean_of_joints(0.01))
     assert list(sentences(weak))[1] == (
-        f"Weak evidence of what the median over joints would hide: {errors} (p = 0.010)."
+        f"Weak evidence that some joints are off, which the median over joints hides: {errors} (p = 0.010)."
     )
     assert spoken(replace(known, mean_of_joints=mean_of_joints(0.049))) == ["not shown", "mean of joints, weak"]
     assert spoken(replace(known, mean_of_joints=mean_of_joints(0.05))) == ["not shown"]

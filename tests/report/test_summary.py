@@ -39,8 +39,8 @@ def said(*, spread: float | list[float] = 1.0, metrics: str = "default", S: int 
 def test_a_perfect_sampler_is_not_miscalibrated_beyond_chance() -> None:
     first, *rest = said()
     assert first.startswith("No miscalibration shown on average: ECE 0.0")
-    assert "a calibrated sampler would show up to 0.0" in first
-    most = re.search(r"a true ECE of up to ([\d.]+) can't be excluded; the 90\u00a0% balls hold", first)
+    assert "; chance alone gives a calibrated model up to 0.0" in first
+    most = re.search(r"A true ECE of up to ([\d.]+) can't be excluded\. The 90\u00a0% balls hold", first)
     assert most is not None
     assert 0.02 < float(most[1]) < 0.1
     assert rest == []
@@ -50,7 +50,7 @@ def test_a_perfect_sampler_is_not_miscalibrated_beyond_chance() -> None:
 def test_a_wrong_spread_is_named_with_its_joints_and_what_a_user_would_see(spread: float, word: str) -> None:
     first, second = said(spread=spread)
     assert first.startswith(f"{word}, beyond chance: ECE 0.")
-    assert "(p < 0.001); the 90\u00a0% balls hold" in first
+    assert "(p < 0.001). The 90\u00a0% balls hold" in first
     share = int(first.partition("balls hold ")[2].partition("\u00a0")[0])
     assert (share < 80) if spread < 1 else (share > 95)
     assert second.startswith(f"Joint by joint: {word.lower()} at ")
@@ -94,7 +94,7 @@ def test_rank_tests_of_which_none_rejects_point_to_a_score() -> None:
 def test_too_few_sequences_are_not_judged() -> None:
     (first,) = said(spread=0.6, S=5)
     assert first.startswith("Looks overconfident: signed area -0.")
-    assert first.endswith("; 5 sequences allow no test.")
+    assert "; 5 sequences allow no test. The 90\u00a0% balls hold " in first
     (first,) = said(S=5)
     assert first.startswith("Not tested: ECE 0.0")
 
@@ -206,7 +206,7 @@ def test_below_twenty_sequences_what_p_values_assume_is_remarked_on_and_how_that
     (remark,) = (remark for remark in report.remarks if remark.startswith("p-values assume"))
     p = p_without_each(report.totals, report.metrics["ece"])
     low, high = (f"{value:.2f}" if value >= 0.01 else "below 0.01" for value in (p.min(), p.max()))
-    words = f"either side alike; without any one sequence, that of the ECE is {low} to {high}."
+    words = f"either side alike; without any one, p is {low} to {high}."
     assert remark.endswith(words)
 
 

@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import fields
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +15,7 @@ from posecal.errors import for_command_line
 from posecal.report import text as text_module
 from posecal.report.report import Report
 from posecal.report.text import presets_sheet, report_sheet
+from tests.helpers.latex import rows_of
 from tests.helpers.reports import grouped_report, report_of, unlabelled, world
 
 
@@ -27,10 +27,35 @@ def squeezed(text: str) -> str:
 # --- reports --------------------------------------------------------------------------------------------------
 
 
-def test_the_default_report_fits_a_screen() -> None:
-    lines = str(report_of()).splitlines()
-    assert len(lines) <= 40
-    assert max(map(len, lines[:-1])) <= 120  # the signature must stay one line
+@pytest.mark.parametrize(("width", "most"), [(80, 40), (100, 25), (120, 25)])
+@pytest.mark.parametrize("spread", [0.5, 1.0])
+def test_the_default_report_fits_a_screen(spread: float, width: int, most: int) -> None:
+    *lines, signature = report_of(spread).render(width=width).splitlines()
+    assert max(map(cell_len, lines)) <= width
+    assert len(lines) - (-cell_len(signature) // width) <= most  # the signature is one line, which a terminal breaks
+
+
+def test_what_is_left_out_is_named_with_what_shows_it() -> None:
+    report = report_of()
+    brief, all_numbers = report_sheet(report, words=for_command_line), report_sheet(report, all=True)
+    rows = [row[0] for table in brief.tables for row in table.rows]
+    hidden = [row[0] for table in all_numbers.tables for row in table.rows if row[0] not in rows]
+    assert {"mean-pose MPJPE", "ECE (paper)", "diversity"} < {*hidden}
+    assert set(rows) < {row[0] for table in all_numbers.tables for row in table.rows}
+    assert brief.more == (
+        "--all: what each number is, and mean-pose MPJPE, AUC of PCK, CPS, ECE (paper), coverage at 50 %, 80 %, "
+        "radius of 90 %, diversity, rank correlation of spread and error."
+    )
+    assert brief.more.replace("--all", "all=True") in " ".join(report.render().split())
+    assert all_numbers.more == ""
+
+
+def test_metrics_that_are_asked_for_are_on_the_first_screen() -> None:
+    assert [row[0] for row in report_sheet(report_of(metrics="diversity,ece")).tables[0].rows] == ["ECE", "diversity"]
+    report = report_of(metrics="default,scores")
+    main, scores = report_sheet(report).tables
+    assert (main.title, scores.title) == ("Metric", "Proper score")
+    assert [row[0] for row in scores.rows] == [m.label for m in report.metrics.values() if m.family == "scores"]
 
 
 def test_it_begins_with_what_was_measured_and_ends_with_the_signature() -> None:
@@ -43,19 +68,19 @@ def test_it_begins_with_what_was_measured_and_ends_with_the_signature() -> None:
 
 
 def test_every_ece_stands_with_its_definition_and_what_a_perfect_sampler_shows() -> None:
-    text = str(report_of())
-    (line,) = (line for line in text.splitlines() if line.startswith("ECE  "))
-    assert "exchangeable; median of 16 joints (no root); " in line
+    ece, paper = (cells(report_of(), label) for label in ("ECE", "ECE (paper)"))
     floor = report_of().value("ece_floor")
-    assert f"independent frames: {floor:.4f}" in " ".join(text.split())
-    (line,) = (line for line in text.splitlines() if line.startswith("ECE (paper)"))
-    assert f"{report_of().value('ece_paper'):.3f}" in line
+    assert ece["what it is"] == (
+        f"exchangeable; median of 16 joints (no root); calibrated, independent frames: {floor:.4f}"
+    )
+    assert paper["value"] == f"{report_of().value('ece_paper'):.3f}"
 
 
-def cells(report: Report, label: str, **how: Any) -> list[str]:
-    """The cells of the row of this label."""
-    (row,) = (row for table in report_sheet(report, **how).tables for row in table.rows if row[0] == label)
-    return list(row)
+def cells(report: Report, label: str) -> dict[str, str]:
+    """The cells of the row of this label, among all numbers."""
+    tables = report_sheet(report, all=True).tables
+    ((table, row),) = ((table, row) for table in tables for row in table.rows if row[0] == label)
+    return dict(zip(table.headings[1:], row[1:], strict=True))
 
 
 def test_each_number_stands_with_its_interval_direction_and_meaning() -> None:
@@ -64,42 +89,43 @@ def test_each_number_stands_with_its_interval_direction_and_meaning() -> None:
     brief = report.metrics["min_mpjpe"].brief
     assert 10 < high - low < 100  # two significant digits of the width are no digit after the point
     value = f"{report['min_mpjpe']:.0f} mm"
-    assert cells(report, "minMPJPE") == ["minMPJPE", value, f"{low:.0f} to {high:.0f}", "↓", brief]
+    assert cells(report, "minMPJPE") == {
+        "": "↓",
+        "value": value,
+        "95 % interval": f"{low:.0f} to {high:.0f}",
+        "what it is": brief,
+    }
     low, high = report.interval("signed_area")
     assert 0.1 < high - low < 1
-    assert cells(report, "signed area")[1:4] == [f"{report['signed_area']:.2f}", f"{low:.2f} to {high:.2f}", "0"]
+    area = cells(report, "signed area")
+    assert (area["value"], area["95 % interval"]) == (f"{report['signed_area']:.2f}", f"{low:.2f} to {high:.2f}")
+    assert [cells(report, label)["if calibrated"] for label in ("signed area", "coverage at 80 %")] == ["0", "0.8"]
 
 
 def test_a_calibration_error_stands_with_those_of_a_calibrated_sampler_and_its_p_value() -> None:
     report = report_of()
     test = report.test("ece")
     assert test.high > 0.01  # three digits write it
-    expected = [f"{report['ece']:.3f}", f"{test.mean:.3f}", f"{test.high:.3f}", f"{test.p:.3f}", "↓"]
-    assert cells(report, "ECE")[1:6] == expected
-    assert cells(report_of(0.5), "ECE")[4] == "< 0.001"
+    expected = ["↓", f"{report['ece']:.3f}", "", f"{test.mean:.3f}", f"{test.high:.3f}", f"{test.p:.3f}"]
+    assert [*cells(report, "ECE").values()][:6] == expected
+    assert cells(report_of(0.5), "ECE")["p"] == "< 0.001"
 
 
 def test_a_rank_test_stands_with_its_adjusted_p_value() -> None:
     report = report_of(2.5, metrics="rank_tests")
     (table,) = report_sheet(report).tables
-    assert list(table.headings)[:5] == [
-        "Rank test",
-        "value",
-        "null mean",
-        "null 95 %",
-        "adjusted p",
-    ]
+    assert list(table.headings) == ["Rank test", "", "value", "if calibrated", "up to", "adjusted p"]
     for name, (test, p) in report.rank_tests().items():
         row = cells(report, report.metrics[name].label)
         shown = "< 0.001" if p < 0.001 else f"{p:.3f}"
-        assert row[2:5] == [f"{test.mean:.3f}", f"{test.high:.3f}", shown]
+        assert [*row.values()][2:5] == [f"{test.mean:.3f}", f"{test.high:.3f}", shown]
 
 
 def test_calibration_errors_and_rank_tests_keep_their_own_p_values_side_by_side() -> None:
     report = report_of(2.5, metrics="default, rank_tests")
-    headings = {table.title: table.headings[4] for table in report_sheet(report).tables if len(table.headings) == 7}
-    assert headings == {"Calibration error": "p", "Rank test": "adjusted p"}
-    assert cells(report, "ECE")[4] == ("< 0.001" if report["ece_p"] < 0.001 else f"{report['ece_p']:.3f}")
+    headings = {table.title: table.headings[-1] for table in report_sheet(report).tables}
+    assert headings == {"Metric": "p", "Rank test": "adjusted p"}
+    assert cells(report, "ECE")["p"] == ("< 0.001" if report["ece_p"] < 0.001 else f"{report['ece_p']:.3f}")
 
 
 @pytest.mark.parametrize("form", ["markdown", "latex", "html"])
@@ -108,7 +134,7 @@ def test_in_every_form_the_null_its_quantile_and_the_p_value_have_a_column_each(
     text = report._repr_html_() if form == "html" else report.render(form)  # type: ignore[arg-type]
     headings = re.sub(r"<[^>]*>|&(?!\w+;)|\|", " | ", text).replace("\\%", "%").replace("&nbsp;", " ")
     for p in ("p", "adjusted p"):
-        assert len(re.findall(rf"\| +null mean[ |\n]+\| +null 95 %[ |\n]+\| +{p} ", headings)) == 1
+        assert len(re.findall(rf"\| +if calibrated[ |\n]+\| +up to[ |\n]+\| +{p} ", headings)) == 1
 
 
 def test_groups_without_numbers_to_show_have_their_poses() -> None:
@@ -134,11 +160,12 @@ def test_the_poses_of_a_group_are_those_of_the_number_that_most_count_in() -> No
 def test_the_chance_of_a_perfect_sampler_is_left_out_of_a_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
     for most, shown in ((17, True), (16, False)):
         monkeypatch.setattr(text_module, "MESH", most)
-        assert ("; calibrated, independent frames: 0.0" in cells(report_of(), "ECE")[-1]) is shown
+        assert ("; calibrated, independent frames: 0.0" in cells(report_of(), "ECE")["what it is"]) is shown
 
 
 def test_where_nothing_can_be_tested_no_p_value_is_shown() -> None:
-    assert cells(unlabelled(), "ECE")[2:5] == ["–", "–", "no test"]
+    ece = cells(unlabelled(), "ECE")
+    assert [ece[heading] for heading in ("if calibrated", "up to", "p")] == ["–", "–", "no test"]
 
 
 def test_remarks_stand_under_the_title_in_every_form() -> None:
@@ -182,19 +209,30 @@ def test_the_table_of_joints_has_a_row_per_joint_and_no_number_where_none_counts
 
 
 def test_latex_has_every_table_and_is_ascii_but_for_words() -> None:
-    latex = report_of(metrics="all", by=("action",)).render("latex")
-    assert latex.count(r"\begin{tabular}") == latex.count(r"\bottomrule") == 7
-    assert r"$\downarrow$" in latex
-    outside = [line for line in latex.splitlines() if not line.startswith("%")]
-    assert not set("↓↑−ωτ‖∫√") & set("".join(outside))
+    latex = report_of(metrics="all", by=("action",)).render("latex", all=True)
+    assert latex.count(r"\begin{tabular}") == latex.count(r"\bottomrule") == 6
+    rows = rows_of(latex)
+    numbers = {row[0]: row for row in rows}
+    assert [numbers[r"minMPJPE [mm] $\downarrow$"][1]] == [f"{report_of()['min_mpjpe']:.0f}"]
+
+
+def test_papers_have_pck_in_per_cent_and_minus_signs() -> None:
+    report = report_of(0.5, by=("action",))
+    rows = rows_of(report.render("latex"))
+    numbers = {row[0]: row[1] for row in rows}
+    assert float(numbers[r"PCK 150 mm [\%] $\uparrow$"]) == pytest.approx(100 * report["pck"], abs=0.5)
+    assert numbers["signed area"].startswith("$-$0.")
+    (head,) = (row for row in rows if row[0] == "action")
+    (sitting,) = (row for row in rows if row[0] == "sitting")
+    shown = float(sitting[head.index(r"PCK 150 mm [\%] $\uparrow$")])
+    assert shown == pytest.approx(100 * report.value("pck", "action=sitting"), abs=0.05)
 
 
 def test_markdown_has_a_table_for_each_family_label_and_joint() -> None:
-    text = grouped_report().render("markdown", joints=True, definitions=True)
+    text = grouped_report().render("markdown", all=True, joints=True, definitions=True)
     headings = [line.removeprefix("### ") for line in text.splitlines() if line.startswith("### ")]
     assert headings == [
         "Accuracy",
-        "Calibration error",
         "Calibration",
         "Sharpness",
         "By action",
@@ -223,18 +261,11 @@ def test_a_label_with_a_bar_stays_in_its_cell() -> None:
 
 @pytest.mark.parametrize("width", [60, 80, 100])
 def test_a_report_is_whole_on_a_narrow_terminal(width: int) -> None:
-    sheet = report_sheet(report_of(by=("action", "occlusion")), joints=True, definitions=True)
+    sheet = report_sheet(report_of(by=("action", "occlusion")), all=True, joints=True, definitions=True)
     narrow, wide = sheet.text(width), sheet.text(400)
     assert max(map(cell_len, narrow.splitlines()[:-1])) <= width
     numbers = re.compile(r"(?<![\w.])-?\d+\.\d+(?![\w.])")
     assert sorted(numbers.findall(narrow)) == sorted(numbers.findall(wide))
-
-
-@pytest.mark.parametrize("width", [80, 100])
-def test_the_default_report_fits_a_screen_of_a_hundred_columns(width: int) -> None:
-    lines = report_sheet(report_of()).text(width).splitlines()
-    assert max(map(cell_len, lines[:-1])) <= width
-    assert len(lines) <= {80: 62, 100: 48}[width]
 
 
 def test_the_presets_are_all_listed_with_what_they_set() -> None:

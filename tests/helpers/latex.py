@@ -1,0 +1,29 @@
+"""A check of LaTeX tables without LaTeX: whole tabulars, rows of as many cells as columns, nothing unescaped."""
+
+from __future__ import annotations
+
+import re
+
+
+def rows_of(text: str) -> list[list[str]]:
+    """Give the rows of all tabulars, cell by cell, and assert that they are well formed."""
+    body = "\n".join(line for line in text.splitlines() if not line.startswith("%"))
+    tabulars = re.findall(r"\\begin\{tabular\}\{([lr]+)\}\n(.*?)\\end\{tabular\}", body, re.DOTALL)
+    assert len(tabulars) == body.count(r"\begin") == body.count(r"\end") > 0
+    found = []
+    for columns, lines in tabulars:
+        rules = [line for line in lines.splitlines() if line.endswith("rule")]
+        assert rules == [r"\toprule", r"\midrule", r"\bottomrule"]
+        for line in lines.splitlines():
+            if line.endswith("rule"):
+                continue
+            assert line.endswith(r" \\")
+            cells = re.split(r"(?<!\\)&", line.removesuffix(r" \\"))
+            assert len(cells) == len(columns)
+            plain = re.sub(r"\\[%&#_$]", "", line)
+            assert not re.search("[%#_]", plain)
+            assert plain.count("$") % 2 == 0
+            assert plain.count("{") == plain.count("}")
+            assert plain.isascii() or not re.search("[↓↑−ωτ‖∫√…]", plain)
+            found.append([cell.strip() for cell in cells])
+    return found
