@@ -57,8 +57,20 @@ _FLAGS = {
 _PROTOCOL = frozenset(
     (
         *("align", "align_best", "auc", "auc_range", "average", "best", "cps_align", "cps_best", "cps_joints"),
-        *("cps_unit", "deviation", "ece_over", "failure_threshold", "frames", "mode", "pck_best", "pck_joints"),
-        *("pck_relative", "pck_rule", "pck_threshold", "root", "scale", "segment", "single_pose", "trials", "velocity"),
+        *("cps_unit", "deviation", "ece_over", "failure_threshold", "frames", "mm_alone", "mm_threshold", "mode"),
+        *(
+            "pck_best",
+            "pck_joints",
+            "pck_relative",
+            "pck_rule",
+            "pck_threshold",
+            "root",
+            "scale",
+            "segment",
+            "single_pose",
+            "trials",
+            "velocity",
+        ),
     )
 )
 """Options of a protocol that have no flag of their own."""

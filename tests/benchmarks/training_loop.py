@@ -15,10 +15,10 @@ import torch
 
 import posecal
 from posecal.torch import PoseMetric
-from posecal_models.cgnf.flow import SIZES
-from posecal_models.cgnf.model import CGNF
-from posecal_models.cgnf.objective import FlowObjective
 from posecal_models.contract import Context
+from posecal_models.estimators.cgnf.flow import SIZES
+from posecal_models.estimators.cgnf.model import CGNF
+from posecal_models.objectives import FlowLikelihood
 from tests.benchmarks.speed import seconds
 
 POSES, N, K = 64, 200, 16
@@ -49,7 +49,7 @@ def main() -> None:
     torch.set_num_threads(1)
     torch.manual_seed(0)
     model = CGNF(SIZES["small"]).to(device)
-    optimizer, objective = torch.optim.Adam(model.parameters(), 1e-4), FlowObjective(model)
+    optimizer, objective = torch.optim.Adam(model.parameters(), 1e-4), FlowLikelihood(model)
     keypoints = torch.randn(POSES, K, 2, device=device)
     observed = torch.rand(POSES, K, device=device) < 0.88
     truth = 300 * torch.randn(POSES, K, 3, device=device)
@@ -57,7 +57,7 @@ def main() -> None:
 
     def step() -> None:
         optimizer.zero_grad(set_to_none=False)
-        objective.backward(Context(keypoints, observed), truth / 300, graphs_per_pose=1)
+        objective(Context(keypoints, observed), truth / 300)["loss"].backward()
         optimizer.step()
 
     def sample() -> None:

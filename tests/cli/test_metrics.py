@@ -117,7 +117,7 @@ def test_motion_and_errors_in_the_world_are_rows_where_they_are_asked_for() -> N
 
 
 def test_a_function_joins_the_report() -> None:
-    text = done(*EVALUATE, "--metric=own.py:depth_error")
+    text = done(*EVALUATE, "--metric=own.py:depth_error", "--all")
     assert "depth error " in text
     assert "Mean absolute error along the third axis." in text
     forget("depth_error")

@@ -40,14 +40,14 @@ def test_results_are_kept_beside_the_saved_one_until_all_are_done(tmp_path: Path
     members = dict(np.load(tmp_path / "hyps-3.npz"))
     members["hypotheses"][0, 0, 1, 0] = np.inf
     np.savez(tmp_path / "hyps-3.npz", **members)
-    command = ("evaluate", "hyps-*.npz", "gt.all.npz", "--metrics", "ece", "--save", "result.npz")
+    command = ("evaluate", "hyps-*.npz", "gt.all.npz", "--metrics", "ece", "--save", "all.npz")
     failed = run(*command)
     assert failed.exit_code == 3
-    assert "6 of 7 shards are done, in result.shards: the same call goes on from there." in failed.stderr
+    assert "6 of 7 shards are done, in all.shards: the same call goes on from there." in failed.stderr
     (tmp_path / "hyps-3.npz").write_bytes(whole)
     assert run(*command).exit_code == 0
-    assert (tmp_path / "result.npz").exists()
-    assert not (tmp_path / "result.shards").exists()
+    assert (tmp_path / "all.npz").exists()
+    assert not (tmp_path / "all.shards").exists()
 
 
 @pytest.mark.parametrize(

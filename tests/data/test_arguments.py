@@ -18,6 +18,7 @@ OF_PAIRS = {"rank_correlation", "sparsification", "ause", "risk_coverage", "aurc
 OF_DENSITIES = {"nll", "climatology_log_prob"}
 FUNCTIONS = sorted({*metrics.__all__} - OF_PAIRS - OF_DENSITIES)
 REQUIRED = {"min_mpjpe_curve": {"sizes": [1, 2]}}
+REQUIRED |= {key: {"observed": skewed(3, 1, 1, 4)[1]} for key in ("mmade", "mmfde", "apde")}
 X, Y = skewed(3, 6, 6, 4)
 
 

@@ -129,7 +129,7 @@ def test_without_a_density_nothing_is_added() -> None:
 
 
 def test_the_printed_report_shows_them() -> None:
-    text = str(report())
+    text = report().render(all=True)
     for words in ("NLL per dimension", "log-likelihood skill", "over d=12 coordinates in mm", "nats"):
         assert words in text
     assert "coordinates in px" in report(unit="px").metrics["nll"].definition

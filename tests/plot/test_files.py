@@ -227,7 +227,7 @@ def test_the_caption_of_several_models_has_the_numbers_of_each_and_one_signature
 
 
 def test_rank_tests_are_those_of_one_model() -> None:
-    with pytest.raises(PoseDataError, match=r"^report: 3 models; expected one, since its tests have a panel each\.$"):
+    with pytest.raises(PoseDataError, match=r"^report: 3 models; expected one, since its numbers have a panel each\.$"):
         draw(three(), "rank_tests")
     with pytest.raises(PoseDataError, match=r"^report: none; expected at least one\.$"):
         draw({})
