@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Hashable, Iterable, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast, get_args
 
@@ -46,7 +47,7 @@ T = TypeVar("T")
 class Report:
     """The numbers of an evaluation, with their definitions, intervals and tests.
 
-    Each is computed when it is asked for, and remembered. A report pickles, and holds sums, never the hypotheses.
+    Each is computed when it is asked for, and remembered. A report pickles; it holds sums, and a few poses at most.
 
     Parameters
     ----------
@@ -339,12 +340,11 @@ class Report:
 
     def _repr_html_(self) -> str:
         from posecal.report.html import html_fragment
-
         return html_fragment(self)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the sums into a file, from which any report can be made later; PoseFileError where that can't be."""
-        save_totals(self.totals, path)
+    def save(self, path: str | os.PathLike[str], *, gallery: bool = True) -> None:
+        """Write sums and gallery, from which any report can be made later; PoseFileError where that can't be."""
+        save_totals(self.totals if gallery else replace(self.totals, gallery=None), path)
 
     def once(self, key: Hashable, compute: Callable[[], T]) -> T:
         """Compute what is not remembered."""

@@ -20,8 +20,9 @@ import numpy as np
 from posecal.calibration.error import FEW_HYPOTHESES
 from posecal.data.arrays import FloatArray
 from posecal.data.texts import json_lines, printable_table
+from posecal.engine.merge import difference_of_signatures, different_metrics
 from posecal.engine.metric import Metric
-from posecal.engine.totals import Totals, difference_of_signatures, different_metrics
+from posecal.engine.totals import Totals
 from posecal.errors import PoseDataError, did_you_mean, for_python, option, printable
 from posecal.registry import metrics_of, unmeasured
 from posecal.stats.jackknife import Interval, jackknife, leave_one_out, sequence_sizes
