@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from posecal.errors import UNPRINTABLE, printable
@@ -15,6 +15,14 @@ if TYPE_CHECKING:
 def printable_table(table: pd.DataFrame) -> pd.DataFrame:
     """Escape the characters in a table that a terminal or a file of text can't show."""
     return table.map(lambda value: printable(value) if isinstance(value, str) else value)
+
+
+def text_frame(rows: Sequence[object], columns: Sequence[str]) -> pd.DataFrame:
+    """Give a pandas data frame whose text may hold what UTF-8 can't write, as file names may: PyArrow refuses that."""
+    import pandas as pd
+
+    with pd.option_context("mode.string_storage", "python"):
+        return pd.DataFrame(rows, columns=list(columns))
 
 
 def json_text(value: object, indent: int | None = None) -> str:

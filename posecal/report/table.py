@@ -16,7 +16,7 @@ import numpy as np
 
 from posecal.calibration import DEFINITIONS, Definition, perfect_sampler
 from posecal.data.arrays import FloatArray
-from posecal.data.texts import json_lines, printable_table
+from posecal.data.texts import json_lines, printable_table, text_frame
 from posecal.engine.metric import Direction, Metric
 from posecal.errors import PoseDataError, for_python
 from posecal.report.format import counted
@@ -321,9 +321,7 @@ def _curves(report: Report, *, joints: bool) -> Iterator[dict[str, object]]:
 
 def as_frame(rows: Iterable[Row]) -> pd.DataFrame:
     """Give rows as a pandas data frame."""
-    import pandas as pd
-
-    return pd.DataFrame([[getattr(row, name) for name in _COLUMNS] for row in rows], columns=_COLUMNS)
+    return text_frame([[getattr(row, name) for name in _COLUMNS] for row in rows], _COLUMNS)
 
 
 def as_csv(report: Report, words: Callable[[str], str] = for_python) -> str:

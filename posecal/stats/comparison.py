@@ -19,7 +19,7 @@ import numpy as np
 
 from posecal.calibration.error import FEW_HYPOTHESES
 from posecal.data.arrays import FloatArray
-from posecal.data.texts import json_lines, printable_table
+from posecal.data.texts import json_lines, printable_table, text_frame
 from posecal.engine.merge import difference_of_signatures, different_metrics
 from posecal.engine.metric import Metric
 from posecal.engine.totals import Totals
@@ -168,10 +168,8 @@ class Comparison:
     @property
     def table(self) -> pd.DataFrame:
         """The differences as a data frame: a row for each metric and pair of models."""
-        import pandas as pd
-
         columns = [column.name for column in fields(Difference)]
-        table = pd.DataFrame([asdict(difference) for difference in self.differences], columns=columns)
+        table = text_frame([asdict(difference) for difference in self.differences], columns)
         table.attrs = {"remarks": list(self.remarks)}
         return table
 
