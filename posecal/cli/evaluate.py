@@ -24,7 +24,7 @@ def evaluate(
     threads: opt.Threads = None,
     data: opt.DataOptions,
     written: opt.ReportOptions,
-    save: Annotated[Path | None, opt.writing("Keep the result (sums, not hypotheses), .npz.")] = None,
+    save: Annotated[Path | None, opt.writing("Keep the result: sums, and the gallery's poses; .npz.")] = None,
 ) -> None:
     """Evaluate hypotheses against the truth: accuracy, calibration and sharpness, each with its definition."""
     import posecal
@@ -39,6 +39,7 @@ def evaluate(
     poses = data.read(hypotheses, truth, **scoring.matching)
     other = None if reference is None else data.read(reference, truth, **scoring.matching)
     how: dict[str, Any] = {"by": by or (), "preranks": preranks, "protocol": protocol, "threads": threads}
+    how["gallery"] = written.gallery and (save or written.html) is not None
     with progress() as bar:
         report = posecal.evaluate(poses, reference=other or skill, progress=bar("evaluating", len(poses.truth)), **how)
     written.write(report, hypotheses.name, save)
@@ -56,13 +57,15 @@ def report(result: opt.Result, *, by: opt.By = None, metric: opt.OwnMetrics = No
 def merge(
     results: Annotated[list[Path], opt.argument("Saved results of shards of one test set.")],
     output: opt.Output,
+    *,
+    gallery: opt.Gallery = True,
 ) -> None:
     """Add the results of shards: the same numbers as one run, without what depends on all poses of a run."""
     check_outputs(*results, output=output)
     import posecal
 
     total = posecal.merge_totals([posecal.load_totals(path) for path in results], [path.name for path in results])
-    posecal.save_totals(total, output)
+    posecal.Report(total).save(output, gallery=gallery)
     say(f"{output}: {total.poses.sum():,} poses of {len(results)} results.")
 
 

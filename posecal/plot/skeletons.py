@@ -147,7 +147,7 @@ def poses(
     at = None if cloud is None else find_joint(cloud, tuple(joints))
     if cloud is not None and at is None:
         raise PoseDataError(f"joint: {cloud!r} is not among the joints. {did_you_mean(cloud, joints)}")
-    turn = _upright(truth, skeleton)
+    turn = upright(truth, skeleton)
     chosen = np.linspace(0, len(hypotheses) - 1, min(most, len(hypotheses))).astype(int)
     shown, true = (np.where(np.isfinite(points), points, np.nan) @ turn for points in (hypotheses[chosen], truth))
     if not (np.isfinite(true).any() and np.isfinite(shown).any()):
@@ -193,7 +193,7 @@ def _frame(ax: Axes3D, points: FloatArray) -> None:
     ax.set_axis_off()
 
 
-def _upright(truth: FloatArray, skeleton: Skeleton) -> FloatArray:
+def upright(truth: FloatArray, skeleton: Skeleton) -> FloatArray:
     """A rotation of the axes, (D, D), that puts the axis from the feet to the head upwards.
 
     Of what has neither, the axis from the root (the first joint without a parent) to the middle of the others; of two

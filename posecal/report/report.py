@@ -19,7 +19,7 @@ from posecal.engine.totals import Totals
 from posecal.errors import PoseDataError, checked_integer, checked_type, did_you_mean, for_python, is_among, option
 from posecal.metrics.occlusion import OCCLUSION, occlusion_metrics_of
 from posecal.registry import GROUPS, metrics_of, unmeasured
-from posecal.report import curves
+from posecal.report import curves, notebook
 from posecal.report.summary import remarks, summarize
 from posecal.report.table import (
     AuxiliaryRow,
@@ -338,9 +338,7 @@ class Report:
     def __repr__(self) -> str:
         return short_title(self)
 
-    def _repr_html_(self) -> str:
-        from posecal.report.html import html_fragment
-        return html_fragment(self)
+    plot, view, _repr_html_ = notebook.plot, notebook.view, notebook.fragment
 
     def save(self, path: str | os.PathLike[str], *, gallery: bool = True) -> None:
         """Write sums and gallery, from which any report can be made later; PoseFileError where that can't be."""
