@@ -23,6 +23,7 @@ from posecal.plot.curves import (
     sparsification,
 )
 from posecal.plot.intervals import draw_intervals, intervals
+from posecal.plot.live import view
 from posecal.plot.rank_tests import draw_rank_tests, rank_test
 from posecal.plot.skeletons import draw_poses, frames_of, poses, signed_areas, with_sign
 from posecal.plot.style import STYLE, check_suffix, figure_bytes, save
@@ -54,6 +55,7 @@ __all__ = [
     "save",
     "signed_areas",
     "sparsification",
+    "view",
 ]
 
 KINDS: dict[str, tuple[Callable[..., Any], str]] = {

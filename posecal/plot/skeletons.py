@@ -220,6 +220,12 @@ def upright(truth: FloatArray, skeleton: Skeleton) -> FloatArray:
     return turn
 
 
+def upright_of_most(truth: FloatArray, skeleton: Skeleton) -> FloatArray:
+    """Give the rotation, (D, D), that puts most of some poses (M, K, D) upright: a few may lie or stand on hands."""
+    turns = [upright(pose, skeleton).tolist() for pose in truth]
+    return np.array(max(turns, key=turns.count))
+
+
 def frames_of(data: PoseData, text: str | None, some: int = 5) -> list[int]:
     """Give the numbers of the poses that a user names by frame id or by number; evenly spaced ones by default.
 

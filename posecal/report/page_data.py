@@ -14,7 +14,7 @@ from posecal.data.skeleton import Skeleton
 from posecal.engine.gallery import MISSING, SHARES
 from posecal.errors import PoseDataError, printable
 from posecal.plot.curves import default_definition
-from posecal.plot.skeletons import upright
+from posecal.plot.skeletons import upright_of_most
 from posecal.report.page_tables import has_curves, path_of
 
 if TYPE_CHECKING:
@@ -91,9 +91,7 @@ def poses_json(report: Report) -> str:
     skeleton = Skeleton(spec.joints, spec.parents)
     missing = (gallery.poses == MISSING).any(axis=-1, keepdims=True)
     truths = np.where(missing[:, 0], np.nan, gallery.poses[:, 0].astype(np.float64))
-    turns = [upright(truth, skeleton).tolist() for truth in truths]
-    up = max(turns, key=turns.count)  # of most: one person may lie or stand on their hands
-    poses = np.where(missing, MISSING, gallery.poses @ np.array(up)).astype(np.int16)
+    poses = np.where(missing, MISSING, gallery.poses @ upright_of_most(truths, skeleton)).astype(np.int16)
     frames = []
     for row in range(len(gallery)):
         numbers = [None if math.isnan(value) else round(value, 3) for value in gallery.numbers[row].tolist()]
