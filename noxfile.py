@@ -93,6 +93,13 @@ def types(session: nox.Session) -> None:
     session.run("mypy", *session.posargs)
 
 
+@nox.session(venv_backend="none")
+def page(session: nox.Session) -> None:
+    """Lint and format of the page's scripts and styles, by Biome; needs npm."""
+    session.run("npm", "ci", "--no-audit", "--no-fund", external=True)
+    session.run("npm", "run", "check", external=True)
+
+
 @nox.session
 def docs(session: nox.Session) -> None:
     """The documentation, into docs/_build/html."""

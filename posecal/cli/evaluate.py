@@ -26,7 +26,7 @@ def evaluate(
     many: ShardOptions,
     data: opt.DataOptions,
     written: opt.ReportOptions,
-    save: Annotated[Path | None, opt.writing("Keep the result (sums, not hypotheses), .npz.")] = None,
+    save: Annotated[Path | None, opt.writing("Keep the result: sums, and the gallery's poses; .npz.")] = None,
 ) -> None:
     """Evaluate hypotheses against the truth: accuracy, calibration and sharpness, each with its definition."""
     import posecal
@@ -44,6 +44,7 @@ def evaluate(
     added = [word for word, asked in (("rank_tests", preranks), ("scores", skill)) if asked]
     protocol = scoring.protocol(*added, preranks=preranks)
     how: dict[str, Any] = {"by": by or (), "preranks": preranks, "protocol": protocol, "threads": threads}
+    how["gallery"] = written.gallery and (save or written.html) is not None
     if are_many:
         how["preranks"] = {name: FileFunction(e, "prerank") for name, e in zip(preranks, prerank or [], strict=True)}
         described = {**data.given(), **scoring.matching, "reference": skill}
@@ -69,13 +70,15 @@ def report(result: opt.Result, *, by: opt.By = None, metric: opt.OwnMetrics = No
 def merge(
     results: Annotated[list[Path], opt.argument("Saved results of shards of one test set.")],
     output: opt.Output,
+    *,
+    gallery: opt.Gallery = True,
 ) -> None:
     """Add the results of shards: the same numbers as one run, without what depends on all poses of a run."""
     check_outputs(*results, output=output)
     import posecal
 
     total = posecal.merge_totals([posecal.load_totals(path) for path in results], [path.name for path in results])
-    posecal.save_totals(total, output)
+    posecal.Report(total).save(output, gallery=gallery)
     say(f"{output}: {total.poses.sum():,} poses of {len(results)} results.")
 
 

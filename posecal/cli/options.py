@@ -40,6 +40,7 @@ Threads = Annotated[int | None, option("Threads.", min=1, show_default="one per 
 By = Annotated[list[str] | None, option("Group by a label, predicted_spread (terciles) or occlusion. Repeatable.")]
 OwnMetrics = Annotated[list[str] | None, option("Add your own metric. Repeatable.", "--metric", metavar="FILE.py:NAME")]
 Form = Annotated[Literal["text", "markdown", "csv", "json", "latex"], writing("How it is written.", "--format")]
+Gallery = Annotated[bool, writing("Keep some twelve poses, the worst, in the result and on the page.")]
 
 
 def model_names(files: list[Path]) -> list[str]:
@@ -194,23 +195,29 @@ class ReportOptions:
     definitions: Annotated[bool, writing("Add the full definition of every number.", "--definitions")] = False
     plot: Annotated[Path | None, writing("Draw the reliability diagram: .svg, .png or .pdf.")] = None
     html: Annotated[Path | None, writing("Write one self-contained page.")] = None
+    gallery: Gallery = True
 
     def write(self, report: Report, name: str, save: Path | None = None) -> None:
         """Make all that was asked for, and only then write it: files, and the report to stdout."""
         from posecal import plot
         from posecal.data.write import write_file, written_together
+        from posecal.report.format import counted
 
-        files: list[Callable[[], object]] = [] if save is None else [partial(report.save, save)]
+        files: list[Callable[[], object]] = [] if save is None else [partial(report.save, save, gallery=self.gallery)]
         if self.plot is not None:
             files.append(partial(plot.save, plot.draw(report, title=name), self.plot))
         if self.html is not None:
             from posecal.report.html import as_html
 
-            page = as_html(report, name, for_command_line).encode()
+            page = as_html(report, name, for_command_line, gallery=self.gallery, command=running.call()).encode()
             files.append(partial(write_file, self.html, lambda file: file.write(page)))
         parts = {"all": self.all_metrics, "joints": self.per_joint, "definitions": self.definitions}
         text = report.render(self.form, **parts, **running.terminal(), words=for_command_line)
         with written_together():
             for write in files:
                 write()
+        kept = 0 if save is None or not self.gallery or report.totals.gallery is None else len(report.totals.gallery)
+        if kept:
+            poses = counted(int(report.totals.poses.sum()), "pose")
+            running.say(f"{save}: keeps {kept} of the {poses} for pictures. --no-gallery leaves them out.")
         typer.echo(text)

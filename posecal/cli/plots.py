@@ -1,4 +1,4 @@
-"""``posecal plot``: figures of saved results, and of poses."""
+"""``posecal plot``: figures of saved results, and of poses; ``posecal view``: poses in a viewer."""
 
 from __future__ import annotations
 
@@ -123,3 +123,20 @@ def intervals(
 
     how, matched = figure.given(), data.read(hypotheses, truth)
     save(draw_intervals(matched, joint=joint, coordinate=coordinate, sequence=sequence, **how), output)
+
+
+def view(
+    hypotheses: opt.Hypotheses,
+    truth: opt.Truth,
+    *,
+    frames: Annotated[str | None, opt.option("Frame ids or numbers, with commas.", show_default="all")] = None,
+    most: Annotated[int, opt.option("How many hypotheses to show.", min=1)] = 50,
+    output: Annotated[Path | None, opt.option("Write a file for the viewer, .rrd.", "--output", "-o")] = None,
+    data: opt.DataOptions,
+) -> None:
+    """Show poses in the viewer of rerun, frame by frame: hypotheses grey, truth blue. Needs the extra view."""
+    check_outputs(hypotheses, truth, output=output)
+    from posecal import plot
+
+    matched = data.read(hypotheses, truth)
+    plot.view(matched, frames=None if frames is None else plot.frames_of(matched, frames), most=most, path=output)

@@ -6,6 +6,7 @@ import errno
 import functools
 import inspect
 import os
+import shlex
 import shutil
 import signal
 import sys
@@ -130,6 +131,11 @@ def show(sheet: Sheet) -> None:
 def terminal() -> dict[str, Any]:
     """Give the width of stdout, of a pipe what COLUMNS says or 120, and whether it has colours."""
     return {"width": shutil.get_terminal_size((120, 40)).columns, "colour": _is_terminal(sys.stdout)}
+
+
+def call() -> str:
+    """Give the command as it was typed, so that a shell takes it again."""
+    return shlex.join(["posecal", *sys.argv[1:]])
 
 
 def _is_terminal(stream: TextIO | None) -> bool:

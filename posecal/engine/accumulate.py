@@ -21,6 +21,7 @@ from posecal.data.pose_data import PoseData
 from posecal.engine.block import block_length
 from posecal.engine.cells import CellIndex
 from posecal.engine.chunks import Chunk, Indices, join_chunks, read_chunks
+from posecal.engine.gallery import Gallery, join_galleries, worst_of
 from posecal.engine.measure import Measured, measure_block, of_plain_poses
 from posecal.engine.metric import Metric, Statistic
 from posecal.engine.pose_hashes import PoseHashes, add_hashes, pose_hashes, repeated_remarks, smallest_hashes
@@ -30,6 +31,7 @@ from posecal.engine.protocol import Protocol
 from posecal.engine.ragged import lay_out, with_weights
 from posecal.engine.scope import DataSpec
 from posecal.engine.segments import SegmentsAndClips
+from posecal.engine.sums import joined_rows, padded
 from posecal.engine.threads import run_in_order
 from posecal.engine.totals import Totals
 from posecal.errors import PoseDataError, first_few, option
@@ -78,6 +80,7 @@ class Accumulator:
         self._per_pose: dict[str, list[FloatArray]] = {}
         self._cell_of: list[Indices] = []
         self._hashes: list[PoseHashes] = []
+        self._gallery: Gallery | None = None
         self._truth_name = ""
         self._pending: list[Chunk] = []  # poses that wait for the next ones, in memory of their own
         self._length = self._measured = self._given = 0
@@ -181,6 +184,7 @@ class Accumulator:
             pose_hashes=hashes,
             own_metrics=self.own_metrics,
             prepared_hashes=dict(self._prepared_hashes),
+            gallery=final._gallery,
         )
 
     def select_pending(self, chosen: BoolArray) -> None:
@@ -280,6 +284,8 @@ class Accumulator:
                 self._per_pose.setdefault(name, []).append(values)
             if measured.per_pose:
                 self._cell_of.append(measured.cell_of)
+            if measured.worst is not None:
+                self._gallery = join_galleries([some for some in (self._gallery, measured.worst) if some is not None])
             yield measured
 
     def _blocks_of_more(self, chunks: Iterable[Chunk], pending: Pending) -> Iterator[Callable[[], Measured]]:
@@ -327,14 +333,15 @@ class Accumulator:
         limits = None if self._prepared is None else self._prepared.limits
         make = lay_out(chunk, start, stop, self.spec, limits, self._before)
         statistics = [statistic for statistic in self.statistics if not (statistic.by_segment or statistic.by_clip)]
-        yield partial(measure_block, self._given, make, chunk.cells[start:stop], statistics)
+        part = chunk.select(slice(start, stop))
+        choose = partial(worst_of, part, self.spec, self._gallery)
+        yield partial(measure_block, self._given, make, part.cells, statistics, choose)
         self._given += stop - start
-        add_hashes(self._hashes, chunk.hashes[start:stop])
+        add_hashes(self._hashes, part.hashes)
         if self._earlier:
             last = replace(chunk.select(slice(max(start, stop - self._earlier), stop)), reference=None)
             joined = join_chunks([last] if self._before is None else [self._before, last])
             self._before = joined.select(slice(-self._earlier, None))
-        part = chunk.select(slice(start, stop))
         yield from self._segments.add(part, lambda: self._index.cells["sequence"][part.cells], self.statistics)
 
     # --- cells
@@ -343,19 +350,12 @@ class Accumulator:
         """Make room for so many cells, doubling it."""
         if rows > len(self._poses):
             more = max(rows, 2 * len(self._poses)) - len(self._poses)
-            self._poses = _padded(self._poses, more)
-            self._sums = {n: (_padded(sums, more), _padded(counts, more)) for n, (sums, counts) in self._sums.items()}
+            self._poses = padded(self._poses, more)
+            self._sums = {n: (padded(sums, more), padded(counts, more)) for n, (sums, counts) in self._sums.items()}
 
     def _join_cells(self, moved: Indices) -> None:
         """Give cells their new numbers, adding up those that are one now."""
-        order = np.argsort(moved, kind="stable")
-        starts = np.flatnonzero(np.diff(moved[order], prepend=-1))  # each new number occurs
-
-        def joined(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-            total = np.zeros_like(values)
-            total[: len(starts)] = np.add.reduceat(values[order], starts, axis=0)
-            return total
-
+        joined = partial(joined_rows, moved)
         self._grow(len(moved))
         self._poses = joined(self._poses)
         self._sums = {name: (joined(sums), joined(counts)) for name, (sums, counts) in self._sums.items()}
@@ -370,7 +370,3 @@ def _place(data: PoseData, row: int) -> tuple[str, str, int] | None:
         return None
     sequence = data.labels["sequence"]
     return str(sequence[row]), str(data.labels.get("clip", sequence)[row]), int(data.order[row])
-
-
-def _padded(values: npt.NDArray[Any], rows: int) -> npt.NDArray[Any]:
-    return np.concatenate([values, np.zeros((rows, *values.shape[1:]), dtype=values.dtype)])

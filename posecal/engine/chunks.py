@@ -28,7 +28,10 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Chunk:
-    """Consecutive poses in memory: (N, m, K, D) or (N, m) hypotheses, scores and weights, (m, …) all else."""
+    """Consecutive poses in memory: (N, m, K, D) or (N, m) hypotheses, scores and weights, (m, …) all else.
+
+    ``sequence`` are numbers in the coordinate range, ``sequence_name`` names, empty where poses have no sequences.
+    """
 
     hypotheses: FloatArray
     truth: FloatArray
@@ -41,6 +44,9 @@ class Chunk:
     occluded: BoolArray | None
     scores: FloatArray | None
     reference: FloatArray | None
+    sequence_name: npt.NDArray[np.str_]
+    frame_id: npt.NDArray[np.str_]
+    order: Indices
     log_prob: FloatArray | None = None
     weights: FloatArray | None = None
     clip: npt.NDArray[np.str_] | None = None
@@ -138,6 +144,9 @@ def read_chunks(data: PoseData, multiple: int = 1) -> Iterator[Chunk]:
             scores=None if data.scores is None else data.scores[:, start:stop],
             weights=None if data.weights is None else data.weights[:, start:stop],
             reference=None if data.reference is None else data.reference.hypotheses.read(start, stop),
+            sequence_name=sequence[start:stop],
+            frame_id=data.frame_id[start:stop],
+            order=data.order[start:stop],
             **part,
         )
 

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from posecal.data.arrays import FloatArray
 from posecal.engine.block import Block
+from posecal.engine.gallery import POSE_NUMBERS, Gallery
 from posecal.engine.metric import Statistic
 from posecal.engine.ragged import RaggedBlock, measure
 from posecal.engine.sums import Indices
@@ -28,12 +29,20 @@ class Measured:
     cell_of: Indices
     non_finite: Indices
     non_finite_of_reference: Indices
+    worst: Gallery | None = None
 
 
 def measure_block(
-    first: int, make: Callable[[], Block | RaggedBlock], cells: Indices, statistics: Sequence[Statistic]
+    first: int,
+    make: Callable[[], Block | RaggedBlock],
+    cells: Indices,
+    statistics: Sequence[Statistic],
+    choose: Callable[[FloatArray], Gallery | None] = lambda _: None,
 ) -> Measured:
-    """Measure a block, of which the first pose has this number; nothing where a coordinate is not finite."""
+    """Measure a block, of which the first pose has this number; nothing where a coordinate is not finite.
+
+    ``choose`` gives the poses for pictures from the numbers that they are chosen by, where those are measured.
+    """
     block = make()
     finite = np.zeros_like(block.where)
     masks = block.non_finite, finite if block.reference is None else block.reference.non_finite
@@ -42,8 +51,12 @@ def measure_block(
     poses = np.diff(np.append(runs, len(cells)))
     sums: dict[str, tuple[FloatArray, npt.NDArray[np.int64]]] = {}
     per_pose: dict[str, FloatArray] = {}
+    worst = None
     for statistic in () if len(bad) or len(bad_of_reference) else statistics:
         values = measure(block, statistic)
+        if statistic.name == POSE_NUMBERS:
+            worst = choose(values)
+            continue
         if statistic.per_pose:
             per_pose[statistic.name] = np.asarray(values, dtype=np.float64)
             continue
@@ -54,7 +67,7 @@ def measure_block(
             values = np.where(counted.reshape(*counted.shape, *[1] * (values.ndim - axes)), values, 0)
         total = np.add.reduceat(values, runs, axis=0)
         sums[statistic.name] = total, np.add.reduceat(counted, runs, axis=0, dtype=np.int64)
-    return Measured(len(cells), cells[runs], poses, sums, per_pose, cells, bad, bad_of_reference)
+    return Measured(len(cells), cells[runs], poses, sums, per_pose, cells, bad, bad_of_reference, worst)
 
 
 def measure_segment(make: Callable[[], Block], cells: Indices, statistics: Sequence[Statistic]) -> Measured:

@@ -11,9 +11,10 @@ import numpy as np
 from posecal.data.remarks import Count, Example, Remark, join_remarks
 from posecal.engine.apart import without_apart, without_own_cuts
 from posecal.engine.cells import RUNS, run_length
+from posecal.engine.gallery import Gallery, join_galleries, of_part
 from posecal.engine.measure import of_plain_poses
 from posecal.engine.pose_hashes import MOST_HASHES, shared_poses, smallest_hashes
-from posecal.engine.totals import Totals, difference_of_signatures, different_metrics
+from posecal.engine.totals import Totals
 from posecal.errors import PoseDataError, first_few, option, raise_all
 
 Cell = tuple[str, ...]
@@ -85,6 +86,7 @@ def merge_totals(parts: Sequence[Totals], names: Sequence[str] | None = None) ->
         pose_hashes=smallest_hashes([part.pose_hashes for part in parts]),
         own_metrics=first.own_metrics,
         prepared_hashes=hashes,
+        gallery=_joined_gallery(parts, has_sequences),
     )
     new = (remark for remark in (*lost, uncut, _cut_sequences(parts)) if remark and remark not in total.remarks)
     total.remarks = (*total.remarks, *new)
@@ -113,6 +115,16 @@ def in_order_of_sequences(totals: Totals, sequences: Sequence[str]) -> Totals:
         counts={name: counts[order] for name, counts in totals.counts.items()},
         cell_of=number[totals.cell_of],
     )
+
+
+def _joined_gallery(parts: Sequence[Totals], has_sequences: bool) -> Gallery | None:
+    """Choose among the galleries of all parts; None where one has none, for its poses may be the worst."""
+    galleries = [part.gallery for part in parts if part.gallery is not None]
+    if len(galleries) < len(parts):
+        return None
+    if not has_sequences and len(parts) > 1:
+        galleries = [of_part(gallery, number) for number, gallery in enumerate(galleries, 1)]
+    return join_galleries(galleries)
 
 
 def _cut_sequences(parts: Sequence[Totals]) -> str:
@@ -237,3 +249,16 @@ def _refuse_shared(parts: Sequence[Totals], names: Sequence[str]) -> None:
             "expected every pose in one only. Leave them out of one, or give both a frame_id where they are different "
             "frames."
         )
+
+
+def different_metrics(one: Totals, other: Totals) -> str:
+    """Name the user's metrics that two results have by the same name and describe otherwise; nothing where none is."""
+    described = {metric.name: metric.description for metric in one.own_metrics}
+    return ", ".join(m.name for m in other.own_metrics if described.get(m.name, m.description) != m.description)
+
+
+def difference_of_signatures(one: Totals, other: Totals) -> str:
+    """Say in what two results were not made alike."""
+    first, second = (dict(part.split("=", 1) for part in t.signature.split()) for t in (one, other))
+    keys = [key for key in {**first, **second} if first.get(key) != second.get(key)]
+    return ", ".join(f"{key} {first.get(key, 'default')} against {second.get(key, 'default')}" for key in keys)

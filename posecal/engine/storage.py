@@ -1,4 +1,4 @@
-"""Saved results: the sums of an evaluation in a compressed .npz file, never the hypotheses."""
+"""Saved results: the sums of an evaluation in a compressed .npz file, and the poses of its gallery, if it has one."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from posecal.data.archive import read_archive
 from posecal.data.remarks import remark_as_json, remark_of_json
 from posecal.data.root import Root
 from posecal.data.write import write_file, write_members
+from posecal.engine.gallery import Gallery
 from posecal.engine.metric import Metric
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec
@@ -70,6 +71,8 @@ def save_totals(totals: Totals, path: str | os.PathLike[str]) -> None:
     members |= {f"per_pose/{name}": values for name, values in totals.per_pose.items()}
     members["cell_of"] = totals.cell_of.astype(np.int32)
     members["pose_hashes"] = totals.pose_hashes
+    if totals.gallery is not None:
+        members |= {f"gallery/{name}": values for name, values in vars(totals.gallery).items()}
     about["shapes"] = _shapes(members)
     members["about"] = np.array(json.dumps(about))
     members["digest"] = np.array(digest_of(members))
@@ -120,6 +123,7 @@ def load_totals(path: str | os.PathLike[str]) -> Totals:
             pose_hashes=members["pose_hashes"],
             own_metrics=tuple(Metric.from_description(texts) for texts in about["own_metrics"]),
             prepared_hashes=about.get("prepared_hashes", {}),  # of files before it
+            gallery=Gallery(**gallery) if (gallery := _part(members, "gallery/")) else None,
         )
         if about.get("shapes", _shapes(members)) != _shapes(members):  # of files before it there are none
             raise ValueError("members of other shapes")
@@ -178,6 +182,8 @@ def _check_members(totals: Totals, about: dict[str, Any]) -> None:
         raise ValueError("members of other lengths")
     if totals.pose_hashes.dtype != np.uint64 or totals.pose_hashes.shape[1:] != (2,):
         raise ValueError("pose_hashes of another type or shape")
+    if totals.gallery is not None:
+        totals.gallery.check(totals.spec)
     if (totals.poses < 0).any() or len({*totals.spec.joints}) < len(totals.spec.joints):
         raise ValueError("negative numbers of poses, or repeated joints")
     for key, counts in totals.counts.items():

@@ -52,6 +52,18 @@ def sum_by(codes: Indices, n: int, values: npt.NDArray[Number]) -> npt.NDArray[N
     return total
 
 
+def padded(values: npt.NDArray[Number], rows: int) -> npt.NDArray[Number]:
+    """Add so many rows of zeros."""
+    return np.concatenate([values, np.zeros((rows, *values.shape[1:]), dtype=values.dtype)])
+
+
+def joined_rows(moved: Indices, values: npt.NDArray[Number]) -> npt.NDArray[Number]:
+    """Give the first rows their new numbers, adding up those that are one now; as many rows, the last ones zeros."""
+    total = np.zeros_like(values)
+    np.add.at(total, moved, values[: len(moved)])
+    return total
+
+
 def mean_of(sums: FloatArray, counts: Counts) -> FloatArray:
     """Divide sums by counts; NaN where nothing counts."""
     number = np.where(np.greater(counts, 0), counts, np.nan)

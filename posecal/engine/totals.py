@@ -20,6 +20,7 @@ from posecal.data.joint_names import canonical_names
 from posecal.data.root import root_name
 from posecal.engine.cells import natural_key
 from posecal.engine.finish import ReadOff
+from posecal.engine.gallery import Gallery
 from posecal.engine.metric import Metric, Statistic
 from posecal.engine.pose_hashes import PoseHashes
 from posecal.engine.protocol import Protocol
@@ -67,6 +68,8 @@ class Totals:
         The user's metrics that the sums are of.
     prepared_hashes : dict of str
         Hashes of what was found from all poses together, by the need of metrics that it meets.
+    gallery : Gallery or None
+        A few poses for pictures; None where none are kept.
     """
 
     spec: DataSpec
@@ -84,6 +87,7 @@ class Totals:
     pose_hashes: PoseHashes = field(default_factory=lambda: np.zeros((0, 2), dtype=np.uint64))
     own_metrics: tuple[Metric, ...] = ()
     prepared_hashes: dict[str, str] = field(default_factory=dict)
+    gallery: Gallery | None = None
     _shared: dict[Hashable, tuple[Cells, FloatArray]] = field(default_factory=dict, init=False, compare=False)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -365,16 +369,3 @@ def batch_sums(metric: Metric, sums: FloatArray, counts: Counts) -> tuple[FloatA
     poses = counts.sum(axis=tuple(range(1, counts.ndim))).astype(np.float64)
     values = np.asarray(metric.finish(mean_of(sums, counts)))
     return np.where(poses > 0, values * poses, 0.0), poses
-
-
-def different_metrics(one: Totals, other: Totals) -> str:
-    """Name the user's metrics that two results have by the same name and describe otherwise; nothing where none is."""
-    described = {metric.name: metric.description for metric in one.own_metrics}
-    return ", ".join(m.name for m in other.own_metrics if described.get(m.name, m.description) != m.description)
-
-
-def difference_of_signatures(one: Totals, other: Totals) -> str:
-    """Say in what two results were not made alike."""
-    first, second = (dict(part.split("=", 1) for part in t.signature.split()) for t in (one, other))
-    keys = [key for key in {**first, **second} if first.get(key) != second.get(key)]
-    return ", ".join(f"{key} {first.get(key, 'default')} against {second.get(key, 'default')}" for key in keys)

@@ -39,9 +39,9 @@ from posecal.engine.totals import Totals
 from posecal.errors import PoseDataError, checked_type, first_few
 from posecal.evaluation.options import check_callable, check_callables, check_label_names, label_entries
 from posecal.evaluation.sources import Progress, Source, as_pose_data
-from posecal.evaluation.start import continue_accumulator, spec_of, start_accumulator
+from posecal.evaluation.start import continue_accumulator, spec_of, start_accumulator, statistics_and_numbers
 from posecal.metrics.sharpness import predicted_spread
-from posecal.registry import check_names, statistics_of, wants_reference
+from posecal.registry import check_names, wants_reference
 from posecal.report.report import Report
 
 
@@ -55,7 +55,7 @@ class Evaluation:
     ----------
     joints, root_joint, unit, truth_unit, axes, truth_axes, fps, shared_joints, n_hypotheses, skeleton, dimensions
         Of all batches; as for :func:`evaluate`.
-    by, metrics, preranks, protocol, threads, draws, seed
+    by, metrics, preranks, protocol, threads, draws, seed, gallery
         As for :func:`evaluate`. Where hypotheses are drawn, give each evaluation that will be merged another ``seed``.
     prepared : Prepared, optional
         What depends on the whole set, for ``tarp_box``: :func:`posecal.prepare` of the true poses of all batches.
@@ -99,6 +99,7 @@ class Evaluation:
         protocol: Protocol | str | None = None,
         prepared: Prepared | None = None,
         threads: int | None = None,
+        gallery: bool = True,
     ) -> None:
         self._options: dict[str, Any] = {"joints": joints, "root_joint": root_joint, "unit": unit}
         self._options |= {"axes": axes, "truth_axes": truth_axes, "fps": fps, "shared_joints": shared_joints}
@@ -110,7 +111,7 @@ class Evaluation:
             raise PoseDataError(f"prepared: {type(prepared).__name__}; expected what posecal.prepare gives.")
         self.protocol = as_protocol(protocol, metrics)
         check_names(self.protocol, [*preranks])
-        self.by = label_entries(by)
+        self.by, self._gallery = label_entries(by), checked_type(gallery, "gallery", bool)
         self._preranks, self._prepared, self._threads = dict(preranks), prepared, threads
         self.reset()
 
@@ -266,7 +267,7 @@ class Evaluation:
         remark = live_remark(data) if ragged else ""
         data = add_spread_labels(data, self.by, predicted_spread, self._threads, self._prepared, is_all=complete)
         if self._accumulator is None:
-            options = self.by, self._preranks, self._prepared, self._threads
+            options = self.by, self._preranks, self._prepared, self._threads, self._gallery
             accumulator = start_accumulator(spec, self.protocol, data, *options, complete=complete)
         else:
             accumulator = continue_accumulator(self._accumulator, spec, self.by, self._preranks, self._batches + 1)
@@ -376,4 +377,5 @@ class Evaluation:
         self.__dict__.update(state)
         if self._accumulator is not None:  # pickled without functions
             spec, own = self._accumulator.spec, self._accumulator.own_metrics
-            self._accumulator.statistics = statistics_of(self.protocol, spec, self.by, self._preranks, own)
+            what = self.protocol, spec, self.by, self._preranks, own, self._gallery
+            self._accumulator.statistics = statistics_and_numbers(*what)

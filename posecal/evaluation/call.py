@@ -53,6 +53,7 @@ def evaluate(
     protocol: Protocol | str | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
+    gallery: bool = True,
 ) -> Report:
     """Evaluate hypotheses against the truth.
 
@@ -122,6 +123,9 @@ def evaluate(
         One per core by default.
     progress : callable, optional
         Called with the number of poses that are done.
+    gallery : bool
+        Whether the report keeps some twelve poses with some of their hypotheses, those of the worst sequences, for the
+        pictures of its page. A saved result holds them too, but for ``report.save(path, gallery=False)``.
 
     Returns
     -------
@@ -177,7 +181,8 @@ def evaluate(
     }
     problems: list[str | PosecalError] = []
     options: dict[str, Any] = {"by": by, "metrics": metrics, "preranks": preranks, "protocol": protocol}
-    evaluation = attempt(problems, partial(Evaluation, **options, threads=threads))
+    options |= {"threads": threads, "gallery": gallery}
+    evaluation = attempt(problems, partial(Evaluation, **options))
     data = attempt(problems, as_pose_data, hypotheses, truth, described)
     raise_all(problems)
     assert evaluation is not None

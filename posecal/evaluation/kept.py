@@ -50,6 +50,7 @@ class KeptResults:
             [[metric["name"], metric["definition"]] for metric in method.own_metrics],
             sorted(method.dropped),
             method.has_mask,
+            method.gallery,
             None if pool is None else pool.hash,
             None
             if prepared is None

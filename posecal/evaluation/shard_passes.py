@@ -85,7 +85,7 @@ class Method:
 
     Attributes
     ----------
-    protocol, by, preranks, threads
+    protocol, by, preranks, threads, gallery
         As for :func:`posecal.evaluate`.
     own_metrics : tuple of mappings
         The parts of the user's metrics, which other processes register; pickled as they are, they lose their functions.
@@ -104,6 +104,7 @@ class Method:
     preranks: Mapping[str, PreRank] = field(default_factory=dict)
     threads: int | None = None
     own_metrics: tuple[Mapping[str, Any], ...] = ()
+    gallery: bool = True
     dropped: frozenset[str] = frozenset()
     has_mask: bool = False
     prepared: Prepared | None = None
@@ -311,6 +312,6 @@ def accumulate(task: Task, method: Method) -> Totals | None:
     assert method.prepared is not None
     prepared = replace(method.prepared, first=task.first)
     options: dict[str, Any] = {"preranks": method.preranks, "prepared": prepared, "threads": method.threads}
-    evaluation = Evaluation(by=method.by, protocol=method.protocol, **options)
+    evaluation = Evaluation(by=method.by, protocol=method.protocol, gallery=method.gallery, **options)
     evaluation.add(data, complete=True, has_mask=method.has_mask)
     return evaluation.totals()

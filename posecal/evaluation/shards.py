@@ -80,6 +80,7 @@ def evaluate_shards(
     preranks: Mapping[str, PreRank] | None = None,
     protocol: Protocol | str | None = None,
     threads: int | None = None,
+    gallery: bool = True,
     duplicates: Literal["error", "drop"] = "error",
     keep: str | os.PathLike[str] | None = None,
     progress: Callable[[str, int], Progress | None] | None = None,
@@ -94,7 +95,7 @@ def evaluate_shards(
     map : callable
         Applies a function to every shard, in order: ``executor.map`` of any executor of ``concurrent.futures``. In this
         process by default.
-    by, metrics, preranks, protocol
+    by, metrics, preranks, protocol, gallery
         As for :func:`evaluate`.
     reference : str or sequence, optional
         ``climatology``, or hypotheses of another model for each shard.
@@ -148,7 +149,9 @@ def evaluate_shards(
     check_callable("progress", progress)
     check_descriptions(described)
     raise_all(f"{n}: an array of poses; expected it in PoseData of each shard." for n in _ARRAYS if n in described)
-    evaluation = Evaluation(by=by, metrics=metrics, preranks=preranks, protocol=protocol)  # checks them
+    evaluation = Evaluation(
+        by=by, metrics=metrics, preranks=preranks, protocol=protocol, gallery=gallery
+    )  # checks them
     wants = reference is not None and wants_reference(evaluation.protocol)
     method = Method(
         evaluation.protocol,
@@ -156,6 +159,7 @@ def evaluate_shards(
         {} if preranks is None else dict(preranks),
         1 if threads is None and map is not builtins.map else threads,
         _sendable_metrics(),
+        gallery,
     )
     is_pooled = isinstance(reference, str) and wants
     shards = _shards(pairs, reference if wants and not is_pooled else None, described)
@@ -184,11 +188,11 @@ def evaluate_shards(
     statistics = statistics_of(method.protocol, spec, method.by, method.preranks, registered_metrics())
     frames: dict[int, Frames] = {}
     shared = shared_sequences(summaries)
-    if shared and any(statistic.earlier or statistic.by_segment for statistic in statistics):
+    if shared and any(statistic.earlier or statistic.by_segment or statistic.by_clip for statistic in statistics):
         holders = [n for n, summary in enumerate(summaries) if shared.intersection(summary.sequences)]
         order = partial(find_frames, method=replace(method, pool=None), sequences=shared)
         frames = dict(zip(holders, passes.run("ordering frames", order, [shards[n] for n in holders]), strict=True))
-    has_segments = any(statistic.by_segment for statistic in statistics)
+    has_segments = any(statistic.by_segment or statistic.by_clip for statistic in statistics)
     tasks, of_order = tasks_of(shards, summaries, frames, has_segments=has_segments)
     total = merge_tree(passes.results(tasks, method))
     sequences = dict.fromkeys(name for summary in summaries for name in summary.sequences)

@@ -10,12 +10,28 @@ from posecal.calibration.rank_tests import NEEDS_COORDINATE_RANGE, PreRank
 from posecal.data.pose_data import PoseData
 from posecal.engine.accumulate import Accumulator
 from posecal.engine.cells import CellIndex
+from posecal.engine.gallery import POSE_NUMBERS, number_shown
+from posecal.engine.metric import Metric, Statistic
 from posecal.engine.prepare import Prepared, prepare
 from posecal.engine.protocol import Protocol
-from posecal.engine.scope import DataSpec
+from posecal.engine.scope import DataSpec, Scope
 from posecal.errors import PoseDataError, option
 from posecal.metrics.multimodal import NEEDS_TRUE_CLIPS
+from posecal.metrics.single_poses import pose_numbers
 from posecal.registry import registered_metrics, statistics_of
+
+
+def statistics_and_numbers(
+    protocol: Protocol,
+    spec: DataSpec,
+    by: Sequence[str],
+    preranks: Mapping[str, PreRank],
+    own: Sequence[Metric],
+    gallery: bool,
+) -> tuple[Statistic, ...]:
+    """Choose the statistics that a protocol needs, and with a gallery the numbers that its poses are chosen by."""
+    statistics = statistics_of(protocol, spec, by, preranks, own)
+    return (*statistics, pose_numbers(Scope(protocol, spec))) if gallery and number_shown(spec) else statistics
 
 
 def start_accumulator(
@@ -26,6 +42,7 @@ def start_accumulator(
     preranks: Mapping[str, PreRank],
     prepared: Prepared | None,
     threads: int | None,
+    gallery: bool,
     *,
     complete: bool,
 ) -> Accumulator:
@@ -37,7 +54,7 @@ def start_accumulator(
         Where a metric depends on the whole set, and neither ``prepared`` nor all poses (``complete``) are there.
     """
     own = tuple(m for m in registered_metrics() if m.headline or m.name in protocol.wanted)
-    statistics = statistics_of(protocol, spec, by, preranks, own)
+    statistics = statistics_and_numbers(protocol, spec, by, preranks, own, gallery)
     names = {statistic.name for statistic in statistics}
     if prepared is None and names & (NEEDS_COORDINATE_RANGE | NEEDS_TRUE_CLIPS):
         if not complete:
@@ -74,6 +91,8 @@ def continue_accumulator(
     if together == accumulator.spec:
         return accumulator
     if together == accumulator.spec.together_with(spec):
-        statistics = statistics_of(accumulator.protocol, together, by, preranks, accumulator.own_metrics)
+        has_gallery = any(statistic.name == POSE_NUMBERS for statistic in accumulator.statistics)
+        own = accumulator.own_metrics
+        statistics = statistics_and_numbers(accumulator.protocol, together, by, preranks, own, has_gallery)
         return accumulator.with_weights(together, statistics)
     raise PoseDataError(f"batch {number}: {together.difference(accumulator.spec)}; expected the same in every batch.")

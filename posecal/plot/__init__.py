@@ -24,6 +24,7 @@ from posecal.plot.curves import (
 )
 from posecal.plot.horizon import draw_horizon, horizon
 from posecal.plot.intervals import draw_intervals, intervals
+from posecal.plot.live import view
 from posecal.plot.pose_figures import draw_poses, frames_of, poses
 from posecal.plot.rank_tests import draw_rank_tests, rank_test
 from posecal.plot.skeletons import signed_areas
@@ -59,6 +60,7 @@ __all__ = [
     "save",
     "signed_areas",
     "sparsification",
+    "view",
 ]
 
 KINDS: dict[str, tuple[Callable[..., Any], str]] = {

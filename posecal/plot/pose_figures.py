@@ -87,7 +87,7 @@ def poses(
     at = None if cloud is None else find_joint(cloud, tuple(joints))
     if cloud is not None and at is None:
         raise PoseDataError(f"joint: {cloud!r} is not among the joints. {did_you_mean(cloud, joints)}")
-    turn = _upright(truth, skeleton)
+    turn = upright(truth, skeleton)
     chosen = np.linspace(0, len(hypotheses) - 1, min(most, len(hypotheses))).astype(int)
     shown, true = (np.where(np.isfinite(points), points, np.nan) @ turn for points in (hypotheses[chosen], truth))
     if not (np.isfinite(true).any() and np.isfinite(shown).any()):
@@ -145,7 +145,7 @@ def _frame(ax: Axes3D, true: FloatArray, shown: FloatArray, view: tuple[float, f
     ax.set_axis_off()
 
 
-def _upright(truth: FloatArray, skeleton: Skeleton) -> FloatArray:
+def upright(truth: FloatArray, skeleton: Skeleton) -> FloatArray:
     """A rotation of the axes, (D, D), that puts the axis from the feet to the head upwards.
 
     Of what has neither, the axis from the root (the first joint without a parent) to the middle of the others; of two
@@ -170,6 +170,12 @@ def _upright(truth: FloatArray, skeleton: Skeleton) -> FloatArray:
     first, second = ((axis + 1) % 3, (axis + 2) % 3)
     turn[first, 0], turn[second, 1], turn[axis, 2] = 1.0, sign, sign
     return turn
+
+
+def upright_of_most(truth: FloatArray, skeleton: Skeleton) -> FloatArray:
+    """Give the rotation, (D, D), that puts most of some poses (M, K, D) upright: a few may lie or stand on hands."""
+    turns = [upright(pose, skeleton).tolist() for pose in truth]
+    return np.array(max(turns, key=turns.count))
 
 
 def frames_of(data: PoseData, text: str | None = None, some: int = 5) -> list[int]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Hashable, Iterable, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast, get_args
 
@@ -18,7 +19,7 @@ from posecal.engine.totals import Totals
 from posecal.errors import PoseDataError, checked_integer, checked_type, did_you_mean, for_python, is_among, option
 from posecal.metrics.occlusion import OCCLUSION, occlusion_metrics_of
 from posecal.registry import metrics_of, unmeasured
-from posecal.report import curves
+from posecal.report import curves, notebook
 from posecal.report.summary import remarks, summarize
 from posecal.report.table import (
     AuxiliaryRow,
@@ -46,7 +47,7 @@ T = TypeVar("T")
 class Report:
     """The numbers of an evaluation, with their definitions, intervals and tests.
 
-    Each is computed when it is asked for, and remembered. A report pickles, and holds sums, never the hypotheses.
+    Each is computed when it is asked for, and remembered. A report pickles; it holds sums, and a few poses at most.
 
     Parameters
     ----------
@@ -337,14 +338,11 @@ class Report:
     def __repr__(self) -> str:
         return short_title(self)
 
-    def _repr_html_(self) -> str:
-        from posecal.report.html import html_fragment
+    plot, view, _repr_html_ = notebook.plot, notebook.view, notebook.fragment
 
-        return html_fragment(self)
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the sums into a file, from which any report can be made later; PoseFileError where that can't be."""
-        save_totals(self.totals, path)
+    def save(self, path: str | os.PathLike[str], *, gallery: bool = True) -> None:
+        """Write sums and gallery, from which any report can be made later; PoseFileError where that can't be."""
+        save_totals(self.totals if gallery else replace(self.totals, gallery=None), path)
 
     def once(self, key: Hashable, compute: Callable[[], T]) -> T:
         """Compute what is not remembered."""

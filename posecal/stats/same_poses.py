@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from posecal.engine.measure import SUM_OF_TRUE_POSES
+from posecal.engine.merge import difference_of_signatures, different_metrics
 from posecal.engine.metric import Statistic
 from posecal.engine.sums import Counts, sum_by
-from posecal.engine.totals import Totals, difference_of_signatures, different_metrics
+from posecal.engine.totals import Totals
 from posecal.errors import PoseDataError, option
 
 

@@ -30,7 +30,24 @@ def test_a_saved_result_is_reported_as_it_was(form: str) -> None:
     words = ("--format", form, "--per-joint", "--definitions", "--by", "action")
     one = run("evaluate", "hyps.npz", "gt.npz", "--save", "kept.npz", *words)
     later = run("report", "kept.npz", *words)
-    assert (later.stdout, later.stderr, later.exit_code) == (one.stdout, one.stderr, 0)
+    assert (later.stdout, later.stderr, later.exit_code) == (one.stdout, "", 0)
+    assert one.stderr == "kept.npz: keeps 12 of the 36 poses for pictures. --no-gallery leaves them out.\n"
+
+
+def test_a_result_and_a_page_hold_no_poses_where_these_must_not_be_given_away(monkeypatch: pytest.MonkeyPatch) -> None:
+    files = ("--save=none.npz", "--html=none.html")
+    assert run("evaluate", "hyps.npz", "gt.npz", "--no-gallery", *files).stderr == ""
+    assert load_totals("none.npz").gallery is None
+    assert "pose-data" not in Path("none.html").read_text(encoding="utf-8")
+    done("evaluate", "hyps.npz", "gt.npz", "--save=kept.npz")
+    done("merge", "kept.npz", "-o", "merged.npz", "--no-gallery")
+    assert load_totals("merged.npz").gallery is None
+    monkeypatch.setattr("sys.argv", ["/bin/posecal", "report", "a file", "--html=kept.html"])
+    done("report", "kept.npz", "--html=kept.html")
+    assert "pose-data" in Path("kept.html").read_text(encoding="utf-8")
+    assert "<code>posecal report &#39;a file&#39; --html=kept.html</code>" in Path("kept.html").read_text(
+        encoding="utf-8"
+    )
 
 
 def test_results_of_shards_merge_into_that_of_one_run() -> None:

@@ -21,7 +21,9 @@ def poses(numbers: npt.NDArray[np.float64]) -> Chunk:
     truth = numbers.reshape(-1, 1, 1).copy()
     follows, cells = np.ones(len(numbers), dtype=bool), (numbers // 10).astype(np.intp)
     hashes = np.zeros((len(numbers), 2), dtype=np.uint64)
-    return Chunk(truth[None] + 0.5, truth, follows, cells, cells, hashes, None, None, None, None, None)
+    names, order = numbers.astype(np.str_), numbers.astype(np.intp)
+    absent = None, None, None, None, None
+    return Chunk(truth[None] + 0.5, truth, follows, cells, cells, hashes, *absent, names, names, order)
 
 
 @pytest.mark.parametrize("parts", [[], [1], [3, 4, 9], list(range(1, M))])

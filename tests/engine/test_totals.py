@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 from posecal.engine.finish import ReadOff, entry
+from posecal.engine.merge import difference_of_signatures
 from posecal.engine.metric import Metric, Statistic
 from posecal.engine.protocol import Protocol
-from posecal.engine.totals import Totals, difference_of_signatures
+from posecal.engine.totals import Totals
 from posecal.errors import PoseDataError
 from posecal.stats.jackknife import leave_one_out
 from tests.helpers.example_totals import (

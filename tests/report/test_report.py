@@ -12,9 +12,9 @@ import pytest
 import posecal
 from posecal.calibration import perfect_sampler
 from posecal.demo import sample
+from posecal.engine.merge import difference_of_signatures
 from posecal.engine.metric import Statistic
 from posecal.engine.protocol import Protocol
-from posecal.engine.totals import difference_of_signatures
 from posecal.errors import PoseDataError
 from posecal.report import report as report_module
 from posecal.report.report import Report
