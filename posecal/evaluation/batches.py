@@ -376,6 +376,5 @@ class Evaluation:
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         if self._accumulator is not None:  # pickled without functions
-            spec, own = self._accumulator.spec, self._accumulator.own_metrics
-            what = self.protocol, spec, self.by, self._preranks, own, self._gallery
-            self._accumulator.statistics = statistics_and_numbers(*what)
+            what = self.protocol, self._accumulator.spec, self.by, self._preranks, self._accumulator.own_metrics
+            self._accumulator.statistics = statistics_and_numbers(*what, self._gallery)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import os
 import tempfile
 import webbrowser
 from html import escape
@@ -18,16 +19,23 @@ if TYPE_CHECKING:
     from posecal.report.report import Report
 
 
-def plot(report: Report, kind: str = "reliability", *, title: str | None = None) -> Figure:
+def plot(
+    report: Report,
+    kind: str = "reliability",
+    *,
+    title: str | None = None,
+    size: tuple[float, float] | None = None,
+    style: str | os.PathLike[str] | None = None,
+) -> Figure:
     """Draw the report, as :func:`posecal.plot.draw` does.
 
     Parameters
     ----------
     kind : str
         A key of ``posecal.plot.KINDS``: ``reliability``, ``joints``, ``errors``, ``pck``, ``sparsification``,
-        ``risk_coverage``, ``event`` or ``rank_tests``.
-    title : str, optional
-        Above the picture.
+        ``risk_coverage``, ``event``, ``rank_tests`` or ``horizon``.
+    title, size, style
+        As for :func:`posecal.plot.draw`.
 
     Returns
     -------
@@ -39,7 +47,7 @@ def plot(report: Report, kind: str = "reliability", *, title: str | None = None)
     PoseDataError
         Where the report lacks what the picture shows, and for another kind.
     """
-    return draw(report, kind, title=title)
+    return draw(report, kind, title=title, size=size, style=style)
 
 
 def view(report: Report, *, height: int = 800) -> PageView:

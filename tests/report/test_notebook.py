@@ -16,7 +16,7 @@ from tests.helpers.reports import report_of, unlabelled
 def test_a_figure_is_drawn_by_its_name() -> None:
     figure = report_of().plot("errors", title="ours")
     assert isinstance(figure, Figure)
-    assert figure.axes[0].get_title() == "ours"
+    assert figure.get_suptitle() == "ours"
 
 
 def test_a_figure_of_another_name_is_refused() -> None:
