@@ -36,9 +36,9 @@ if TYPE_CHECKING:
     from posecal.evaluation import Evaluation, Leaderboard, add_entry, compare, evaluate, evaluate_shards, leaderboard
     from posecal.recalibration import fit_radius, fit_spread, judge_spread
     from posecal.registry import register, unregister
+    from posecal.report.comparison import Comparison
     from posecal.report.explain import explain
     from posecal.report.report import Report
-    from posecal.stats.comparison import Comparison
     from posecal.stats.skill import climatology
 
 __version__ = "0.1.0"
@@ -71,7 +71,7 @@ _MODULES = {
     "posecal.registry": ("register", "unregister"),
     "posecal.report.explain": ("explain",),
     "posecal.report.report": ("Report",),
-    "posecal.stats.comparison": ("Comparison",),
+    "posecal.report.comparison": ("Comparison",),
     "posecal.stats.skill": ("climatology",),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}

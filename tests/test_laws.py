@@ -26,7 +26,7 @@ from posecal.engine.protocol import Protocol
 from posecal.engine.totals import Totals
 from posecal.evaluation import evaluate
 from posecal.registry import known_metrics
-from posecal.stats.comparison import compare_totals
+from posecal.report.comparison import compare_totals
 from tests.helpers.law_exemptions import PROTOCOLS, UNBOUND, exempt
 from tests.helpers.random_worlds import World, world
 

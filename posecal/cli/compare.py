@@ -31,7 +31,6 @@ def compare(
     import posecal
     from posecal.engine.presets import as_protocol
     from posecal.engine.storage import is_result
-    from posecal.report.comparison import comparison_sheet
 
     check_outputs(*files, *(scoring.metric or []), plot=plot)
     results = [path for path in files if is_result(path)]
@@ -65,11 +64,7 @@ def compare(
             threads=threads,
             progress=lambda name: bar(name, len(sources[name].truth)),
         )
-    if form in {"csv", "json"}:
-        text = comparison.render(form, words=for_command_line)
-    else:
-        sheet = comparison_sheet(comparison, for_command_line, paper=form == "latex")
-        text = sheet.text(**terminal()) if form == "text" else getattr(sheet, form)()
+    text = comparison.render(form, **terminal(), words=for_command_line)
     if plot is not None:
         posecal.plot.save(posecal.plot.draw_comparison(comparison), plot)
     typer.echo(text)

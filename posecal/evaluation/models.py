@@ -14,8 +14,8 @@ from posecal.errors import PoseDataError
 from posecal.evaluation.batches import Evaluation
 from posecal.evaluation.options import check_callable
 from posecal.evaluation.sources import Progress, Source, as_pose_data, check_descriptions
+from posecal.report.comparison import Comparison, compare_totals
 from posecal.report.report import Report
-from posecal.stats.comparison import Comparison, compare_totals
 from posecal.stats.multiplicity import check_known, names_of
 
 

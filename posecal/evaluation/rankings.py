@@ -15,9 +15,8 @@ from posecal.engine.storage import load_totals
 from posecal.engine.totals import Totals
 from posecal.errors import PoseDataError, PoseFileError, did_you_mean, for_python, raise_all
 from posecal.evaluation.entries import Entry, Files, checked_entry, problems_of, read_files, sha256_of
-from posecal.report.comparison import best_first
+from posecal.report.comparison import FORMATS, Comparison, best_first, plain
 from posecal.report.standings import COLUMNS, standings_rows, standings_sheet
-from posecal.stats.comparison import FORMATS, Comparison, plain
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -91,7 +90,7 @@ class Leaderboard:
         if form == "text":
             return "\n\n\n".join(sheet.text(width=width, colour=colour) for sheet in self.sheets(words))
         if form not in {"markdown", "latex"}:
-            raise PoseDataError(f"format: {form!r} is not known. {did_you_mean(form, ('text', *FORMATS))}")
+            raise PoseDataError(f"format: {form!r} is not known. {did_you_mean(form, FORMATS)}")
         return "\n\n".join(getattr(sheet, form)() for sheet in self.sheets(words))
 
     def _remarks(self, words: Callable[[str], str]) -> Iterator[tuple[str, str]]:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from posecal.stats.comparison import Comparison
+    from posecal.stats.comparison import PairedModels
 
 
 BOTH = "min_mpjpe", "ece"
@@ -23,7 +23,7 @@ BOTH = "min_mpjpe", "ece"
 CAPTION = "Bars: 95 % over sequences. Green: ECEs up to the 95 % quantile of a calibrated sampler's, by sign-flips."
 
 
-def accuracy_and_calibration(comparison: Comparison, *, ax: Axes | None = None) -> Axes:
+def accuracy_and_calibration(comparison: PairedModels, *, ax: Axes | None = None) -> Axes:
     """Draw minMPJPE against the ECE of each model.
 
     Parameters
@@ -74,7 +74,7 @@ def accuracy_and_calibration(comparison: Comparison, *, ax: Axes | None = None) 
 
 
 def draw_comparison(
-    comparison: Comparison | Mapping[str, Comparison],
+    comparison: PairedModels | Mapping[str, PairedModels],
     *,
     title: str | None = None,
     size: tuple[float, float] | None = None,

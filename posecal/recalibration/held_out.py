@@ -39,8 +39,8 @@ from posecal.recalibration.dispersion import (
 )
 from posecal.recalibration.effect import changes_between, objections
 from posecal.recalibration.spread_map import SpreadMap
+from posecal.report.comparison import compare_totals
 from posecal.report.report import Report
-from posecal.stats.comparison import compare_totals
 from posecal.stats.pairs import VALUE, Difference
 from posecal.stats.resampling import MIN_SEQUENCES
 

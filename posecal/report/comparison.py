@@ -1,21 +1,28 @@
-"""The printed page of a comparison: values, ranks and differences, primary metrics first."""
+"""Comparisons and their printed page: values, ranks and differences, primary metrics first."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
+from posecal.data.texts import json_lines, printable_table
 from posecal.engine.metric import Metric
-from posecal.errors import for_python
+from posecal.engine.totals import Totals
+from posecal.errors import PosecalError, PoseDataError, attempt, did_you_mean, for_python, printable, raise_all
 from posecal.report.format import ARROWS, MISSING, as_printed, counted, number, short_p, supported_digits
 from posecal.report.sheet import Sheet, Table
 from posecal.report.summary import frames_differ
+from posecal.stats.comparison import PairedModels
+from posecal.stats.multiplicity import check_primary
 from posecal.stats.pairs import LEVEL_OF_OTHERS
 from posecal.stats.resampling import LEVEL
+from posecal.stats.same_poses import check_comparable
 
 if TYPE_CHECKING:
-    from posecal.stats.comparison import Comparison
+    from matplotlib.figure import Figure
+
     from posecal.stats.pairs import Difference
 
 MOST_PAIRS = 15
@@ -24,10 +31,14 @@ MOST_PAIRS = 15
 BOLD = "bold", "the best model, with all that are not shown to be worse; none where no model is."
 """What bold numbers of a paper's table are."""
 
+FORMATS = ("text", "csv", "json", "latex", "markdown")
+
 TESTED = ("difference", "95 % interval", "p", "adjusted p", "better")
 
 
-def comparison_sheet(comparison: Comparison, words: Callable[[str], str] = for_python, *, paper: bool = False) -> Sheet:
+def comparison_sheet(
+    comparison: PairedModels, words: Callable[[str], str] = for_python, *, paper: bool = False
+) -> Sheet:
     """Lay out a comparison: the primary metrics, then the others; of three and more models, values and ranks first.
 
     Parameters
@@ -63,7 +74,7 @@ def comparison_sheet(comparison: Comparison, words: Callable[[str], str] = for_p
     )
 
 
-def _values(comparison: Comparison, heading: str, metrics: Iterable[Metric]) -> Table:
+def _values(comparison: PairedModels, heading: str, metrics: Iterable[Metric]) -> Table:
     """Lay out the numbers of all models: of two with their difference, of more with their ranks."""
     names, rows, best = comparison.names, [], []
     for row, metric in enumerate(metrics):
@@ -82,7 +93,7 @@ def _values(comparison: Comparison, heading: str, metrics: Iterable[Metric]) -> 
     return Table(title, (heading, "", *columns), rows, ("", "better"), best=best)
 
 
-def _by_model(comparison: Comparison, heading: str, metrics: Iterable[Metric]) -> Table:
+def _by_model(comparison: PairedModels, heading: str, metrics: Iterable[Metric]) -> Table:
     """Lay out the numbers as papers print them: a row per model, a column per metric, the best in bold."""
     columns, best = [], []
     for column, metric in enumerate(metrics, 1):
@@ -98,7 +109,7 @@ def _by_model(comparison: Comparison, heading: str, metrics: Iterable[Metric]) -
     return Table(f"{heading[0].upper()}{heading[1:]}s", headings, rows, best=best)
 
 
-def pairs_table(comparison: Comparison, metrics: Iterable[Metric], *, paper: bool = False) -> Table:
+def pairs_table(comparison: PairedModels, metrics: Iterable[Metric], *, paper: bool = False) -> Table:
     """Lay out the differences of every pair of models, or of the pairs with the best one."""
     rows = []
     for metric in metrics:
@@ -111,7 +122,7 @@ def pairs_table(comparison: Comparison, metrics: Iterable[Metric], *, paper: boo
     return Table("Pairs", ("pair", "models", *TESTED), rows, ("models", "better"))
 
 
-def best_first(comparison: Comparison, metric: Metric) -> list[str]:
+def best_first(comparison: PairedModels, metric: Metric) -> list[str]:
     """Sort the models by a number, beyond chance or not; those without one come last."""
     sign = -1 if metric.direction == "higher" else 1
     values = {name: sign * comparison.value(metric.name, name) for name in comparison.names}
@@ -134,7 +145,7 @@ def _width(interval: tuple[float, float]) -> float:
     return math.inf if math.isnan(low) else high - low
 
 
-def definitions(comparison: Comparison, metrics: Iterable[Metric]) -> list[tuple[str, str]]:
+def definitions(comparison: PairedModels, metrics: Iterable[Metric]) -> list[tuple[str, str]]:
     """Say what p-values are adjusted for, and of which metrics the distances from 0 are compared."""
     n_pairs = math.comb(len(comparison.names), 2)
     n_primary, n_all = (counted(len(some) * n_pairs, "test") for some in (comparison.primary, comparison.metrics))
@@ -148,7 +159,7 @@ def definitions(comparison: Comparison, metrics: Iterable[Metric]) -> list[tuple
     return words
 
 
-def sentences(comparison: Comparison) -> list[str]:
+def sentences(comparison: PairedModels) -> list[str]:
     """Name the best model by accuracy, calibration and score, and the models that are not miscalibrated.
 
     Nothing is said about calibration where the coordinate frames of a model differ.
@@ -165,7 +176,7 @@ def sentences(comparison: Comparison) -> list[str]:
     return words
 
 
-def _best(comparison: Comparison, metric: str) -> str:
+def _best(comparison: PairedModels, metric: str) -> str:
     """Say which model is best, or why none can be."""
     if all(math.isnan(one.value) for one in comparison.differences_of(metric)):
         unknown = all(math.isnan(comparison.value(metric, model)) for model in comparison.names)
@@ -174,6 +185,121 @@ def _best(comparison: Comparison, metric: str) -> str:
     return f"{best[0] if best else 'none'} is best beyond chance"
 
 
-def _beats_all(comparison: Comparison, metric: str, model: str) -> bool:
+def _beats_all(comparison: PairedModels, metric: str, model: str) -> bool:
     own = (one for one in comparison.differences_of(metric) if model in (one.first, one.second))
     return all(one.better == model for one in own)
+
+
+@dataclass(frozen=True, repr=False)
+class Comparison(PairedModels):
+    """Several models on the same poses, with their printed page; each number is computed when it is asked for, once.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The models.
+    totals : tuple of Totals
+        Their sums.
+    chosen : tuple of str
+        Primary metrics; none for those of the default.
+    """
+
+    def __str__(self) -> str:
+        return self.render()
+
+    def _repr_html_(self) -> str:
+        from posecal.report.html import render
+
+        return render("fragment.html", sheet=comparison_sheet(self))
+
+    def plot(self, *, title: str | None = None) -> Figure:
+        """Draw minMPJPE against the ECE of each model, as :func:`posecal.plot.draw_comparison` does."""
+        from posecal.plot.comparison import draw_comparison
+
+        return draw_comparison(self, title=title)
+
+    def render(
+        self, form: str = "text", *, width: int = 120, colour: bool = False, words: Callable[[str], str] = for_python
+    ) -> str:
+        """Write the comparison.
+
+        Parameters
+        ----------
+        form : str
+            ``text``, ``markdown`` or ``latex`` (a table for a paper, with a row per model); ``csv``, a row for each
+            difference and remark; ``json``, with all values, ranks and differences.
+        width, colour
+            Of the terminal, for ``text``.
+        words : callable
+            How remarks name options: ``for_python`` or ``for_command_line`` of :mod:`posecal.errors`.
+
+        Returns
+        -------
+        str
+            Without a final line break.
+
+        Raises
+        ------
+        PoseDataError
+            For another form.
+        """
+        if form == "csv":
+            remarks, shown = [*map(printable, self.remarks_in(words))], printable_table(self.table)
+            notes = shown.iloc[:0].reindex(range(len(remarks))).assign(metric="remark", first=remarks)
+            parts = [part.to_csv(index=False, header=part is shown, lineterminator="\n") for part in (shown, notes)]
+            return "".join(parts).rstrip("\n")
+        if form == "json":
+            return self._as_json(words)
+        if form not in FORMATS:
+            raise PoseDataError(f"format: {form!r} is not known. {did_you_mean(form, FORMATS)}")
+        sheet = comparison_sheet(self, words, paper=form == "latex")
+        return sheet.text(width=width, colour=colour) if form == "text" else str(getattr(sheet, form)())
+
+    def _as_json(self, words: Callable[[str], str]) -> str:
+        values = [
+            {"metric": name, "model": model, "value": plain(self.value(name, model)), "rank": self.rank(name, model)}
+            for name in self.metrics
+            for model in self.names
+        ]
+        differences = [{key: plain(value) for key, value in asdict(d).items()} for d in self.differences]
+        about = {"signature": self.totals[0].signature, "models": self.names, "primary": self.primary}
+        return json_lines({**about, "remarks": self.remarks_in(words), "values": values, "differences": differences})
+
+
+def plain(value: object) -> object:
+    """Give None for NaN, which JSON lacks."""
+    return None if isinstance(value, float) and math.isnan(value) else value
+
+
+def compare_totals(totals: Sequence[Totals], names: Sequence[str], primary: Sequence[str] = ()) -> Comparison:
+    """Compare models on the same poses.
+
+    Parameters
+    ----------
+    totals : sequence of Totals
+        Two or more, made alike.
+    names : sequence of str
+        What the models are called.
+    primary : sequence of str
+        Metrics that the comparison rests on; see :func:`posecal.compare`.
+
+    Returns
+    -------
+    Comparison
+        Values, differences and ranks.
+
+    Raises
+    ------
+    PoseDataError
+        Where two were not made alike or not on the same poses, and for primary metrics that they lack.
+    """
+    if len(totals) < 2:
+        raise PoseDataError(f"compare: {len(totals)} model; expected at least 2.")
+    names = [name if names.index(name) == at else f"{name} #{at + 1}" for at, name in enumerate(names)]
+    problems: list[str | PosecalError] = []
+    for name, other in zip(names[1:], totals[1:], strict=True):
+        attempt(problems, check_comparable, totals[0], other, names[0], name)
+    raise_all(problems)
+    comparison = Comparison(tuple(names), tuple(totals), tuple(primary))
+    check_primary(primary, comparison.metrics, totals[0])
+    return comparison

@@ -14,7 +14,7 @@ from posecal.report.sheet import Sheet, Table
 
 if TYPE_CHECKING:
     from posecal.evaluation.entries import Entry
-    from posecal.stats.comparison import Comparison
+    from posecal.report.comparison import Comparison
 
 SHOWN = ("min_mpjpe", "signed_area")
 """Metrics of the table, beside the primary ones."""

@@ -9,33 +9,30 @@ are refused.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
-from html import escape
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from posecal.calibration.error import FEW_HYPOTHESES
 from posecal.data.arrays import FloatArray
-from posecal.data.texts import frame_of, json_lines, printable_table
+from posecal.data.texts import frame_of
 from posecal.engine.metric import Metric
 from posecal.engine.totals import Totals
-from posecal.errors import PosecalError, PoseDataError, attempt, did_you_mean, for_python, printable, raise_all
+from posecal.errors import PoseDataError, did_you_mean, for_python, printable
 from posecal.registry import metrics_of, unmeasured
 from posecal.stats.jackknife import Interval, jackknife, leave_one_out, sequence_sizes
-from posecal.stats.multiplicity import PRIMARY, adjust, check_primary, default_primary
+from posecal.stats.multiplicity import PRIMARY, adjust, default_primary
 from posecal.stats.pairs import Difference, Pair, pairs
 from posecal.stats.remarks import remarks_on_numbers, remarks_on_sequences
 from posecal.stats.resampling import LEVEL, MIN_SEQUENCES, Null
-from posecal.stats.same_poses import PosesThatCount, check_comparable, not_compared, poses_that_count
+from posecal.stats.same_poses import PosesThatCount, not_compared, poses_that_count
 from posecal.stats.uncertainty import effective_hypotheses, measured_spec, null, weights_allow_no_test
 
 if TYPE_CHECKING:
     import pandas as pd
-
-FORMATS = ("csv", "json", "latex", "markdown")
 
 _DEPEND_ON_NUMBER = ("calibration", "rank_tests", "scores")
 """Families whose numbers weights move by more, the smaller the effective number of hypotheses is."""
@@ -47,7 +44,7 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True, repr=False)
-class Comparison:
+class PairedModels:
     """Several models on the same poses; each number is computed when it is asked for, once.
 
     Attributes
@@ -67,14 +64,8 @@ class Comparison:
 
     def __repr__(self) -> str:
         first = self.totals[0]
-        return f"<Comparison of {printable(', '.join(self.names))}: M = {first.poses.sum():,}, {first.units()}>"
-
-    def __str__(self) -> str:
-        return "\n".join([*self._notes, printable_table(self.table).to_string(index=False)])
-
-    def _repr_html_(self) -> str:
-        return "\n".join(
-            [*(f"<p>{escape(note)}</p>" for note in self._notes), printable_table(self.table).to_html(index=False)]
+        return (
+            f"<{type(self).__name__} of {printable(', '.join(self.names))}: M = {first.poses.sum():,}, {first.units()}>"
         )
 
     @property
@@ -130,10 +121,6 @@ class Comparison:
             return False
         numbers = [effective_hypotheses(totals) for totals in self.totals]
         return any(map(weights_allow_no_test, self.totals)) or max(numbers) > _ALIKE * min(numbers)
-
-    @property
-    def _notes(self) -> list[str]:
-        return [printable(f"note: {remark}") for remark in self.remarks]
 
     @cached_property
     def metrics(self) -> dict[str, Metric]:
@@ -225,43 +212,6 @@ class Comparison:
         pairs = [pair for pair in self.differences_of(metric) if model in (pair.first, pair.second)]
         return 1 + sum(pair.better not in (None, model) for pair in pairs)
 
-    def render(self, form: str, *, words: Callable[[str], str] = for_python) -> str:
-        """Write the differences as ``csv``, ``markdown`` or ``latex``; as ``json``, with all values and ranks.
-
-        Remarks come first, in CSV last, as rows of the metric ``remark`` with the text as their ``first``.
-
-        Parameters
-        ----------
-        form : str
-            ``csv``, ``json``, ``latex`` or ``markdown``.
-        words : callable
-            How remarks name options: ``for_python`` or ``for_command_line`` of :mod:`posecal.errors`.
-
-        Raises
-        ------
-        PoseDataError
-            For another form.
-        """
-        remarks, shown = [*map(printable, self.remarks_in(words))], printable_table(self.table)
-        if form == "csv":
-            notes = shown.iloc[:0].reindex(range(len(remarks))).assign(metric="remark", first=remarks)
-            parts = [part.to_csv(index=False, header=part is shown, lineterminator="\n") for part in (shown, notes)]
-            return "".join(parts).rstrip("\n")
-        if form == "markdown":
-            return "\n\n".join([*(f"note: {remark}" for remark in remarks), shown.to_markdown(index=False)])
-        if form == "latex":
-            return "\n".join([*(f"% note: {remark}" for remark in remarks), shown.to_latex(index=False, escape=True)])
-        if form != "json":
-            raise PoseDataError(f"format: {form!r} is not known. {did_you_mean(form, FORMATS)}")
-        values = [
-            {"metric": name, "model": model, "value": plain(self.value(name, model)), "rank": self.rank(name, model)}
-            for name in self.metrics
-            for model in self.names
-        ]
-        differences = [{key: plain(value) for key, value in asdict(d).items()} for d in self.differences]
-        about = {"signature": self.totals[0].signature, "models": self.names, "primary": self.primary}
-        return json_lines({**about, "remarks": self.remarks_in(words), "values": values, "differences": differences})
-
     def _find(self, metric: str, model: str) -> tuple[Metric, Totals]:
         if metric not in self.metrics:
             raise PoseDataError(f"{metric} is not in the comparison. {did_you_mean(metric, self.metrics)}")
@@ -315,42 +265,3 @@ class Comparison:
         untested = self._weights_differ and one.family in _DEPEND_ON_NUMBER
         for pair in pairs(one.direction, values, without, sizes):
             yield replace(pair, p=math.nan) if untested else pair
-
-
-def plain(value: object) -> object:
-    """Give None for NaN, which JSON lacks."""
-    return None if isinstance(value, float) and math.isnan(value) else value
-
-
-def compare_totals(totals: Sequence[Totals], names: Sequence[str], primary: Sequence[str] = ()) -> Comparison:
-    """Compare models on the same poses.
-
-    Parameters
-    ----------
-    totals : sequence of Totals
-        Two or more, made alike.
-    names : sequence of str
-        What the models are called.
-    primary : sequence of str
-        Metrics that the comparison rests on; see :func:`posecal.compare`.
-
-    Returns
-    -------
-    Comparison
-        Values, differences and ranks.
-
-    Raises
-    ------
-    PoseDataError
-        Where two were not made alike or not on the same poses, and for primary metrics that they lack.
-    """
-    if len(totals) < 2:
-        raise PoseDataError(f"compare: {len(totals)} model; expected at least 2.")
-    names = [name if names.index(name) == at else f"{name} #{at + 1}" for at, name in enumerate(names)]
-    problems: list[str | PosecalError] = []
-    for name, other in zip(names[1:], totals[1:], strict=True):
-        attempt(problems, check_comparable, totals[0], other, names[0], name)
-    raise_all(problems)
-    comparison = Comparison(tuple(names), tuple(totals), tuple(primary))
-    check_primary(primary, comparison.metrics, totals[0])
-    return comparison

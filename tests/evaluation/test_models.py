@@ -12,7 +12,7 @@ import pytest
 import posecal
 from posecal.engine.protocol import Protocol
 from posecal.errors import PoseDataError
-from posecal.stats.comparison import Comparison
+from posecal.report.comparison import Comparison
 from tests.helpers.samplers import gaussian, sequences
 
 N, M, K = 6, 24, 4

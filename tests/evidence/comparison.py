@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from posecal.engine.protocol import Protocol
 from posecal.engine.totals import Totals
-from posecal.stats.comparison import Comparison, compare_totals
+from posecal.report.comparison import Comparison, compare_totals
 from posecal.stats.pairs import LEVEL_OF_OTHERS
 from posecal.stats.resampling import LEVEL, holm
 from tests.evidence import Table

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from posecal.errors import PoseDataError
 from posecal.plot import accuracy_and_calibration, caption_of, draw_comparison
-from posecal.stats.comparison import Comparison, compare_totals
+from posecal.report.comparison import Comparison, compare_totals
 from tests.helpers.reports import report_of
 
 NAMES = ["right", "narrow"]

@@ -12,10 +12,9 @@ import pytest
 
 import posecal
 from posecal.errors import for_command_line
-from posecal.report.comparison import MOST_PAIRS, comparison_sheet
+from posecal.report.comparison import MOST_PAIRS, Comparison, compare_totals, comparison_sheet
 from posecal.report.format import short_p
 from posecal.report.sheet import Table
-from posecal.stats.comparison import Comparison, compare_totals
 from posecal.stats.pairs import Difference
 from tests.helpers.comparisons import METRICS
 from tests.helpers.latex import rows_of

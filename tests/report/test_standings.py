@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from posecal.evaluation.entries import Entry
+from posecal.report.comparison import Comparison
 from posecal.report.sheet import Sheet
 from posecal.report.standings import COLUMNS, standings_rows, standings_sheet
-from posecal.stats.comparison import Comparison
 from tests.helpers.boards import ABOUT, METRICS
 from tests.helpers.comparisons import MODELS, X, Y, totals_of
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from posecal.stats.comparison import Comparison, compare_totals
+from posecal.report.comparison import Comparison, compare_totals
 from tests.helpers.comparisons import MODELS, Y, totals_of
 
 

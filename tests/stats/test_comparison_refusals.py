@@ -12,7 +12,7 @@ import pytest
 from posecal.engine.metric import Metric
 from posecal.engine.totals import Totals
 from posecal.errors import PoseDataError
-from posecal.stats.comparison import Comparison, compare_totals
+from posecal.report.comparison import Comparison, compare_totals
 from posecal.stats.resampling import LEVEL
 from tests.helpers.comparisons import LABELS, M, S, X, Y, totals_of
 from tests.helpers.samplers import sequences
@@ -177,5 +177,5 @@ def test_what_has_no_test_is_not_called_calibrated(three: Comparison) -> None:
 
 
 def test_a_form_is_one_of_a_few(three: Comparison) -> None:
-    with pytest.raises(PoseDataError, match=r"^format: 5 is not known\. Known: csv, json, latex, markdown\.$"):
+    with pytest.raises(PoseDataError, match=r"^format: 5 is not known\. Known: text, csv, json, latex, markdown\.$"):
         three.render(5)  # type: ignore[arg-type]

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import posecal
-from posecal.report.comparison import comparison_sheet
-from posecal.stats.comparison import Comparison, compare_totals
+from posecal.report.comparison import Comparison, compare_totals, comparison_sheet
 from tests.helpers.comparisons import LABELS, M, S, X, Y, totals_of
 
 N = len(X)
