@@ -7,13 +7,18 @@ author = "The posecal authors"
 copyright = "2026, The posecal authors"
 version = release = __version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.mathjax", "numpydoc"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.mathjax", "numpydoc"]
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 3
 exclude_patterns = ["_build"]
+templates_path = ["_templates"]
+nb_execution_mode = "force"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 120
 html_theme = "furo"
 html_title = "posecal"
-html_static_path: list[str] = []
+html_static_path = ["_static"]
+html_css_files = ["posecal.css"]
 autosummary_generate = True
 autodoc_typehints = "none"
 numpydoc_show_class_members = False

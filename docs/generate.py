@@ -1,8 +1,13 @@
-"""Write the tables of the pages anew, from metrics, joint sets and saved results: ``python docs/generate.py``."""
+"""Write anew what pages show of posecal itself: ``python docs/generate.py`` tables, ``… commands`` printed output."""
 
 from __future__ import annotations
 
+import os
 import re
+import shlex
+import subprocess
+import sys
+import tempfile
 from collections.abc import Iterable
 from dataclasses import fields
 from pathlib import Path
@@ -15,6 +20,7 @@ from posecal.engine.protocol import CHOICES, Protocol
 from posecal.report.explain import metrics_table
 from posecal.report.sentences import RULES
 
+COMMANDS = Path(__file__).with_name("commands.md")
 PAGES = tuple(Path(__file__).with_name(f"{name}.md") for name in ("metrics", "joints", "report", "leaderboard"))
 
 
@@ -95,10 +101,34 @@ def generated(text: str) -> str:
     )
 
 
+def printed(command: str, folder: Path) -> str:
+    """Run a command of posecal in a folder, at 100 columns, and return what it prints."""
+    program, *words = shlex.split(command)
+    if program != "posecal":
+        raise ValueError(f"{command}: expected a command of posecal.")
+    environment = {**os.environ, "COLUMNS": "100", "MPLBACKEND": "Agg", "TERM": "dumb"}
+    call = [sys.executable, "-m", program, *words]
+    done = subprocess.run(call, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True, check=True)
+    return "\n".join(line.rstrip() for line in done.stdout.splitlines()).strip("\n")
+
+
+def with_output(text: str) -> str:
+    """Run the commands of a page in their order, each followed by what it prints."""
+    with tempfile.TemporaryDirectory() as folder:
+        return re.sub(
+            r"(```console\n\$ (.*)\n)(?:.*\n)*?(```)",
+            lambda block: f"{block[1]}{printed(block[2], Path(folder))}\n{block[3]}",
+            text,
+        )
+
+
 if __name__ == "__main__":
-    for page in PAGES:
-        page.write_text(generated(page.read_text(encoding="utf-8")), encoding="utf-8")
-    board = posecal.leaderboard(Path(__file__).with_name("leaderboard"))
-    posecal.plot.save(
-        posecal.plot.draw_comparison(board.comparisons), Path(__file__).with_name("pictures") / "leaderboard.svg"
-    )
+    if sys.argv[1:] == ["commands"]:
+        COMMANDS.write_text(with_output(COMMANDS.read_text(encoding="utf-8")), encoding="utf-8")
+    else:
+        for page in PAGES:
+            page.write_text(generated(page.read_text(encoding="utf-8")), encoding="utf-8")
+        board = posecal.leaderboard(Path(__file__).with_name("leaderboard"))
+        posecal.plot.save(
+            posecal.plot.draw_comparison(board.comparisons), Path(__file__).with_name("pictures") / "leaderboard.svg"
+        )

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import textwrap
 from pathlib import Path
+from runpy import run_path
 
 import pytest
 
@@ -143,12 +144,39 @@ def test_the_loop_in_two_processes_is_the_one_that_its_test_runs() -> None:
 
 def test_every_page_is_in_the_index() -> None:
     listed = re.findall(r"^[a-z-]+$", (DOCS / "index.md").read_text(encoding="utf-8"), re.MULTILINE)
-    assert sorted([*listed, "index"]) == sorted(page.stem for page in DOCS.glob("*.md"))
+    pages = [*DOCS.glob("*.md"), *DOCS.glob("*.ipynb")]
+    assert sorted([*listed, "index"]) == sorted(page.stem for page in pages)
+
+
+@pytest.mark.slow
+def test_the_page_of_commands_shows_what_they_print() -> None:
+    page = (DOCS / "commands.md").read_text(encoding="utf-8")
+    with_output = run_path(str(DOCS / "generate.py"))["with_output"]
+    assert with_output(page).splitlines() == page.splitlines(), "run python docs/generate.py commands"
+
+
+def test_the_glossary_names_the_headline_metrics() -> None:
+    page = (DOCS / "glossary.md").read_text(encoding="utf-8")
+    terms = set(re.split(r", |\n", "\n".join(re.findall(r"^([^ `#\n].*)$", page.split("{glossary}")[1], re.MULTILINE))))
+    metrics = (
+        "minMPJPE",
+        "MPJPE",
+        "PCK",
+        "AUC of PCK",
+        "CPS",
+        "ECE",
+        "signed area",
+        "coverage",
+        "energy score",
+        "CRPS",
+        "NLL",
+    )
+    assert set(metrics) <= terms
 
 
 def test_every_public_name_is_on_the_page_of_public_names() -> None:
     text = (DOCS / "api.md").read_text(encoding="utf-8")
-    shown = {name.rpartition(".")[2] for name in re.findall(r":: ([\w.]+)$", text, re.MULTILINE)}
+    shown = {name.rpartition(".")[2] for name in re.findall(r"(?:::|^  ) ([\w.]+)$", text, re.MULTILINE)}
     shown |= set(re.findall(r"``(\w+)`` is their type", text))
     packages = (posecal, posecal.metrics, posecal.calibration, posecal.recalibration, posecal.plot)
     assert {name for package in packages for name in package.__all__} - shown == set()
