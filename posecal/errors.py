@@ -50,6 +50,7 @@ _FLAGS = {
     "preranks": "--prerank",
     'metrics="scores"': "--scores",
     'metrics="rank_tests"': "--rank-tests",
+    "gallery=False": "--no-gallery",
     "by_joint=True": "a Metric made with by_joint=True",
 }
 """Flags that are called otherwise than their parameters, or than a parameter with a value."""
@@ -58,19 +59,8 @@ _PROTOCOL = frozenset(
     (
         *("align", "align_best", "auc", "auc_range", "average", "best", "cps_align", "cps_best", "cps_joints"),
         *("cps_unit", "deviation", "ece_over", "failure_threshold", "frames", "mm_alone", "mm_threshold", "mode"),
-        *(
-            "pck_best",
-            "pck_joints",
-            "pck_relative",
-            "pck_rule",
-            "pck_threshold",
-            "root",
-            "scale",
-            "segment",
-            "single_pose",
-            "trials",
-            "velocity",
-        ),
+        *("pck_best", "pck_joints", "pck_relative", "pck_rule", "pck_threshold", "root", "scale", "segment"),
+        *("single_pose", "trials", "velocity"),
     )
 )
 """Options of a protocol that have no flag of their own."""

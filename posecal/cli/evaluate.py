@@ -76,10 +76,11 @@ def merge(
     """Add the results of shards: the same numbers as one run, without what depends on all poses of a run."""
     check_outputs(*results, output=output)
     import posecal
+    from posecal.report.format import counted
 
     total = posecal.merge_totals([posecal.load_totals(path) for path in results], [path.name for path in results])
     posecal.Report(total).save(output, gallery=gallery)
-    say(f"{output}: {total.poses.sum():,} poses of {len(results)} results.")
+    say(f"{output}: {total.poses.sum():,} poses of {counted(len(results), 'result')}.")
 
 
 def presets() -> None:

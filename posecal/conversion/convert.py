@@ -82,7 +82,7 @@ def convert(
     output : path, optional
         The ``.npz`` file to write.
     like : str, optional
-        A name of the table in :doc:`convert`, where the file does not show of which tool it is.
+        A name of the table in :doc:`/convert`, where the file does not show of which tool it is.
     role : str, optional
         ``truth`` or ``hypotheses``; by default hypotheses where there are several of a frame.
     each_file : str, optional
@@ -103,7 +103,7 @@ def convert(
     Returns
     -------
     members : dict
-        Arrays by name, as :doc:`file-format` lists them.
+        Arrays by name, as :doc:`/file-format` lists them.
     assumed : list of str
         What was assumed because the file does not say it.
 

@@ -233,6 +233,8 @@ def _problems_of_one(stem: str, entry: Entry, totals: Totals) -> Iterable[str]:
     if differ:
         options = ", ".join(f"{key}={used[key]} for {wanted[key]}" for key in differ)
         yield f"{stem}.npz: made with {options}; expected those of the preset {entry.preset}, as {stem}.toml says."
+    if totals.gallery is not None:
+        yield f"{stem}.npz: holds poses for pictures; expected sums alone. {option('gallery', False)} leaves them out."
     d = totals.spec.dimensions or 0
     for name in totals.sums:
         counts = totals.counts[name]

@@ -23,6 +23,7 @@ def test_models_are_added_and_shown_in_each_form_and_drawn() -> None:
             f"{name}.npz",
             "true.npz",
             "--metrics=min_mpjpe,ece,energy_score",
+            "--no-gallery",
             "--save",
             f"{name}-result.npz",
         )
@@ -47,7 +48,7 @@ def test_the_folder_is_the_current_one_unless_named() -> None:
 
 
 def test_what_is_refused_is_one_message_and_writes_nothing() -> None:
-    done("evaluate", "right.npz", "true.npz", "--metrics=ece", "--save=right-result.npz")
+    done("evaluate", "right.npz", "true.npz", "--metrics=ece", "--no-gallery", "--save=right-result.npz")
     said = refused(*add("right", "--preset=cgnff"))
     assert "entry: preset 'cgnff' is not known. Did you mean cgnf?" in said
     assert "Missing option" in refused("leaderboard", "add", "board", code=2)

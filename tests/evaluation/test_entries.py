@@ -230,7 +230,7 @@ def test_moments_of_short_sequences_would_give_true_poses_away(frames: int, give
     prediction = GaussianPrediction(truth + 1.0, covariance=np.broadcast_to(np.eye(3), (4 * frames, 3, 3, 3)))
     labels = {"sequence": np.repeat(["a", "b", "c", "d"], frames)}
     report = posecal.evaluate(prediction, truth, unit="mm", labels=labels, metrics="nll", root_joint="none")
-    report.save(tmp_path / "result.npz")
+    report.save(tmp_path / "result.npz", gallery=False)
     board = tmp_path / "board"
     board.mkdir()
     if not given_away:
@@ -249,3 +249,14 @@ def test_a_saved_result_holds_no_pose(made: Path) -> None:
         numbers = [members[name].ravel() for name in members if members[name].dtype.kind == "f"]
     found = np.isin(np.abs(np.concatenate(numbers)).round(2), coordinates[coordinates > 1])
     assert found.mean() < 0.01
+
+
+def test_a_result_that_keeps_poses_for_pictures_is_refused(tmp_path: Path) -> None:
+    totals = posecal.evaluate(MODELS["right"], Y, unit="mm", axes="NMKD", metrics="ece").totals
+    assert totals.gallery is not None
+    save_totals(totals, tmp_path / "result.npz")
+    with pytest.raises(
+        PosecalError, match=r"holds poses for pictures; expected sums alone\. gallery=False leaves them out"
+    ):
+        add(tmp_path / "board", tmp_path / "result.npz", name="new")
+    assert not (tmp_path / "board").exists()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from posecal.engine.protocol import Protocol
@@ -19,7 +21,7 @@ def totals_of(
     x: Array, y: Array, metrics: str = METRICS, labels: dict[str, Array] | None = None, **options: str
 ) -> Totals:
     protocol = Protocol().changed({"metrics": metrics, **options})
-    return accumulate(pairs_of(x, y, labels=labels or LABELS), protocol, threads=1)
+    return replace(accumulate(pairs_of(x, y, labels=labels or LABELS), protocol, threads=1), gallery=None)
 
 
 X, Y = gaussian(0, 12, M, 4)
