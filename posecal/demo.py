@@ -8,6 +8,7 @@ spread, an underconfident one with one and a half times as much.
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +19,7 @@ import numpy.typing as npt
 from posecal.data.arrays import FloatArray
 from posecal.data.skeleton import JOINT_SETS, Skeleton
 from posecal.data.write import write_file, write_members
-from posecal.errors import PoseFileError
+from posecal.errors import PoseFileError, for_command_line
 from posecal.evaluation import evaluate
 from posecal.report.format import short_number
 from posecal.report.html import write_html
@@ -199,7 +200,7 @@ def write_demo(folder: Path, world: World | None = None, n_hypotheses: int = 200
         yield write(f"{name}.npz", hypotheses=sample(world, n_hypotheses, spread), axes=np.array("NMKD"))
 
 
-def run_demo(folder: Path, write_line: Callable[[str], object]) -> None:
+def run_demo(folder: Path, write_line: Callable[[str], object], *, width: int = 120, colour: bool = False) -> None:
     """Write the demonstration, evaluate each sampler as a user would, and point out what to notice.
 
     Parameters
@@ -208,6 +209,8 @@ def run_demo(folder: Path, write_line: Callable[[str], object]) -> None:
         Made where it does not exist.
     write_line : callable
         Takes each line.
+    width, colour : int and bool
+        Columns of the terminal, and whether to use its colours.
 
     Raises
     ------
@@ -227,6 +230,7 @@ def run_demo(folder: Path, write_line: Callable[[str], object]) -> None:
     )
     files = {path.stem: path for path in write_demo(folder, world)}
     reports = {}
+    write_line(f"$ cd {shlex.quote(str(folder))}")
     for name in SAMPLERS:
         outputs = f"--plot {name}.png --html {name}.html --save {name}-result.npz"
         write_line(f"$ posecal evaluate {name}.npz gt.npz {outputs}")
@@ -238,8 +242,8 @@ def run_demo(folder: Path, write_line: Callable[[str], object]) -> None:
     for ax, (name, report) in zip(figure.axes, reports.items(), strict=True):
         ax.set_title(f"{name}\nminMPJPE {report['min_mpjpe']:.1f} mm, ECE {report['ece']:.3f}", fontsize="medium")
     save(figure, folder / "samplers.svg")
-    write_line(f"\n{reports['calibrated']}\n")
-    write_line(_summary_of(reports).text())
+    write_line(f"\n{reports['calibrated'].render(width=width, colour=colour, words=for_command_line)}\n")
+    write_line(_summary_of(reports).text(width=width, colour=colour))
     write_line(f"\nIn {folder}: the files, a page (.html), a reliability diagram (.png) and a result for each sampler.")
 
 

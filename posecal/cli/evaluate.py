@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from posecal.cli import options as opt
-from posecal.cli.running import check_outputs, progress, say, show
+from posecal.cli.running import check_outputs, progress, say, show, terminal
 from posecal.cli.shards import ShardOptions
 
 
@@ -96,4 +96,4 @@ def demo(
     """Make a world where the truth is known, evaluate three samplers on it, and say what to notice."""
     from posecal.demo import run_demo
 
-    run_demo(folder, typer.echo)
+    run_demo(folder, typer.echo, **terminal())
