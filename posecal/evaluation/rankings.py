@@ -80,11 +80,10 @@ class Leaderboard:
             For another form.
         """
         if form == "csv":
-            import pandas as pd
-
-            notes = [{"test_set": name, "metric": "remark", "model": text} for name, text in self._remarks(words)]
-            table = printable_table(pd.concat([self.table, pd.DataFrame(notes, columns=list(COLUMNS), dtype=object)]))
-            return table.to_csv(index=False, lineterminator="\n").rstrip("\n")
+            nothing = [None] * (len(COLUMNS) - 3)
+            notes = [(name, text, "remark", *nothing) for name, text in self._remarks(words)]
+            table = frame_of([*self.table.itertuples(index=False, name=None), *notes], COLUMNS)
+            return printable_table(table).to_csv(index=False, lineterminator="\n").rstrip("\n")
         if form == "json":
             return json_lines(self._as_dict(words))
         if form == "text":

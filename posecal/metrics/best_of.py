@@ -197,7 +197,7 @@ def subset_curve(scope: Scope) -> Curve:
     return Curve(
         name="errors_by_n",
         at=curve_sizes(N).astype(np.float64),
-        axes=("hypotheses n", "minMPJPE of n hypotheses [mm]"),
+        axes=("hypotheses n", "minMPJPE [mm]"),
         definition=f"mean over poses and over all subsets of n of the N={N} hypotheses of the smallest error; error: "
         f"{error_words(scope)}",
         statistic=_errors_by_n(scope),

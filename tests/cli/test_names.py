@@ -138,7 +138,7 @@ def test_hypotheses_whose_file_has_an_odd_name_are_evaluated(form: str) -> None:
     done("compare", f"{NAME}s.npz", "result.npz", f"--format={form}", f"--plot={NAME}2.svg")
     ET.fromstring(Path(f"{NAME}2.svg").read_text(encoding="utf-8"))
     said = run("merge", f"{NAME}s.npz", "-o", f"{NAME}m.npz")
-    assert (said.exit_code, said.stderr) == (0, f"{NAME_SHOWN}m.npz: 36 poses of 1 results.\n")
+    assert (said.exit_code, said.stderr) == (0, f"{NAME_SHOWN}m.npz: 36 poses of 1 result.\n")
 
 
 def test_a_process_shows_such_names_too() -> None:
