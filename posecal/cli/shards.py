@@ -38,7 +38,7 @@ class ShardOptions:
         from posecal.data.remote import is_address
         from posecal.evaluation.pairs import is_pattern
 
-        asked = (self.workers, self.scheduler, self.keep)
+        asked = (self.workers, self.scheduler, self.keep, None if self.duplicates == "error" else self.duplicates)
         return (
             any(map(is_pattern, sources)) or any(map(is_address, sources)) or any(value is not None for value in asked)
         )
@@ -51,6 +51,7 @@ class ShardOptions:
         Results of single files are kept beside ``save`` until all are done, unless a folder is given.
         """
         import posecal
+        from posecal.evaluation.kept import is_kept
 
         beside = None if save is None else save.with_suffix(".shards")
         keep = self.keep or beside
@@ -63,7 +64,7 @@ class ShardOptions:
             )
         if keep is not None and keep is beside:
             with suppress(OSError):  # what others put there stays
-                for path in keep.glob("*.npz"):
+                for path in filter(is_kept, keep.glob("*.npz")):
                     path.unlink()
                 keep.rmdir()
         return report

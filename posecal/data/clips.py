@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +13,10 @@ from posecal.data.arrays import FloatArray
 from posecal.data.layout import Layout
 from posecal.data.remarks import Count, Example, Remark
 from posecal.data.stored_poses import Labels, Rows, StoredPoses, in_millimetres
-from posecal.errors import PosecalError, first_few
+from posecal.errors import PosecalError, PoseDataError, first_few
+
+if TYPE_CHECKING:
+    from posecal.data.pose_data import PoseData
 
 Names = npt.NDArray[np.str_]
 
@@ -27,12 +31,15 @@ class Clips:
         T, the most poses that a clip has.
     numbered : tuple of str
         The labels that are made of the numbers of the clips.
+    has_axis : bool
+        Whether the layout has a T, so that every clip is whole.
     observed : mapping of arrays (K, D)
         The last observed pose before each clip, by the clip's name, in the unit of the poses; empty where unknown.
     """
 
     length: int
     numbered: tuple[str, ...] = ()
+    has_axis: bool = False
     observed: Mapping[str, FloatArray] = field(default_factory=dict)
 
 
@@ -135,7 +142,7 @@ def describe_clips(
     names, first, counts = np.unique(labels["clip"], return_index=True, return_counts=True)
     most = int(counts.max()) if length is None else length
     if (observed := truth.observed) is None:
-        return Clips(most, numbered)
+        return Clips(most, numbered, length is not None)
     number, stored = np.argsort(np.argsort(rows[first])), len(names)
     if length is not None:
         number, stored = rows[first] // length, int(rows.max()) // length + 1
@@ -149,7 +156,26 @@ def describe_clips(
     poses = in_millimetres(observed[number][:, columns], factor).astype(np.float64)
     if not np.isfinite(poses).all():
         problems.append(f"{truth.name}: observed has non-finite coordinates; expected the pose before each clip.")
-    return Clips(most, numbered, dict(zip(names.tolist(), poses, strict=True)))
+    return Clips(most, numbered, length is not None, dict(zip(names.tolist(), poses, strict=True)))
+
+
+def select_clips(data: PoseData, rows: Rows) -> PoseData:
+    """Select poses whose frames did not come before; whole clips where poses form such.
+
+    Raises
+    ------
+    PoseDataError
+        Where a clip would be cut, as where windows of one recording overlap.
+    """
+    if data.clips is not None:
+        names, codes = np.unique(data.labels["clip"], return_inverse=True)
+        left = np.bincount(codes[rows], minlength=len(names))
+        if cut := names[(left > 0) & (left < np.bincount(codes))].tolist():
+            raise PoseDataError(
+                f"frame_id: frames of {len(cut):,} clips came before in others (first: clip {cut[0]}); expected a name "
+                "for each frame of each clip, such as the clip's and the frame's."
+            )
+    return data.select(rows)
 
 
 def short_clip_remarks(clips: Clips | None, clip: Names | None) -> list[str]:

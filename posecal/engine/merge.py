@@ -22,7 +22,7 @@ Cell = tuple[str, ...]
 FAN_IN = 32
 """How many results are added at a time where there are many."""
 
-_OVER_TIME = ("mpjve", "acceleration", "jitter", "wa_errors", "w_errors")
+_OVER_TIME = ("mpjve", "acceleration", "jitter", "wa_errors", "w_errors", "clip", "final_errors", "multimodal")
 """Words in the names of statistics that are of several consecutive poses."""
 
 
@@ -55,6 +55,11 @@ def merge_totals(parts: Sequence[Totals], names: Sequence[str] | None = None) ->
     names = [_ordinal(number) for number in range(1, len(parts) + 1)] if names is None else names
     if len(names) != len(parts):
         raise PoseDataError(f"names: {len(names)} for {len(parts)} results; expected one each.")
+    if len(parts) > 1 and any(part.spec.has_clip_numbers for part in parts):
+        raise PoseDataError(
+            f"{names[0]} and {names[1]}: sequences are the numbers of clips, alike in each; expected labels "
+            f"{option('clip')} or {option('sequence')}, so that clips of parts are told apart."
+        )
     parts, lost = without_apart(_with_weights(parts))
     labels = [name for name in parts[0].cells if all(name in part.cells for part in parts)]
     labels, uncut = without_own_cuts(parts, labels)

@@ -63,9 +63,7 @@ class Prepared:
                 numbers = np.array([names.setdefault(name, len(names)) for name in part.sequences])
             limits.append(part.limits._replace(reached_by=numbers[part.limits.reached_by]))
             n_poses += part.n_poses
-        return cls(
-            CoordinateRange.joined(limits), names, n_poses, clips=TrueClips.joined([part.clips for part in parts])
-        )
+        return cls(CoordinateRange.joined(limits), names, n_poses)
 
     @property
     def hash(self) -> str:

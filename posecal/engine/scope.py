@@ -67,6 +67,8 @@ class DataSpec:
         Of merged results: what each had found from its own poses alone, such as the ``coordinate range``.
     clip_length : int
         T, the number of frames of a clip; 0 where poses form no clips.
+    has_clip_numbers : bool
+        Whether sequences are the numbers of clips, which have no names.
     has_observed : bool
         Whether the last observed pose before each clip is known.
     n_effective : float or None
@@ -92,6 +94,7 @@ class DataSpec:
     dimensions: int = 0
     apart: tuple[str, ...] = ()
     clip_length: int = 0
+    has_clip_numbers: bool = False
     has_observed: bool = False
     n_effective: float | None = None
 
@@ -114,6 +117,7 @@ class DataSpec:
             n_coordinates=data.shape[3],
             labels=tuple(data.labels),
             clip_length=0 if data.clips is None else data.clips.length,
+            has_clip_numbers=data.clips is not None and "sequence" in data.clips.numbered,
             has_observed=data.clips is not None and bool(data.clips.observed),
             fps=data.fps,
             has_scores=data.scores is not None,

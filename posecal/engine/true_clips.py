@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +11,9 @@ from posecal.data.arrays import BoolArray, FloatArray, squared_norms
 from posecal.data.pose_data import PoseData
 from posecal.engine.chunks import Chunk
 from posecal.engine.offsets import relative_to_root
+from posecal.errors import PoseDataError
+
+_SAME = "Give clips names that no two share, or batches in the order of what was prepared."
 
 KEY = "true clips"
 """Under which a block of a clip shares what :meth:`TrueClips.of` needs."""
@@ -24,16 +26,19 @@ class TrueClips:
     Attributes
     ----------
     number : dict
-        The number of each clip, by its name.
+        The number of each clip that has all frames and joints, by its name.
     poses : array (C, T, K, D)
         Relative to the root, mm.
     observed : array (C, K, D)
         Likewise.
+    names : frozenset of str
+        All clips, those that lack frames or joints among them.
     """
 
     number: dict[str, int]
     poses: FloatArray
     observed: FloatArray
+    names: frozenset[str] = frozenset()
 
     @property
     def hash(self) -> str:
@@ -43,24 +48,15 @@ class TrueClips:
             found = zlib.crc32(np.ascontiguousarray(poses).data, found)
         return f"{found:08x}"
 
-    @classmethod
-    def joined(cls, parts: Sequence[TrueClips | None]) -> TrueClips | None:
-        """Put the clips of parts of a test set together; None where those of a part are not known."""
-        known = [part for part in parts if part is not None]
-        if len(known) < len(parts):
-            return None
-        names = [name for part in known for name in part.number]
-        number = {name: row for row, name in enumerate(names)}
-        poses, observed = (np.concatenate([getattr(part, name) for part in known]) for name in ("poses", "observed"))
-        return cls(number, poses, observed)
-
-    def of(self, clip: str, threshold: float, joints: BoolArray) -> FloatArray | None:
+    def of(self, clip: str, truth: FloatArray, threshold: float, joints: BoolArray) -> FloatArray | None:
         """Give the clips whose last observed pose is nearer than a threshold to that of a clip, which is one of them.
 
         Parameters
         ----------
         clip : str
             Its name.
+        truth : array (T, K, D)
+            Its true poses, relative to the root, mm.
         threshold : float
             A distance of whole poses, mm.
         joints : bool array (K,)
@@ -70,9 +66,19 @@ class TrueClips:
         -------
         array (A, T, K, D) or None
             None for a clip that lacks a frame, or a joint of one.
+
+        Raises
+        ------
+        PoseDataError
+            For a clip that was not among those that were prepared, or is another one of its name.
         """
+        if clip not in self.names:
+            raise PoseDataError(f"clip: {clip!r} is not among the {len(self.names):,} that were prepared. {_SAME}")
         if clip not in self.number:
             return None
+        prepared = self.poses[self.number[clip]]
+        if not np.abs(prepared - truth)[:, joints].max() <= 0.1 + 1e-4 * np.abs(prepared).max():
+            raise PoseDataError(f"clip: {clip!r} has other true poses than the one that was prepared. {_SAME}")
         apart = (self.observed - self.observed[self.number[clip]])[:, joints]
         return self.poses[np.sqrt(squared_norms(apart.reshape(len(apart), -1, 1))[:, 0]) < threshold]
 
@@ -96,7 +102,8 @@ def true_clips(data: PoseData) -> TrueClips | None:
     observed = np.array([data.clips.observed[name] for name in kept]).reshape(-1, *data.truth.shape[1:])
     poses = relative_to_root(data.truth, data.root, np.dtype(np.float64))[rows]
     number = {name: row for row, name in enumerate(kept)}
-    return TrueClips(number, poses, relative_to_root(observed, data.root, np.dtype(np.float64)))
+    names = frozenset(np.unique(clip).tolist())
+    return TrueClips(number, poses, relative_to_root(observed, data.root, np.dtype(np.float64)), names)
 
 
 def clip_of(chunk: Chunk) -> str:

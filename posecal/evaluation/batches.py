@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from posecal.calibration.rank_tests import PreRank
 from posecal.data.arrays import as_labels
+from posecal.data.clips import select_clips
 from posecal.data.declarations import Declarations
 from posecal.data.frame_numbers import Place, continued
 from posecal.data.frames import FrameCheck
@@ -197,7 +198,7 @@ class Evaluation:
         known = self._frames.keys() | self._frames_of_others if self._frames_of_others else self._frames
         first = {name: row for row, name in reversed(list(enumerate(names.tolist()))) if name not in known}
         data = data.replace(frame_id=names, has_frame_id=True)
-        return data.select(np.sort(np.array([*first.values()], dtype=np.intp)))
+        return select_clips(data, np.sort(np.array([*first.values()], dtype=np.intp)))
 
     def add(
         self,
@@ -237,8 +238,7 @@ class Evaluation:
         data, place = (data, self._place) if complete else continued(data, n_given, self._place)
         if has_mask is None:
             has_mask, data = data.where is not None, select_scored(data, self.protocol)
-        lack = lack_of_scored(data, self.protocol)
-        if lack and complete:
+        if (lack := lack_of_scored(data, self.protocol)) and complete:
             raise PoseDataError(lack)
         remarks = [*data.remarks]
         if len(data.truth):

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
+import marshal
 import os
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +18,7 @@ import posecal
 from posecal.data.remote import identity_of
 from posecal.engine.storage import load_totals, save_totals
 from posecal.engine.totals import Totals
+from posecal.engine.user_code import FileFunction
 from posecal.errors import PoseFileError
 from posecal.evaluation.shard_passes import Method, Shard, Task
 
@@ -46,15 +51,15 @@ class KeptResults:
             posecal.__version__,
             method.protocol.options,
             method.by,
-            sorted(method.preranks),
-            [[metric["name"], metric["definition"]] for metric in method.own_metrics],
+            _content(method.preranks),
+            _content(method.own_metrics),
             sorted(method.dropped),
             method.has_mask,
             method.gallery,
             None if pool is None else pool.hash,
             None
             if prepared is None
-            else [prepared.hash, prepared.n_poses, {k: [*v] for k, v in prepared.cuts.items()}],
+            else [prepared.hashes, prepared.n_poses, {k: [*v] for k, v in prepared.cuts.items()}],
         ]
 
     def path(self, task: Task) -> Path | None:
@@ -89,14 +94,44 @@ class KeptResults:
             save_totals(totals, path)
 
 
+def is_kept(path: Path) -> bool:
+    """Whether a file has the name of a result that is kept."""
+    return re.fullmatch(r".*-[0-9a-f]{32}\.npz", path.name) is not None
+
+
 def _identity(shard: Shard) -> list[object] | None:
     """Give what changes where the data of a shard do; None where they are in no files."""
     sources = [shard.hypotheses, shard.truth, *([] if shard.reference is None else [shard.reference])]
     if not all(isinstance(source, str | os.PathLike) for source in sources):
         return None
-    described = sorted((name, repr(value)) for name, value in shard.described.items())
+    described = sorted((name, _content(value)) for name, value in shard.described.items())
     kept = None if shard.kept is None else _digest(shard.kept)
     return [*(identity_of(source) for source in sources), described, shard.first, kept]  # type: ignore[arg-type]
+
+
+def _content(value: object, depth: int = 8) -> object:
+    """Give what changes where a value does: a function's code, the file of a name, the numbers of an array."""
+    if depth == 0:
+        return "…"
+    inner = partial(_content, depth=depth - 1)
+    if isinstance(value, FileFunction):
+        return [value.entry, identity_of(value.entry.rpartition(":")[0])]
+    if isinstance(value, partial):
+        return [inner(value.func), inner(value.args), inner(value.keywords)]
+    if hasattr(value, "__code__"):
+        cells = [cell.cell_contents for cell in getattr(value, "__closure__", None) or ()]
+        return [hashlib.sha256(marshal.dumps(value.__code__)).hexdigest(), inner(cells)]
+    if isinstance(value, np.ndarray):
+        return [str(value.dtype), value.shape, _digest(value)]
+    if isinstance(value, str | os.PathLike):
+        return identity_of(value) if Path(value).is_file() else str(value)
+    if isinstance(value, Mapping):
+        return sorted((str(key), inner(entry)) for key, entry in value.items())
+    if isinstance(value, list | tuple):
+        return [inner(entry) for entry in value]
+    if is_dataclass(value) and not isinstance(value, type):
+        return [inner(getattr(value, field.name)) for field in fields(value)]
+    return repr(value)
 
 
 def _digest(rows: Sequence[int] | np.ndarray) -> str:

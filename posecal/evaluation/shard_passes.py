@@ -24,7 +24,7 @@ from posecal.engine.prepare import Prepared, lack_of_scored, prepare, select_sco
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec
 from posecal.engine.totals import Totals
-from posecal.errors import PosecalError
+from posecal.errors import PosecalError, PoseDataError
 from posecal.evaluation.batches import Evaluation
 from posecal.evaluation.sources import Source, as_pose_data
 from posecal.metrics.sharpness import predicted_spread
@@ -68,6 +68,11 @@ class Shard:
     def open(self) -> PoseData:
         """Open the sources and match them, with the hypotheses of another model as their reference."""
         data = as_pose_data(starting_at(self.hypotheses, self.first), self.truth, self.described)
+        if data.clips is not None:
+            raise PoseDataError(
+                f"{self.name}: clips of predicted motion (axes with a T, or a label clip), which may lie in several "
+                "files; expected them in one call of evaluate, or in batches of whole clips."
+            )
         some = data.hypotheses
         if isinstance(some, ArrayHypotheses) and isinstance(some.array, DrawnHypotheses):
             drawn = replace(some.array, prediction=starting_at(some.array.prediction, self.first))

@@ -70,6 +70,11 @@ def start_accumulator(
 
 def spec_of(data: PoseData, prepared: Prepared | None, *, complete: bool, **more: Any) -> DataSpec:
     """Describe all poses, or those of a batch, whose true clips are known if they were prepared."""
+    if not complete and data.clips is not None and not data.clips.has_axis:
+        raise PoseDataError(
+            "clip: a label of poses that come in batches, which may cut clips; expected whole clips, "
+            f"{option('axes')} with a T, or all poses in one call."
+        )
     spec = DataSpec.of(data, **more)
     return spec if complete else replace(spec, has_observed=prepared is not None and prepared.clips is not None)
 

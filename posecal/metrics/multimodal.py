@@ -60,7 +60,7 @@ def _others(block: Block, body: BoolArray, length: int, threshold: float) -> Flo
     nothing: tuple[TrueClips | None, str] = None, ""
     clips, name = block.share(KEY, lambda: nothing)
     whole = len(block.truth) == length and bool(block.follows[1:].all() and block.where[:, body].all())
-    others = None if clips is None or not whole else clips.of(name, threshold, body)
+    others = None if clips is None or not whole else clips.of(name, block.truth, threshold, body)
     return None if others is None else (others - block.truth)[:, :, body].reshape(len(others), length, -1)
 
 
