@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import torch
+from torch import Tensor
 from torch import distributed as torch_distributed
 
 from posecal.errors import PoseDataError
@@ -87,6 +88,14 @@ class ProcessGroup:
         """Refuse the recording of a step that several processes share."""
         if recorded and self.size > 1:
             raise PoseDataError(f"train.cuda_graph: true for {self.size} processes; expected one. Leave it out.")
+
+    def mean(self, numbers: Tensor) -> Tensor:
+        """Average numbers of the shares of a batch over the processes."""
+        if self.size == 1:
+            return numbers
+        total = numbers.clone()
+        torch_distributed.all_reduce(total)
+        return total / self.size
 
     def broadcast(self, value: float) -> float:
         """Return the main process's number in every process."""

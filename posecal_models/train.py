@@ -251,7 +251,7 @@ class Training:
             return
         first = self.step - len(self._unread)
         losses = []
-        for step, (*numbers, norm) in enumerate(torch.stack(self._unread).tolist(), first):
+        for step, (*numbers, norm) in enumerate(self.processes.mean(torch.stack(self._unread)).tolist(), first):
             self._last_losses = dict(zip(self._loss_names, numbers, strict=True))
             self._check_finite(step, self._last_losses, norm)
             losses.append(self._last_losses["loss"])

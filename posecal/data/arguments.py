@@ -135,6 +135,6 @@ def checked(
     if unit is None and not is_declared:
         refuse_tiny(x, y)
     mask = None if where is None else checked_mask(where, y.shape[:2])
-    if not is_declared and y[0].size >= FEWEST_COORDINATES and is_one_point(y, mask).mean() < _MOST_POINTS:
+    if not is_declared and y[0].size > FEWEST_COORDINATES and is_one_point(y, mask).mean() < _MOST_POINTS:
         refuse_one_point(y, mask, np.arange(len(y)).astype(np.str_), "truth")
     return x, y, mask

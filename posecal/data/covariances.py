@@ -45,8 +45,9 @@ def full_covariance(spread: FloatArray, kind: Kind, d: int) -> FloatArray:
     c, m, k = spread.shape[:3]
     of_joints = spread
     if kind == "sigma":
-        variances = np.broadcast_to((spread if spread.ndim == 4 else spread[..., None]) ** 2, (c, m, k, d))
-        of_joints = variances[..., None] * np.eye(d)
+        with np.errstate(over="ignore", invalid="ignore"):  # of frames that are refused
+            variances = np.broadcast_to((spread if spread.ndim == 4 else spread[..., None]) ** 2, (c, m, k, d))
+            of_joints = variances[..., None] * np.eye(d)
     full = np.zeros((c, m, k, d, k, d))
     joints = np.arange(k)
     full[:, :, joints, :, joints] = np.where(np.isnan(of_joints), 0, of_joints).transpose(2, 0, 1, 3, 4)
@@ -114,7 +115,7 @@ def normal_log_density(away: FloatArray, factor: FloatArray, kind: Kind) -> Floa
     """Log density of normal deviations (C, m, K, D), (C, m)."""
     z: FloatArray
     scale: FloatArray
-    with np.errstate(divide="ignore", invalid="ignore"):  # of frames that are refused
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # of frames that are refused
         if kind == "sigma":
             z, scale = away / factor, factor
         else:

@@ -280,7 +280,8 @@ class GaussianPrediction:
                 spread = joints_of(spread, kind, keep, d)
             else:
                 turn = np.kron(relative[keep], np.eye(d))
-                spread, kind = turn @ full_covariance(spread, kind, d) @ turn.T, "full"
+                with np.errstate(invalid="ignore"):  # of frames that are refused
+                    spread, kind = turn @ full_covariance(spread, kind, d) @ turn.T, "full"
         factor, fixed, bad = factored(spread, kind, d)
         bad |= fixed.any(axis=(0, 2))
         with np.errstate(divide="ignore"):

@@ -135,7 +135,8 @@ def worst_rows(
     """
     area, spread, error, _ = numbers.T
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.nan_to_num(np.abs(np.log(error / spread)), nan=0.0, posinf=np.finfo(float).max)
+        ratio = np.abs(np.log(error / spread)).astype(np.float64)
+        ratio = np.nan_to_num(ratio, nan=0.0, posinf=np.finfo(float).max)
     return _worst(sequence, order, np.abs(area), ratio), _worst(sequence, order, error, error)
 
 

@@ -106,4 +106,4 @@ def _true_clips(y: FloatArray, observed: FloatArray, parts: list[slice], root: i
         raise PoseDataError(f"observed {observed.shape}: expected a pose for each clip, (C, K, D) = {expected}.")
     poses, before = (relative_to_root(some, root, np.dtype(np.float64)) for some in (y, observed))
     number = {str(n): n for n in range(len(parts))}
-    return TrueClips(number, poses.reshape(len(parts), lengths[0], *y.shape[1:]), before)
+    return TrueClips(number, poses.reshape(len(parts), lengths[0], *y.shape[1:]), before, frozenset(number))

@@ -225,7 +225,8 @@ def _as_evaluated(data: PoseData, start: int, stop: int) -> tuple[FloatArray, Fl
     """Some poses relative to the root: hypotheses (N, m, K, D), truth (m, K, D)."""
     hypotheses, truth = data.hypotheses.read(start, stop), data.truth[start:stop]
     if data.root is not None:
-        hypotheses, truth = hypotheses - origin(hypotheses, data.root), truth - origin(truth, data.root)
+        with np.errstate(invalid="ignore"):  # of joints that are not finite, which are not drawn
+            hypotheses, truth = hypotheses - origin(hypotheses, data.root), truth - origin(truth, data.root)
     return hypotheses, truth
 
 

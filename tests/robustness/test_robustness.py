@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from pathlib import Path
 
@@ -11,7 +12,8 @@ from tests.robustness.__main__ import described
 from tests.robustness.runner import Workshop, outcomes
 
 SEED = 0
-COUNT = 20_000
+COUNT = int(os.environ.get("POSECAL_DAMAGED_FILES", "3000"))
+"""Of these files; ``python -m tests.robustness`` runs all 20,000, which takes some ten minutes of two cores."""
 
 
 def test_some_damaged_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
