@@ -58,7 +58,7 @@ def merge_totals(parts: Sequence[Totals], names: Sequence[str] | None = None) ->
     if len(parts) > 1 and any(part.spec.has_clip_numbers for part in parts):
         raise PoseDataError(
             f"{names[0]} and {names[1]}: sequences are the numbers of clips, alike in each; expected labels "
-            f"{option('clip')} or {option('sequence')}, so that clips of parts are told apart."
+            f"{option('clip')} or {option('sequence')}, so that clips of parts have different names."
         )
     parts, lost = without_apart(_with_weights(parts))
     labels = [name for name in parts[0].cells if all(name in part.cells for part in parts)]
