@@ -107,6 +107,7 @@ def test_exchangeable_ranks_are_uniform_for_every_number_of_hypotheses(seed: int
         pool = np.round(pool)
     elif law == "correlated":
         pool += 2 * rng.standard_normal((1, M, K, D)) + 0.5 * pool[:, :, :1]
+    pool += 100 * np.arange(K)[:, None]  # joints of one place, as whole numbers give now and then, are no pose
     which = rng.integers(N + 1, size=M)  # any of the pooled points may be the truth
     truth = pool[which, np.arange(M)]
     hypotheses = np.stack([np.delete(pool[:, m], which[m], axis=0) for m in range(M)], axis=1)
