@@ -1,19 +1,21 @@
 """Every example of README and docs runs, word for word, in the order of the pages, as a user would type it."""
 
 import doctest
-import os
 import re
 import shlex
 import shutil
-import subprocess
-import sys
 import textwrap
+from contextlib import chdir
 from pathlib import Path
 from runpy import run_path
 
 import pytest
+from click.testing import Result
+from typer.testing import CliRunner
 
 import posecal
+import posecal.cli
+import posecal_models.cli
 from tests.test_structure import PRIVATE_WORDS
 
 ROOT = Path(__file__).parents[1]
@@ -45,13 +47,13 @@ def pieces(text: str) -> list[tuple[str, str]]:
     return re.findall(r"```(console|python)\n(.*?)```", text, re.DOTALL)
 
 
-def run(command: str, folder: Path, columns: int = 120) -> subprocess.CompletedProcess[str]:
+def run(command: str, columns: int = 120) -> Result:
+    """Run a command of a page in this process, in the current folder."""
     program, *words = shlex.split(command)
-    module = {"posecal": "posecal", "posecal-models": "posecal_models.cli"}[program]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg", "COLUMNS": str(columns)}
-    return subprocess.run(
-        [sys.executable, "-m", module, *words], cwd=folder, env=environment, capture_output=True, text=True, check=False
-    )
+    app = {"posecal": posecal.cli.app, "posecal-models": posecal_models.cli.app}[program]
+    done = CliRunner().invoke(app, words, prog_name=program, env={"COLUMNS": str(columns)})
+    assert done.exit_code == 0, f"{command}\n{done.output}\n{done.exception!r}"
+    return done
 
 
 def check_page(text: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> int:
@@ -63,8 +65,7 @@ def check_page(text: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> int:
     for kind, block in pieces(text):
         if kind == "console":
             for command in console_lines(f"```console\n{block}```"):
-                done = run(command, folder)
-                assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
+                run(command)
                 tried += 1
         else:
             example = doctest.DocTestParser().get_doctest(block, names, "page", None, 0)
@@ -80,11 +81,13 @@ def check_page(text: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> int:
 def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the world that the pages begin with."""
     folder = tmp_path_factory.mktemp("docs")
-    assert run("posecal demo world", folder).returncode == 0
+    with chdir(folder):
+        run("posecal demo world")
     return folder
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("nothing_stays_registered")
 @pytest.mark.parametrize("page", PAGES)
 def test_a_pages_examples_run_in_order(page: str, world: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = (DOCS / f"{page}.md").read_text(encoding="utf-8").replace("$ posecal demo world\n", "")
@@ -101,7 +104,7 @@ def test_the_report_of_the_page_of_joint_angles_is_what_is_printed(
     assert check_page(data, tmp_path, monkeypatch) > 5
     command, after = rest.split("\n```", 1)
     shown = after.split("```text\n")[1].split("\n```")[0]
-    printed = run(command, tmp_path, columns=100).stdout.split("\nsignature:")[0]
+    printed = run(command, columns=100).stdout.split("\nsignature:")[0]
     assert [line.rstrip() for line in printed.splitlines()] == shown.splitlines()
 
 

@@ -7,7 +7,6 @@ import math
 import pickle
 import subprocess
 import sys
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,23 +18,18 @@ import pytest
 import posecal
 from posecal.engine.metric import Metric
 from posecal.errors import PoseDataError
-from posecal.registry import registered_metrics
 from tests.helpers.own_metrics import DEPTH, RMS, ROOT, depth_error
 from tests.helpers.random_worlds import World, world
 
 Array = npt.NDArray[np.floating]
 
 
+pytestmark = pytest.mark.usefixtures("nothing_stays_registered")
+
+
 @pytest.fixture
 def some() -> World:
     return world(4, M=40)
-
-
-@pytest.fixture(autouse=True)
-def _nothing_stays_registered() -> Iterator[None]:
-    yield
-    for metric in registered_metrics():
-        posecal.unregister(metric.name)
 
 
 def errors_of(some: World) -> Array:

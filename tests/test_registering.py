@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,17 +16,12 @@ from posecal.registry import registered_metrics
 from tests.helpers.own_metrics import DEPTH, RMS, depth_error
 from tests.helpers.random_worlds import World, world
 
+pytestmark = pytest.mark.usefixtures("nothing_stays_registered")
+
 
 @pytest.fixture
 def some() -> World:
     return world(4, M=40)
-
-
-@pytest.fixture(autouse=True)
-def _nothing_stays_registered() -> Iterator[None]:
-    yield
-    for metric in registered_metrics():
-        posecal.unregister(metric.name)
 
 
 def test_a_metric_is_registered_once_and_forgotten(some: World) -> None:

@@ -81,22 +81,25 @@ class Mutant(NamedTuple):
 
 def mutants_of(path: str, source: str, strings: bool = False) -> Iterator[Mutant]:
     """Yield every mutant of a module, in the order of its lines; ``strings`` adds changed texts."""
-    tree = ast.parse(source)
     lines = source.splitlines()
     seen: Counter[tuple[str, str, str]] = Counter()
-    for parent, field, index, node, within in _places(tree, ""):
-        line = getattr(node, "lineno", 0) or getattr(parent, "lineno", 1)
-        last = getattr(node, "end_lineno", line) if isinstance(node, ast.expr) else line
-        if any(_NO_MUTANT.search(text) for text in lines[line - 1 : last]):
-            continue
-        for faulty in _faults(node, field, strings):
-            _put(parent, field, index, faulty)
-            mutated = ast.unparse(tree)
-            _put(parent, field, index, node)
-            text, change = lines[line - 1].strip(), _difference(ast.unparse(node), ast.unparse(faulty))
-            seen[within, text, change] += 1
-            number = seen[within, text, change]
-            yield Mutant(path, line, within, text, change if number == 1 else f"{change} #{number}", mutated)
+    for statement in ast.parse(source).body:  # only the statement of a fault is written anew
+        module = ast.Module([statement], [])
+        first = min(node.lineno for node in (statement, *getattr(statement, "decorator_list", ())))
+        before, after = lines[: first - 1], lines[statement.end_lineno :]
+        for parent, field, index, node, within in _places(module, ""):
+            line = getattr(node, "lineno", 0) or getattr(parent, "lineno", 1)
+            last = getattr(node, "end_lineno", line) if isinstance(node, ast.expr) else line
+            if any(_NO_MUTANT.search(text) for text in lines[line - 1 : last]):
+                continue
+            for faulty in _faults(node, field, strings):
+                _put(parent, field, index, faulty)
+                mutated = "\n".join([*before, ast.unparse(module), *after, ""])
+                _put(parent, field, index, node)
+                text, change = lines[line - 1].strip(), _difference(ast.unparse(node), ast.unparse(faulty))
+                seen[within, text, change] += 1
+                number = seen[within, text, change]
+                yield Mutant(path, line, within, text, change if number == 1 else f"{change} #{number}", mutated)
 
 
 def _places(node: ast.AST, within: str) -> Iterator[tuple[ast.AST, str, int | None, ast.AST, str]]:
