@@ -35,7 +35,7 @@ TESTS = {test.name: test for test in RANK_TESTS}
 
 # --- the planted faults -----------------------------------------------------------------------------------------------
 
-N, M = 100, 1000
+N, M = 50, 1000
 
 TABLE: dict[str, tuple[float, str, float]] = {
     "perfect": (0.010, "", 1.0),
