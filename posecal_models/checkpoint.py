@@ -182,6 +182,7 @@ def save_estimator(
     *,
     tensors: Mapping[str, Tensor] | None = None,
     notes: dict[str, Any] | None = None,
+    half: bool = False,
 ) -> None:
     """Write the weights of an estimator.
 
@@ -195,6 +196,8 @@ def save_estimator(
         Other weights of the same estimator; its own where not given.
     notes : dict, optional
         Plain values on its training.
+    half : bool
+        Whether parameters that are matrices are written in half precision.
 
     Raises
     ------
@@ -202,7 +205,11 @@ def save_estimator(
         Where it can't be written.
     """
     about = {"version": posecal.__version__, "estimator": describe(estimator), "notes": notes or {}}
-    write_tensors(path, estimator.state_dict() if tensors is None else tensors, about)
+    tensors = dict(estimator.state_dict() if tensors is None else tensors)
+    if half:
+        matrices = {name for name, parameter in estimator.named_parameters() if parameter.ndim > 1}
+        tensors = {name: tensor.half() if name in matrices else tensor for name, tensor in tensors.items()}
+    write_tensors(path, tensors, about)
 
 
 def load_estimator(name: str | Path, *, device: torch.device | str = "cpu") -> ReferenceEstimator:
@@ -346,6 +353,7 @@ def _check_size(description: Any, tensors: Mapping[str, Tensor], which: str) -> 
 def _load_state(module: torch.nn.Module, tensors: Mapping[str, Tensor], which: str) -> None:
     """Load tensors into a module, or raise an error that lists all that don't fit."""
     expected = module.state_dict()
+    tensors = {name: tensor.float() if tensor.dtype == torch.float16 else tensor for name, tensor in tensors.items()}
     mismatched = [f"{name} {tuple(tensors[name].shape)}, expected {tuple(expected[name].shape)}"
                   for name in expected if name in tensors and tensors[name].shape != expected[name].shape]  # fmt: skip
     mismatched += [f"{name} {tensors[name].dtype}, expected {expected[name].dtype}"

@@ -25,6 +25,7 @@ _FOLDER = Path(__file__).parent / "configs"
 _Count = Annotated[int, Limit(1)]
 _CountOrNone = Annotated[int, Limit(0)]
 _NotNegative = Annotated[float, Limit(0)]
+_Share = Annotated[float, Limit(0, 1, "a share between 0 and 1")]
 _Positive = Annotated[float, Limit(math.ulp(0.0), words="a positive number")]
 _Seed = Annotated[int, Limit(0, LARGEST_SEED, "0 or more")]
 
@@ -36,7 +37,7 @@ class ModelConfig:
     Attributes
     ----------
     kind : str
-        ``cgnf``, ``simple-baseline`` or ``gaussian-noise``.
+        ``cgnf``, ``simple-baseline``, ``gaussian-noise`` or ``amortized-posterior``.
     size : str
         Size of a cGNF: ``tiny``, ``small``, ``large``, ``xlarge``.
     backward_weights, scale
@@ -46,8 +47,13 @@ class ModelConfig:
         data must then hold) or ``none``.
     units : str
         Constants of the standardizer: ``fitted`` to the training set, or those of the ``released`` code.
-    width, residuals, dropout
-        Options of a SimpleBaseline.
+    width, residuals
+        Options of a SimpleBaseline and of an amortised posterior.
+    dropout
+        Option of a SimpleBaseline.
+    dimensions, components, position
+        Options of an amortised posterior, see
+        :class:`posecal_models.estimators.amortized_posterior.AmortizedPosterior`; 0 dimensions are 3K.
     start : str
         Initial weights, named or a file, with their standardizer; random initialisation where not given.
     mean : str
@@ -56,7 +62,7 @@ class ModelConfig:
         Standard deviations of a Gaussian noise model: one σ per ``joint`` or per ``coordinate``.
     """
 
-    kind: Literal["cgnf", "simple-baseline", "gaussian-noise"] = "cgnf"
+    kind: Literal["cgnf", "simple-baseline", "gaussian-noise", "amortized-posterior"] = "cgnf"
     size: Literal["tiny", "small", "large", "xlarge"] = "small"
     backward_weights: bool = True
     scale: Literal["sigmoid", "exp"] = "exp"
@@ -65,6 +71,9 @@ class ModelConfig:
     width: _Count = 1024
     residuals: _CountOrNone = 2
     dropout: Annotated[float, Limit(0, math.nextafter(1, 0), "0 or more and below 1")] = 0.5
+    dimensions: Annotated[int, Limit(0, words="0 (3K) or more")] = 0
+    components: _Count = 4
+    position: bool = True
     start: str = ""
     mean: str = ""
     spread: Literal["joint", "coordinate"] = "joint"
@@ -84,11 +93,19 @@ class DataConfig:
     validation_subjects : tuple of str
         Held out for validation; their loss controls the learning rate and selects the weights that are saved.
     views : int
-        Virtual cameras around each clip of motion capture.
+        Virtual cameras around each clip of motion capture. 0: each pose has a new camera in every batch, see
+        :class:`posecal_models.data.fresh_views.FreshViews`, and those for validation have four.
     every : int
         Frame step of motion capture: every n-th frame is used.
     body_variation : float
         Variation of bone lengths in training, see :meth:`posecal_models.data.mocap.MocapPoses.project`.
+    mirror : bool
+        Whether half of the images are mirror images; with new cameras.
+    limb_exchange : float
+        Probability of a pose to have the legs or an arm of another; with new cameras.
+    missing_share : float
+        Share of the images of which keypoints are removed, each with a probability that is uniform between 0 and 1; not
+        of a cGNF, which has augmentations of its own.
     validation_poses : int
         Number of poses of the validation subjects, evenly spaced.
     camera_seed : int
@@ -99,15 +116,23 @@ class DataConfig:
 
     test_subjects: tuple[str, ...] = ()
     validation_subjects: tuple[str, ...] = ()
-    views: _Count = 4
+    views: _CountOrNone = 4
     every: _Count = 1
     body_variation: Annotated[float, Limit(0, 1)] = 0.0
+    mirror: bool = False
+    limb_exchange: _Share = 0.0
+    missing_share: _Share = 0.0
     validation_poses: _Count = 1000
     camera_seed: _Seed = 0
     detector: Detector = field(default_factory=Detector)
 
     def __post_init__(self) -> None:
         check_limits(self, "data")
+        if self.views and (self.mirror or self.limb_exchange):
+            raise PoseDataError(
+                f"data.mirror, data.limb_exchange: given with data.views = {self.views}; expected 0, a new camera for "
+                "each pose of a batch."
+            )
         if both := sorted(set(self.test_subjects) & set(self.validation_subjects)):
             raise PoseDataError(
                 f"data.test_subjects and data.validation_subjects: both name {', '.join(both)}; expected different "
@@ -138,8 +163,18 @@ class TrainConfig:
         all of them in one batch, and its prior is computed once.
     augmentation : str
         ``paper`` or ``released``, see :func:`posecal_models.data.masks.mask_keypoints`.
+    truth_noise : float
+        Standard deviation of noise on the true poses under a likelihood, mm. With it no direction of the poses is
+        degenerate.
     learning_rate : float
         Initial learning rate of Adam.
+    second_moment_decay, weight_decay : float
+        β₂ of Adam, and decoupled weight decay.
+    average : float
+        Decay of the moving average of the weights, which is validated and saved; 0: the weights themselves.
+    selection : str
+        What selects the weights and drives the schedule: the ``loss`` of the validation poses, or the ``energy-score``
+        of 50 hypotheses of each, mm.
     schedule : str
         ``plateau``: times 0.1 when the loss has not fallen for ``patience`` epochs, stop at the third time.
         ``exponential``: times 0.96 every 100,000 steps. ``cosine``: falls to 0 at the last step.
@@ -149,6 +184,8 @@ class TrainConfig:
         Maximum number of epochs.
     steps_per_epoch : int
         0: one pass over all poses.
+    precision : str
+        Of the matrices in the weights file, ``single`` or ``half``; training is in single precision.
     clip : float
         Maximum norm of the gradient.
     cuda_graph : bool
@@ -167,11 +204,17 @@ class TrainConfig:
     batch: _Count = 40
     graphs_per_pose: _Count = 5
     augmentation: Literal["paper", "released"] = "paper"
+    truth_noise: _NotNegative = 0.0
     learning_rate: _Positive = 1e-3
+    second_moment_decay: Annotated[float, Limit(0, math.nextafter(1, 0), "0 or more and below 1")] = 0.999
+    weight_decay: _NotNegative = 0.0
+    average: Annotated[float, Limit(0, math.nextafter(1, 0), "0 or more and below 1")] = 0.0
+    selection: Literal["loss", "energy-score"] = "loss"
     schedule: Literal["plateau", "exponential", "cosine"] = "plateau"
     patience: _CountOrNone = 10
     epochs: _Count = 200
     steps_per_epoch: Annotated[int, Limit(0, words="0 (all poses) or more")] = 0
+    precision: Literal["single", "half"] = "single"
     clip: _Positive = 1.0
     cuda_graph: bool = False
     seed: _Seed = 0

@@ -7,15 +7,27 @@ from typing import Literal
 import torch
 from torch import Tensor, nn
 
+import posecal
 from posecal.errors import PoseDataError
 from posecal_models.config import TrainConfig
-from posecal_models.contract import Context, standard_normal
+from posecal_models.contract import Context, PoseDistribution, standard_normal
+from posecal_models.estimators.amortized_posterior import AmortizedPosterior
 from posecal_models.estimators.cgnf.model import CGNF
 from posecal_models.estimators.gaussian_noise import GaussianNoise
 from posecal_models.estimators.registry import ReferenceEstimator
 from posecal_models.estimators.simple_baseline import SimpleBaseline
 
-__all__ = ["BestOfN", "FlowLikelihood", "Likelihood", "Objective", "SquaredError", "build_objective", "mode_error"]
+__all__ = [
+    "BestOfN",
+    "FlowLikelihood",
+    "Likelihood",
+    "Objective",
+    "SquaredError",
+    "build_objective",
+    "energy_score",
+    "fit_temperature",
+    "mode_error",
+]
 
 SampleLoss = Literal["joints", "pairs"]
 
@@ -179,17 +191,24 @@ class Likelihood(Objective):
 
     Parameters
     ----------
-    estimator : GaussianNoise
+    estimator : GaussianNoise or AmortizedPosterior
         The estimator to train.
+    truth_noise : float
+        Standard deviation of noise on the true poses, mm.
     """
 
-    def __init__(self, estimator: GaussianNoise) -> None:
+    def __init__(self, estimator: GaussianNoise | AmortizedPosterior, truth_noise: float = 0.0) -> None:
         super().__init__()
         self.estimator = estimator
+        self.truth_noise = truth_noise
+
+    def noise(self, truth: Tensor, generator: torch.Generator) -> Tensor | None:
+        """Draw the noise on the truth, (M, K, 3)."""
+        return self.truth_noise * standard_normal(tuple(truth.shape), truth, generator) if self.truth_noise else None
 
     def forward(self, context: Context, truth: Tensor, noise: Tensor | None = None) -> dict[str, Tensor]:
         """Compute the loss of a batch."""
-        del noise
+        truth = truth if noise is None else truth + noise
         return {"loss": -torch.mean(self.estimator(context).log_prob(truth))}
 
 
@@ -222,6 +241,53 @@ class BestOfN(Objective):
         return {"loss": torch.mean(torch.amin(torch.mean(errors, dim=-1), dim=0))}
 
 
+def energy_score(
+    distribution: PoseDistribution, truth: Tensor, generator: torch.Generator, hypotheses: int = 50
+) -> Tensor:
+    """Compute the mean energy score of hypotheses of each pose, see :func:`posecal.metrics.energy_score`.
+
+    Parameters
+    ----------
+    distribution : PoseDistribution
+        Of M poses.
+    truth : Tensor
+        (M, K, 3), mm.
+    generator : torch.Generator
+        The source of randomness, of the CPU.
+    hypotheses : int
+        N.
+
+    Returns
+    -------
+    Tensor
+        Scalar, mm; lower is better.
+    """
+    drawn = distribution.sample(hypotheses, generator=generator).cpu().numpy()
+    return torch.as_tensor(posecal.metrics.energy_score(drawn, truth.cpu().numpy()).mean())
+
+
+TEMPERATURES = (0.9, 0.95, 1.0, 1.05, 1.1, 1.15, 1.2, 1.3)
+
+
+def fit_temperature(estimator: AmortizedPosterior, context: Context, truth: Tensor, seed: int) -> None:
+    """Set the temperature of an estimator to the one of :data:`TEMPERATURES` with the lowest energy score.
+
+    Parameters
+    ----------
+    estimator : AmortizedPosterior
+        Its ``temperature`` is set.
+    context, truth
+        Held-out poses, as in :func:`energy_score`.
+    seed : int
+        Of the hypotheses, which are the same for all temperatures.
+    """
+    scores = {}
+    for temperature in TEMPERATURES:
+        estimator.temperature.fill_(temperature)
+        scores[temperature] = float(energy_score(estimator(context), truth, torch.Generator().manual_seed(seed)))
+    estimator.temperature.fill_(min(scores, key=scores.__getitem__))
+
+
 def build_objective(estimator: ReferenceEstimator, config: TrainConfig) -> Objective:
     """Build the objective of a configuration.
 
@@ -251,11 +317,12 @@ def build_objective(estimator: ReferenceEstimator, config: TrainConfig) -> Objec
         )
     if isinstance(estimator, SimpleBaseline) and config.objective == "squared-error":
         return SquaredError(estimator)
-    if isinstance(estimator, GaussianNoise) and config.objective == "likelihood":
-        return Likelihood(estimator)
+    if isinstance(estimator, (GaussianNoise, AmortizedPosterior)) and config.objective == "likelihood":
+        return Likelihood(estimator, config.truth_noise)
     if isinstance(estimator, GaussianNoise) and config.objective == "min-mpjpe":
         return BestOfN(estimator, config.hypotheses)
     raise PoseDataError(
-        f"train.objective: {config.objective} of a {type(estimator).__name__}; expected likelihood for a cGNF, "
-        "squared-error for a SimpleBaseline, likelihood or min-mpjpe for a Gaussian noise model."
+        f"train.objective: {config.objective} of a {type(estimator).__name__}; expected likelihood for a cGNF "
+        "or an AmortizedPosterior, squared-error for a SimpleBaseline, likelihood or min-mpjpe for a Gaussian noise "
+        "model."
     )

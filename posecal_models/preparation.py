@@ -11,12 +11,14 @@ from posecal.errors import PoseDataError, PoseFileError
 from posecal_models.checkpoint import load_estimator
 from posecal_models.config import Config, DataConfig, ModelConfig
 from posecal_models.contract import Context
+from posecal_models.data.fresh_views import FreshViews
 from posecal_models.data.lifting_set import LiftingSet
 from posecal_models.data.mocap import MocapPoses
 from posecal_models.data.npz import read_npz
 from posecal_models.data.standardizer import check_pixels
 from posecal_models.data.training_set import TrainingSet, seeded_generator
 from posecal_models.distributed import ProcessGroup
+from posecal_models.estimators.amortized_posterior import AmortizedPosterior
 from posecal_models.estimators.gaussian_noise import GaussianNoise
 from posecal_models.estimators.registry import ReferenceEstimator, baseline_keypoints, build_from_config, describe
 from posecal_models.estimators.simple_baseline import SimpleBaseline
@@ -58,7 +60,7 @@ def split(path: str | Path, config: DataConfig) -> tuple[LiftingSet, LiftingSet 
     if exact:
         mocap = MocapPoses(path)
         training = mocap.project(
-            views=config.views,
+            views=config.views or 1,
             every=config.every,
             exclude=held_out,
             body_variation=config.body_variation,
@@ -67,12 +69,14 @@ def split(path: str | Path, config: DataConfig) -> tuple[LiftingSet, LiftingSet 
         validation = None
         if config.validation_subjects:
             validation = mocap.project(
-                views=config.views,
+                views=config.views or 4,
                 every=config.every,
                 subjects=config.validation_subjects,
                 seed=config.camera_seed,
             )
     else:
+        if not config.views:
+            raise PoseDataError(f"data.views: 0, but {path} has images already; expected motion capture, or 1 or more.")
         pairs = LiftingSet.load(path)
         known = set(pairs.subject.tolist())
         if missing := sorted(set(held_out) - known):
@@ -138,14 +142,21 @@ def prepare(
         ordered = pairs.in_order_of(*order)
         estimator.check(Context(torch.from_numpy(ordered.keypoints), torch.from_numpy(ordered.observed)))
     detector = config.data.detector if exact else None
-    data = TrainingSet(training, *order, detector=detector, device=device)
+    data: TrainingSet | FreshViews
+    if config.data.views:
+        data = TrainingSet(training, *order, detector=detector, device=device)
+    else:
+        data = FreshViews.from_config(MocapPoses(path), config.data, *order, device=device)
     validation_data = None if validation is None else TrainingSet(validation, *order, detector=detector, device=device)
     rows = torch.linspace(0, len(data) - 1, min(len(data), _FIT_POSES), device=data.device).long()
     context, truth = data.batch(rows, seeded_generator(config.train.seed))
     context, truth = context.to("cpu"), truth.cpu()
     check_pixels(context)
     if not isinstance(estimator, GaussianNoise) and not config.model.start and config.model.units == "fitted":
-        estimator.standardizer.fit(truth, context.keypoints, context.observed)
+        if isinstance(estimator, AmortizedPosterior):
+            estimator.fit(truth, context)
+        else:
+            estimator.standardizer.fit(truth, context.keypoints, context.observed)
     try:
         folder.mkdir(exist_ok=True)
     except OSError as problem:

@@ -11,11 +11,12 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from posecal.data.write import written_together
 from posecal.errors import PoseDataError, PoseFileError, refuse_unreadable
@@ -23,10 +24,13 @@ from posecal_models.checkpoint import read_tensors, save_estimator, write_tensor
 from posecal_models.config import Config
 from posecal_models.contract import Context
 from posecal_models.cuda_graph import RecordedStep
+from posecal_models.data.fresh_views import FreshViews
+from posecal_models.data.masks import remove_keypoints
 from posecal_models.data.training_set import TrainingSet, draw_graphs, seeded_generator
 from posecal_models.distributed import ProcessGroup
+from posecal_models.estimators.amortized_posterior import AmortizedPosterior
 from posecal_models.estimators.registry import ReferenceEstimator
-from posecal_models.objectives import build_objective
+from posecal_models.objectives import build_objective, energy_score, fit_temperature
 from posecal_models.schedule import Schedule
 from posecal_models.training_folder import CHECKPOINT, WEIGHTS, check_same, write_losses
 
@@ -92,7 +96,7 @@ class Training:
         self,
         estimator: ReferenceEstimator,
         config: Config,
-        data: TrainingSet,
+        data: TrainingSet | FreshViews,
         *,
         folder: Path,
         validation: TrainingSet | None = None,
@@ -109,12 +113,22 @@ class Training:
         self.parameters = {name: p for name, p in estimator.named_parameters() if p.requires_grad}
         if self.processes.size > 1 and data.device.type == "cuda":
             nn.SyncBatchNorm.convert_sync_batchnorm(estimator)  # type: ignore[no-untyped-call]
+        self.average: AveragedModel | None = None
+        if config.train.average:
+            self.average = AveragedModel(estimator, multi_avg_fn=get_ema_multi_avg_fn(config.train.average))  # type: ignore[no-untyped-call]
         self.objective = build_objective(estimator, config.train)
         self._losses: nn.Module = self.objective
         if self.processes.size > 1:
             self._losses = DistributedDataParallel(self.objective)
         self._learning_rate = torch.tensor(config.train.learning_rate, device=data.device)
-        self.optimizer = torch.optim.Adam(self.parameters.values(), self._learning_rate, fused=True, capturable=True)
+        self.optimizer = torch.optim.AdamW(
+            self.parameters.values(),
+            self._learning_rate,
+            betas=(0.9, config.train.second_moment_decay),
+            weight_decay=config.train.weight_decay,
+            fused=True,
+            capturable=True,
+        )
         self._loss_names: list[str] = []
         self._update: Callable[..., Tensor] = self.update
         if config.train.cuda_graph:
@@ -163,6 +177,11 @@ class Training:
         self.save()
 
     @property
+    def estimate(self) -> ReferenceEstimator:
+        """The estimator that is validated and saved: with the moving average of the weights, where there is one."""
+        return self.estimator if self.average is None else cast(ReferenceEstimator, self.average.module)
+
+    @property
     def finished(self) -> bool:
         """Whether all epochs are done or the schedule stops."""
         return self.epoch >= self.config.train.epochs or self.schedule.finished
@@ -202,6 +221,8 @@ class Training:
                 generator=generator,
                 root=self.config.model.origin == "root",
             )
+        elif self.config.data.missing_share:
+            context = remove_keypoints(context, self.config.data.missing_share, generator)
         if self.step == 0 and not self.config.model.start:
             self.objective.initialise(context, truth)
         poses = self.processes.rows(len(truth) // graphs)
@@ -213,18 +234,22 @@ class Training:
         device = self.data.device
         with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
             torch.manual_seed(generator.initial_seed() ^ self.processes.rank)  # of dropout
-            inputs = [context.keypoints, context.observed, truth, *([] if noise is None else [noise])]
+            inputs = [context.keypoints, context.observed, context.sigma, truth, *([] if noise is None else [noise])]
             self._unread.append(self._update(*inputs))
+        if self.average is not None:
+            self.average.update_parameters(self.estimator)
         self.step += 1
         if device.type == "cpu" or len(self._unread) >= _STEPS_BETWEEN_READS:
             self._read_losses()
 
-    def update(self, keypoints: Tensor, observed: Tensor, truth: Tensor, noise: Tensor | None = None) -> Tensor:
+    def update(
+        self, keypoints: Tensor, observed: Tensor, sigma: Tensor, truth: Tensor, noise: Tensor | None = None
+    ) -> Tensor:
         """Update the weights: forward and backward pass, clipping and Adam, without a synchronisation.
 
         Parameters
         ----------
-        keypoints, observed : Tensor
+        keypoints, observed, sigma : Tensor
             The context of this process's graphs.
         truth : Tensor
             Their poses, mm.
@@ -238,7 +263,7 @@ class Training:
         """
         options = {"graphs_per_pose": self.config.train.graphs_per_pose} if self.config.model.kind == "cgnf" else {}
         self.optimizer.zero_grad()
-        losses = self._losses(Context(keypoints, observed), truth, noise, **options)
+        losses = self._losses(Context(keypoints, observed, sigma), truth, noise, **options)
         losses["loss"].backward()
         norm = nn.utils.clip_grad_norm_(self.parameters.values(), self.config.train.clip)
         self.optimizer.step()
@@ -285,18 +310,24 @@ class Training:
         self._epochs.append((float(self.epoch), float(self.step), rate, train, validation_loss))
         loss = _selection_loss(self._epochs[-1])
         if loss < self.schedule.best:
-            self.best = {name: t.detach().clone() for name, t in self.estimator.state_dict().items()}
+            self.best = {name: t.detach().clone() for name, t in self.estimate.state_dict().items()}
         self.schedule.after_epoch(loss)
 
     @torch.no_grad()
     def _validate(self) -> float | None:
         if self.validation is None:
             return None
-        self.estimator.eval()
+        estimator = self.estimate.eval()
         generator = seeded_generator(self.config.train.seed, _VALIDATION)
         rows = torch.arange(len(self.validation), device=self.validation.device)
         context, truth = self.validation.batch(rows, generator)
-        local_losses = self.objective(context, truth, self.objective.noise(truth, generator))
+        if isinstance(estimator, AmortizedPosterior):
+            fit_temperature(estimator, context, truth, self.config.train.seed)
+        if self.config.train.selection == "energy-score":
+            local_losses = {"loss": energy_score(estimator(context), truth, generator)}
+        else:
+            objective = build_objective(estimator, self.config.train)
+            local_losses = objective(context, truth, objective.noise(truth, generator))
         losses = {name: self.processes.broadcast(float(loss)) for name, loss in local_losses.items()}
         if not all(map(math.isfinite, losses.values())):
             raise PoseDataError(
@@ -331,6 +362,8 @@ class Training:
             return
         tensors = {f"weights.{name}": tensor for name, tensor in self.estimator.state_dict().items()}
         tensors |= {f"best.{name}": tensor for name, tensor in self.best.items()}
+        if self.average is not None:
+            tensors |= {f"average.{name}": tensor for name, tensor in self.average.state_dict().items()}
         for name, parameter in self.parameters.items():
             for moment, tensor in self.optimizer.state.get(parameter, {}).items():
                 tensors[f"adam.{moment}.{name}"] = tensor
@@ -342,7 +375,8 @@ class Training:
         with written_together():
             write_tensors(self.folder / CHECKPOINT, tensors, self._state())
             write_losses(self.folder, self._epochs)
-            save_estimator(self.folder / WEIGHTS, self.estimator, tensors=self.best or None, notes=notes)
+            half = self.config.train.precision == "half"
+            save_estimator(self.folder / WEIGHTS, self.estimate, tensors=self.best or None, notes=notes, half=half)
 
     def _state(self) -> dict[str, Any]:
         schedule = self.schedule
@@ -375,6 +409,8 @@ class Training:
             self.schedule.drops = schedule["drops"]
             self.estimator.load_state_dict(_with_prefix("weights.", tensors))
             self.best = _with_prefix("best.", tensors)
+            if self.average is not None:
+                self.average.load_state_dict(_with_prefix("average.", tensors))
             for name, parameter in self.parameters.items():
                 moments = {
                     moment: tensors[f"adam.{moment}.{name}"]

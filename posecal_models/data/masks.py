@@ -1,4 +1,4 @@
-"""Augmentation of a cGNF's training data: random removal of observed keypoints."""
+"""Augmentation of training data: random removal of keypoints."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-__all__ = ["SHARES", "Augmentation", "mask_keypoints"]
+from posecal_models.contract import Context
+
+__all__ = ["SHARES", "Augmentation", "mask_keypoints", "remove_keypoints"]
 
 Augmentation = Literal["paper", "released"]
 
@@ -60,3 +62,28 @@ def mask_keypoints(
     remaining = torch.round(share * observed.sum(1)).clamp(min=1)
     rank = order.masked_fill(~observed, 2).argsort(1).argsort(1)
     return observed & (rank < remaining[:, None])
+
+
+def remove_keypoints(context: Context, share: float, generator: torch.Generator) -> Context:
+    """Remove keypoints of some images altogether: neither their position nor their σ is left.
+
+    Parameters
+    ----------
+    context : Context
+        Keypoints of M poses.
+    share : float
+        Share of these images. Each of their keypoints is removed with a probability that is uniform between 0 and 1.
+    generator : torch.Generator
+        The source of randomness, of the CPU.
+
+    Returns
+    -------
+    Context
+        With σ infinite where a keypoint was removed.
+    """
+    poses, keypoints = context.observed.shape
+    chosen = torch.rand((poses, 1), generator=generator) < share
+    probability = torch.rand((poses, 1), generator=generator)
+    removed = (chosen & (torch.rand((poses, keypoints), generator=generator) < probability)).to(context.observed.device)
+    sigma = torch.zeros_like(context.keypoints[..., 0]) if context.sigma is None else context.sigma
+    return Context(context.keypoints, context.observed & ~removed, torch.where(removed, torch.inf, sigma))

@@ -11,6 +11,7 @@ from posecal.data.skeleton import joint_set
 from posecal.errors import PoseDataError
 from posecal_models.config import ModelConfig
 from posecal_models.data.standardizer import Standardizer
+from posecal_models.estimators.amortized_posterior import AmortizedPosterior
 from posecal_models.estimators.cgnf.flow import SIZES, FlowSize
 from posecal_models.estimators.cgnf.graph import PoseGraph
 from posecal_models.estimators.cgnf.model import CGNF
@@ -19,7 +20,7 @@ from posecal_models.estimators.simple_baseline import SimpleBaseline
 
 __all__ = ["ReferenceEstimator", "baseline_keypoints", "build", "build_from_config", "describe", "parameter_count"]
 
-ReferenceEstimator = CGNF | SimpleBaseline | GaussianNoise
+ReferenceEstimator = CGNF | SimpleBaseline | GaussianNoise | AmortizedPosterior
 
 
 def build_from_config(
@@ -38,7 +39,7 @@ def build_from_config(
 
     Returns
     -------
-    CGNF, SimpleBaseline or GaussianNoise
+    CGNF, SimpleBaseline, GaussianNoise or AmortizedPosterior
         With random initialisation.
 
     Raises
@@ -50,6 +51,15 @@ def build_from_config(
         if mean is None:
             raise PoseDataError("model.mean: not given; expected the weights file of a trained SimpleBaseline.")
         return GaussianNoise(mean, spread=config.spread)
+    if config.kind == "amortized-posterior":
+        return AmortizedPosterior(
+            dimensions=config.dimensions or None,
+            components=config.components,
+            width=config.width,
+            residuals=config.residuals,
+            position=config.position,
+            origin=config.origin,
+        )
     estimator: CGNF | SimpleBaseline
     if config.kind == "cgnf":
         estimator = CGNF(
@@ -81,7 +91,7 @@ def describe(estimator: ReferenceEstimator) -> dict[str, Any]:
 
     Parameters
     ----------
-    estimator : CGNF, SimpleBaseline or GaussianNoise
+    estimator : CGNF, SimpleBaseline, GaussianNoise or AmortizedPosterior
         A reference estimator.
 
     Returns
@@ -110,6 +120,18 @@ def describe(estimator: ReferenceEstimator) -> dict[str, Any]:
             "residuals": len(estimator.residuals),
             "origin": estimator.standardizer.origin,
         }
+    if isinstance(estimator, AmortizedPosterior):
+        return {
+            "kind": "amortized-posterior",
+            "joints": list(estimator.joints),
+            "keypoints": list(estimator.keypoints),
+            "dimensions": len(estimator.coordinates.scale),
+            "components": estimator.components,
+            "width": estimator.first.out_features,
+            "residuals": len(estimator.residuals),
+            "position": estimator.position,
+            "origin": estimator.standardizer.origin,
+        }
     return {
         "kind": "gaussian-noise",
         "spread": "joint" if estimator.log_sigma.shape[1] == 1 else "coordinate",
@@ -127,7 +149,7 @@ def build(description: dict[str, Any]) -> ReferenceEstimator:
 
     Returns
     -------
-    CGNF, SimpleBaseline or GaussianNoise
+    CGNF, SimpleBaseline, GaussianNoise or AmortizedPosterior
         With random initialisation.
 
     Raises
@@ -145,13 +167,17 @@ def build(description: dict[str, Any]) -> ReferenceEstimator:
         if kind == "simple-baseline":
             options = {name: description[name] for name in ("width", "residuals", "origin")}
             return SimpleBaseline(tuple(description["joints"]), tuple(description["keypoints"]), **options)
+        if kind == "amortized-posterior":
+            names = ("dimensions", "components", "width", "residuals", "position", "origin")
+            options = {name: description[name] for name in names}
+            return AmortizedPosterior(tuple(description["joints"]), tuple(description["keypoints"]), **options)
         if kind == "gaussian-noise":
             mean = build(description["mean"])
             if isinstance(mean, SimpleBaseline):
                 return GaussianNoise(mean, spread=description["spread"])
     except (KeyError, TypeError) as problem:
         raise PoseDataError(f"weights: incomplete or invalid description ({problem}).") from problem
-    raise PoseDataError(f"weights: of {description.get('kind')!r}; expected cgnf, simple-baseline or gaussian-noise.")
+    raise PoseDataError(f"weights: of {description.get('kind')!r}; expected one of posecal's kinds.")
 
 
 def parameter_count(estimator: nn.Module) -> int:
