@@ -313,7 +313,7 @@ def zero_shot(
     seed: _Seed = 0,
     threads: _Threads = 0,
 ) -> None:
-    """Evaluate cGNFs on sets of observed nodes that are not in the training set; needs a checkout."""
+    """Evaluate estimators on sets of observed nodes that are not in the training set; needs a checkout."""
     check_outputs(plot=output)
     from posecal.plot import save
     from posecal_models import figures
@@ -330,15 +330,15 @@ def zero_shot(
             titles = {name: f"{name}: {log_density}" for name, log_density in result.log_density.items()}
             save(figures.pendulum(result.samples, result.truth, titles), output)
         return
-    with progress_bar("training", steps) as progress:
+    with progress_bar("training", 2 * steps) as progress:
         rows = experiments.pose_world(steps=steps, seed=seed, progress=progress)
-    typer.echo("observed  in training  true log p   cGNF log p   nats above the true posterior")
+    typer.echo("nats above the true posterior:")
+    typer.echo("  ".join(["observed  in training  true log p", *(f"{name:>19}" for name in rows[0].gaps)]))
     for row in rows:
         in_training = "yes" if row.trained else "no"
-        typer.echo(
-            f"{row.observed:8d}  {in_training:>11}  {row.true_log_density:10.2f}  {row.log_density:11.2f}   "
-            f"{row.gap:.2f} ± {row.standard_error:.2f}"
-        )
+        gaps = (f"{gap:.2f} ± {error:.2f}" for gap, error in row.gaps.values())
+        numbers = [f"{row.observed:8d}", f"{in_training:>11}", f"{row.true_log_density:10.2f}"]
+        typer.echo("  ".join([*numbers, *(f"{gap:>19}" for gap in gaps)]))
 
 
 def _parse_named(models: list[str]) -> dict[str, str]:

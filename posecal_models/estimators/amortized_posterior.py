@@ -140,7 +140,8 @@ class GaussianMixture:
         normal = standard_normal((n, poses, dimensions + 1), self.means, generator)
         noise, uniform = normal[..., :-1], torch.special.ndtr(normal[..., -1:])
         component = (uniform > self.log_weights.exp().cumsum(-1)[..., :-1]).sum(-1)
-        inverse = torch.linalg.solve_triangular(self.factors, torch.eye(dimensions).to(self.factors), upper=True)
+        identity = torch.eye(dimensions, dtype=noise.dtype, device=noise.device)
+        inverse = torch.linalg.solve_triangular(self.factors, identity, upper=True)
         u = torch.zeros_like(noise)
         for c in range(components):
             of_c = self.means[:, c] + temperature * torch.einsum("mde,nme->nmd", inverse[:, c], noise)
@@ -352,7 +353,8 @@ class AmortizedPosterior(nn.Module):
             difference = difference + (weight * mean).sum(1, keepdim=True)
             maps_about_middle = maps - torch.einsum("mj,jad->mad", weight[..., 0], maps)[:, None]
         weighted = (maps_about_middle * precision[..., None, None]).flatten(1, 2)  # (M, 2J, D)
-        information = weighted.mT @ maps_about_middle.flatten(1, 2) + torch.eye(weighted.shape[-1]).to(weighted)
+        prior = torch.eye(weighted.shape[-1], dtype=weighted.dtype, device=weighted.device)
+        information = prior + weighted.mT @ maps_about_middle.flatten(1, 2)
         evidence = (weighted.mT @ difference.flatten(1)[..., None])[..., 0]
         lower = torch.linalg.cholesky(information)
         return torch.cholesky_solve(evidence[..., None], lower)[..., 0], lower.mT

@@ -35,6 +35,7 @@ CASES: dict[str, dict[str, dict[str, Any]]] = {
     "simple-baseline": BASELINE,
     "gaussian, likelihood": {"model": {"kind": "gaussian-noise"}},
     "gaussian, min-mpjpe": {"model": {"kind": "gaussian-noise"}, "train": {"objective": "min-mpjpe"}},
+    "amortised posterior": {"model": {"kind": "amortized-posterior", "width": 16}, "train": {"truth_noise": 5.0}},
 }
 GRAPHS = 10
 
@@ -81,14 +82,14 @@ def training_of(table: dict[str, dict[str, Any]], device: str) -> tuple[Training
     observed = torch.ones(keypoints.shape[:2], dtype=torch.bool, device=device)
     truth = torch.ones(GRAPHS, 16, 3, device=device)
     noise = training.objective.noise(truth, torch.Generator())
-    return training, [keypoints, observed, truth, *([] if noise is None else [noise])]
+    return training, [keypoints, observed, keypoints[..., 0], truth, *([] if noise is None else [noise])]
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_a_training_step_can_be_recorded(monkeypatch, case):
     # fused Adam has no meta tensors; it is watched on the CPU below
     idle = SimpleNamespace(zero_grad=lambda: None, step=lambda: None)
-    monkeypatch.setattr(torch.optim, "Adam", lambda *arguments, **options: idle)
+    monkeypatch.setattr(torch.optim, "AdamW", lambda *arguments, **options: idle)
     training, inputs = training_of(CASES[case], "meta")
     with CaptureWatch() as watch:
         losses = training.update(*inputs)
