@@ -18,7 +18,18 @@ NOT_LOWEST = (
     *("mypy", "ruff", "pandas-stubs", "scipy-stubs", "import-linter"),
 )
 """Left out of the lowest versions: PyTorch and what needs it, for its size, and what only reads code."""
-WITH_LOWEST = ["calibration", "cli", "data", "engine", "geometry", "metrics", "plot", "recalibration", "report", "stats"]
+WITH_LOWEST = [
+    "calibration",
+    "cli",
+    "data",
+    "engine",
+    "geometry",
+    "metrics",
+    "plot",
+    "recalibration",
+    "report",
+    "stats",
+]
 """Folders of tests in which dependencies are called; the others call posecal's own functions, or need PyTorch."""
 OLD_WARNINGS = ("-W", "ignore::DeprecationWarning", "-W", "ignore::PendingDeprecationWarning")
 """Old libraries call what newer ones have deprecated; that is no fault of posecal."""

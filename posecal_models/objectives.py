@@ -263,29 +263,34 @@ def energy_score(
         Scalar, mm; lower is better.
     """
     drawn = distribution.sample(hypotheses, generator=generator).cpu().numpy()
-    return torch.as_tensor(posecal.metrics.energy_score(drawn, truth.cpu().numpy()).mean())
+    return torch.as_tensor(posecal.metrics.energy_score(drawn, truth.cpu().numpy(), axes="NMKD", unit="mm").mean())
 
 
 TEMPERATURES = (0.9, 0.95, 1.0, 1.05, 1.1, 1.15, 1.2, 1.3)
 
 
 def fit_temperature(estimator: AmortizedPosterior, context: Context, truth: Tensor, seed: int) -> None:
-    """Set the temperature of an estimator to the one of :data:`TEMPERATURES` with the lowest energy score.
+    """Set the temperature of an estimator to the one of :data:`TEMPERATURES` with the lowest ECE of 50 hypotheses.
+
+    Scores are flat there: the energy score changes by less than a hundredth from 1 to 1.2, the ECE by a factor of two.
 
     Parameters
     ----------
     estimator : AmortizedPosterior
         Its ``temperature`` is set.
-    context, truth
-        Held-out poses, as in :func:`energy_score`.
+    context : Context
+        Keypoints of M held-out poses.
+    truth : Tensor
+        (M, K, 3), mm.
     seed : int
-        Of the hypotheses, which are the same for all temperatures.
+        Of the hypotheses, which come from the same random numbers at all temperatures.
     """
-    scores = {}
+    errors = {}
     for temperature in TEMPERATURES:
         estimator.temperature.fill_(temperature)
-        scores[temperature] = float(energy_score(estimator(context), truth, torch.Generator().manual_seed(seed)))
-    estimator.temperature.fill_(min(scores, key=scores.__getitem__))
+        drawn = estimator(context).sample(50, generator=torch.Generator().manual_seed(seed))
+        errors[temperature] = posecal.ece(drawn.cpu().numpy(), truth.cpu().numpy(), axes="NMKD", unit="mm")
+    estimator.temperature.fill_(min(errors, key=errors.__getitem__))
 
 
 def build_objective(estimator: ReferenceEstimator, config: TrainConfig) -> Objective:
