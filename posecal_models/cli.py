@@ -27,6 +27,10 @@ app = typer.Typer(
     help="Reference estimators of 3D pose distributions: train and sample them, evaluate them with posecal evaluate.",
 )
 
+_CAPTURED_MOTION = Path(__file__).parent / "data" / "captured_motion.npz"
+"""Eight clips of two seconds of subjects 3, 6 and 49. The data used in this project was obtained from mocap.cs.cmu.edu.
+The database was created with funding from NSF EIA-0196217."""
+
 _Output = Annotated[Path, typer.Option("--output", "-o", help="The file to write.")]
 _Threads = Annotated[int, typer.Option(help="CPU threads; 0: PyTorch's default.", min=0)]
 _Device = Annotated[str, typer.Option(help="cpu, cuda, cuda:1, xpu, mps or auto.")]
@@ -147,17 +151,25 @@ def sample(
 @app.command()
 def motion(
     output: _Output = Path("motion.npz"),
+    captured: Annotated[
+        bool, typer.Option("--captured", help="16 seconds of captured motion of three people instead.")
+    ] = False,
     subjects: Annotated[int, typer.Option(help="People.", min=1)] = 6,
     clips: Annotated[int, typer.Option(help="Clips per person.", min=1)] = 10,
     frames: Annotated[int, typer.Option(help="Frames per clip.", min=1)] = 100,
     seed: _Seed = 0,
 ) -> None:
-    """Generate synthetic motion capture data."""
+    """Generate synthetic motion capture data, or write captured motion that no packaged weights were trained on."""
     check_outputs(output=output)
     from posecal.data.write import write_file, write_members
+    from posecal_models.data.npz import read_npz
     from posecal_models.data.synthetic import synthetic_motion
 
-    members = synthetic_motion(subjects=subjects, clips=clips, frames=frames, seed=seed)
+    members = (
+        read_npz(_CAPTURED_MOTION)
+        if captured
+        else synthetic_motion(subjects=subjects, clips=clips, frames=frames, seed=seed)
+    )
     write_file(output, lambda file: write_members(file, members, compressed=True))
 
 

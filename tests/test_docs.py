@@ -195,7 +195,7 @@ def test_readme_has_the_two_commands_that_ci_runs() -> None:
         assert len(block.strip().splitlines()) == 2  # the language, and one line
 
 
-def test_the_readmes_estimator_is_the_one_that_the_models_page_trains() -> None:
+def test_the_readmes_estimator_is_the_one_that_the_models_page_samples() -> None:
     """The page's commands run above; README shows the same ones."""
     readme, page = ((ROOT / name).read_text(encoding="utf-8") for name in ("README.md", "docs/models.md"))
     shown = readme.split("```sh\n")[1].split("```")[0].splitlines()

@@ -194,9 +194,7 @@ def test_directions_in_which_poses_do_not_vary_are_left_out_when_asked_for():
 
 
 def test_keypoints_relative_to_a_root_are_refused():
-    with pytest.raises(
-        PoseDataError, match=r"^model\.origin: root of an amortised posterior; expected observed or"
-    ):
+    with pytest.raises(PoseDataError, match=r"^model\.origin: root of an amortised posterior; expected observed or"):
         AmortizedPosterior(NAMES, NAMES, origin="root")
 
 

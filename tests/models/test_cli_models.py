@@ -43,21 +43,21 @@ def in_this_process(*arguments: object, cwd: Path) -> subprocess.CompletedProces
     return subprocess.CompletedProcess(command, ended.value.code or 0, output.getvalue(), errors.getvalue())
 
 
-README = (
+COMMANDS = (
     ("motion", "-o", "motion.npz", "--subjects", 3, "--clips", 2, "--frames", 20),
     ("train", "cgnf-tiny", "--data", "motion.npz", "-o", "tiny", "--set", 'data.test_subjects=["S3"]',
      "--set", "train.epochs=1", "--threads", 1),
     ("project", "motion.npz", "-o", "test.npz", "--subject", "S3"),
     ("sample", "tiny/weights.safetensors", "test.npz", "-o", "hyps.npz", "--n", 5),
 )  # fmt: skip
-"""The commands of README, smaller: motion, a training, images of the test subject, hypotheses."""
+"""Commands of the page on models, smaller: motion, a training, images of the test subject, hypotheses."""
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
-    """A folder with the results of README's commands."""
+    """A folder with the results of these commands."""
     where = tmp_path_factory.mktemp("readme")
-    for arguments in README:
+    for arguments in COMMANDS:
         done = in_this_process(*arguments, cwd=where)
         assert done.returncode == 0, done.stderr
         assert done.stdout == ""
@@ -65,8 +65,8 @@ def folder(tmp_path_factory) -> Path:
 
 
 @pytest.mark.slow
-def test_readme_s_commands_end_in_a_file_that_posecal_evaluates(tmp_path):
-    for arguments in README:
+def test_a_training_s_commands_end_in_a_file_that_posecal_evaluates(tmp_path):
+    for arguments in COMMANDS:
         done = posecal_models(*arguments, cwd=tmp_path)
         assert done.returncode == 0, done.stderr
         assert done.stdout == ""

@@ -122,7 +122,5 @@ def test_limbs_that_are_not_there_are_named(motion_file, tmp_path):
     members["joints"] = np.array([str(name).replace("LWrist", "LHand") for name in members["joints"]])
     np.savez(tmp_path / "other.npz", **members)
     mocap = MocapPoses(tmp_path / "other.npz")
-    with pytest.raises(
-        PoseDataError, match=r"^data\.limb_exchange: the poses have no LWrist; expected the joints"
-    ):
+    with pytest.raises(PoseDataError, match=r"^data\.limb_exchange: the poses have no LWrist; expected the joints"):
         FreshViews(mocap, np.arange(3), JOINTS[:5], JOINTS[:5], detector=EXACT, limb_exchange=0.5)

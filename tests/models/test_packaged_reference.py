@@ -1,0 +1,72 @@
+"""The weights and the captured motion that come with the package."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import posecal
+from posecal_models import cli
+from posecal_models.checkpoint import load_estimator, notes_of
+from posecal_models.data.lifting_set import LiftingSet
+from posecal_models.data.mocap import MocapPoses
+from posecal_models.sample import sample_to_file
+
+WEIGHTS = Path(cli.__file__).parent / "weights"
+
+
+@pytest.fixture(scope="module")
+def images() -> LiftingSet:
+    """Every eighth frame of the captured motion in two cameras, with the detector's noise."""
+    from posecal_models.data.detector import Detector
+
+    return Detector().detect_set(MocapPoses(cli._CAPTURED_MOTION).project(every=8, views=2))
+
+
+def evaluation(name: str, images: LiftingSet, folder: Path, n: int) -> posecal.Report:
+    images.save(folder / "gt.npz")
+    sample_to_file(load_estimator(name), images.images, folder / f"{name}.npz", n=n)
+    return posecal.evaluate(folder / f"{name}.npz", folder / "gt.npz", metrics=["default", "energy_score"])
+
+
+def test_it_is_better_than_the_packaged_cgnf_on_people_that_neither_has_seen(images, tmp_path):
+    reference = evaluation("reference", images, tmp_path, n=40)
+    cgnf = evaluation("cgnf-small", images, tmp_path, n=10)
+    assert reference["energy_score"] < 0.75 * cgnf["energy_score"]
+    assert reference["min_mpjpe"] < 60
+    assert 0.8 < reference["coverage_90"] <= 1
+
+
+def test_its_hypotheses_have_legs_of_one_length(images):
+    """Within a hypothesis left and right thigh differ by some centimetres, as joints of one body do."""
+    model = load_estimator("reference")
+    at = {name: k for k, name in enumerate(model.joints)}
+    context = images.images.in_order_of(model.keypoints)
+    from posecal_models.sample import _context
+
+    with torch.inference_mode():
+        drawn = model(_context(context, slice(None), "cpu")).sample(20, generator=torch.Generator().manual_seed(0))
+    left, right = (
+        torch.linalg.vector_norm(drawn[:, :, at[f"{side}Knee"]] - drawn[:, :, at[f"{side}Hip"]], dim=-1)
+        for side in "LR"
+    )
+    assert float((left - right).abs().median()) < 25
+    assert 350 < float(left.median()) < 480
+
+
+def test_the_captured_motion_is_of_people_that_are_held_out():
+    config = notes_of("reference")["config"]["data"]
+    held_out = {*config["test_subjects"]} - {*config["validation_subjects"]}
+    mocap = MocapPoses(cli._CAPTURED_MOTION)
+    assert set(mocap.subject.tolist()) <= held_out
+    assert len(mocap.poses) == 320
+    assert "mocap.cs.cmu.edu" in str(np.load(cli._CAPTURED_MOTION)["licence"])
+
+
+def test_its_weights_are_small_and_described():
+    assert (WEIGHTS / "reference.safetensors").stat().st_size < 10_000_000
+    card = (WEIGHTS / "reference.md").read_text(encoding="utf-8")
+    assert all(word in card for word in ("mocap.cs.cmu.edu", "Limits", "Evaluation"))
