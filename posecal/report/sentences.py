@@ -120,17 +120,20 @@ def _weak(e: Evidence) -> str:
 
 
 def _against(e: Evidence) -> str:
-    ece = e.ece
-    chance = f"chance alone gives a calibrated model about {ece.mean:.3f} ({p_value(ece.p)})"
-    return f"ECE {ece.error:.3f}; {chance}.{_share(e)}"
+    return f"ECE {e.ece.error:.3f}; {_chance(e, f'about {e.ece.mean:.3f}')}.{_share(e)}"
+
+
+def _chance(e: Evidence, how_much: str) -> str:
+    """Say what a calibrated model shows, or where sequences are shown to differ, one whose sequences do as well."""
+    alike = "a model that is calibrated on average, with sequences that differ as much,"
+    return f"chance alone gives {alike if _differ(e) else 'a calibrated model'} {how_much} ({p_value(e.ece.p)})"
 
 
 def _nothing_shown(e: Evidence) -> str:
     error, high = e.ece.error, e.ece.high
-    return (
-        f"No miscalibration shown on average: ECE {error:.3f}; chance alone gives a calibrated model up to {high:.3f} "
-        f"({p_value(e.ece.p)}). A true ECE of up to {error + high:.3f} can't be excluded.{_share(e)}"
-    )
+    chance = _chance(e, f"up to {high:.3f}")
+    excluded = f"A true ECE of up to {error + high:.3f} can't be excluded."
+    return f"No miscalibration shown on average: ECE {error:.3f}; {chance}. {excluded}{_share(e)}"
 
 
 # --- intervals ----------------------------------------------------------------------------------------------------
@@ -253,6 +256,14 @@ def _none_rejects(e: Evidence) -> bool:
 
 
 RULES = (
+    Rule(
+        "sequences",
+        "sequences differ, not shown",
+        "p ≥ 0.05 of the ECE, and sequences differ: then that is said first, and what chance gives is that of a model "
+        "whose sequences differ as much",
+        lambda e: e.ece.p >= LEVEL and _differ(e),
+        _sequences_differ,
+    ),
     Rule(
         "verdict",
         "no spread",
