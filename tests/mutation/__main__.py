@@ -53,6 +53,7 @@ ALSO = {
     "posecal/stats/jackknife.py": ("test_uncertainty.py",),
     "posecal/stats/remarks.py": ("test_summary.py",),
     "posecal/stats/resampling.py": ("test_uncertainty.py",),
+    "posecal/stats/same_poses.py": ("test_comparison_refusals.py",),
     "posecal/metrics/uncertainty.py": ("test_orders.py",),
     "posecal/registry.py": ("test_own_metrics.py", "test_registering.py", "test_explain.py"),
 }
