@@ -331,6 +331,14 @@ def test_deviations_that_are_none_are_refused() -> None:
         GaussianPrediction(mean, sigma=sigma).sample(3)
 
 
+def test_every_coordinate_of_a_joint_needs_a_deviation() -> None:
+    truth, mean = world()
+    sigma = np.ones((M, K, D))
+    sigma[2, 1, 0], sigma[4, 3, 2] = -1, 0
+    with pytest.raises(PoseDataError, match=r"^sigma: not above 0 in 2 of 6 frames \(first: 2, 4\)"):
+        GaussianPrediction(mean, sigma=sigma).log_prob(truth)
+
+
 def test_frames_of_a_part_are_named_by_their_own_numbers() -> None:
     sigma = np.full((60, 2), 30.0)
     sigma[50] = -1

@@ -41,6 +41,7 @@ ALSO = {
         "test_stacked_means.py",
         "test_wrong_arguments.py",
     ),
+    "posecal/data/covariances.py": ("test_gaussian.py", "test_draws.py"),
     "posecal/calibration/curve.py": ("test_error.py",),
     "posecal/calibration/ranks.py": ("test_exactness.py",),
     "posecal/engine/accumulate.py": ("test_averaged.py", "test_batches.py", "test_call.py", "test_failures.py"),

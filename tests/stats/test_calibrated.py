@@ -93,6 +93,14 @@ def test_of_few_hypotheses_ranks_say_something_between_the_outermost_alone(n: in
     )
 
 
+def test_a_joint_with_one_known_error_says_nothing_of_its_own() -> None:
+    D, counts, errors = sums(0.02)
+    errors[:, 2] = 0
+    errors[4, 2] = 1, -0.7, 0.49
+    expected = calibrated_deviations(D, counts)
+    np.testing.assert_array_equal(calibrated_deviations(D, counts, None, errors)[:, 2], expected[:, 2])
+
+
 def test_noise_of_the_median_makes_sequences_seem_more_alike() -> None:
     """Errors of which a share r is no noise: the excess of the design effect over 1 is divided by r², r at least ¼."""
     random, number = np.random.default_rng(8), np.full((9, 2), 40.0)
