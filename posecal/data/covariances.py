@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from typing import Literal
 
 import numpy as np
@@ -17,7 +18,8 @@ _SYMMETRY = 1e-3
 """How far from symmetric a covariance may be, as a correlation."""
 
 _SMALLEST = 1e-12
-"""A covariance whose smallest variance along a principal direction is a smaller share of the largest is singular."""
+"""A covariance is singular where a coordinate keeps no more than this share of its variance once those before it are
+known: 1 less the squared multiple correlation, which no unit changes."""
 
 
 def fixed_joints(spread: FloatArray, kind: Kind, d: int) -> BoolArray:
@@ -91,14 +93,23 @@ def factored(spread: FloatArray, kind: Kind, d: int) -> tuple[FloatArray, BoolAr
         allowed = _SYMMETRY * deviation[..., None] * deviation[..., None, :]
         wrong = ~(np.abs(matrix - matrix.swapaxes(-1, -2)) <= allowed).all(axis=(-1, -2))
     matrix = np.where(wrong[..., None, None], np.eye(size), matrix)
-    try:
-        factor = np.linalg.cholesky(matrix)
-    except np.linalg.LinAlgError:  # of some: which ones, and the rest
-        variances = np.linalg.eigvalsh(matrix)
-        wrong |= variances[..., 0] <= _SMALLEST * variances[..., -1]
-        factor = np.linalg.cholesky(np.where(wrong[..., None, None], np.eye(size), matrix))
+    factor = _cholesky(matrix)
+    left, own = (np.diagonal(some, axis1=-2, axis2=-1) for some in (factor, matrix))
+    wrong |= ~(left**2 > _SMALLEST * np.abs(own)).all(axis=-1)
     factor = np.where(on_axis[..., None] | on_axis[..., None, :], 0, factor)
     return factor, fixed, np.asarray(wrong.swapaxes(0, 1).reshape(wrong.shape[1], -1).any(axis=-1))
+
+
+def _cholesky(matrix: FloatArray) -> FloatArray:
+    """Lower triangles of matrices (…, n, n); 0 for those that have none, whatever the others are."""
+    try:
+        return np.linalg.cholesky(matrix)
+    except np.linalg.LinAlgError:
+        factor = np.zeros_like(matrix)
+        for place in np.ndindex(matrix.shape[:-2]):
+            with suppress(np.linalg.LinAlgError):
+                factor[place] = np.linalg.cholesky(matrix[place])
+        return factor
 
 
 def times(factor: FloatArray, z: FloatArray, kind: Kind, shape: tuple[int, int]) -> FloatArray:
@@ -137,5 +148,6 @@ def _without_zeros(factor: FloatArray) -> FloatArray:
 def log_sum(terms: FloatArray) -> FloatArray:
     """Logarithm of the sum over components of exponentials, (C, m) to (m,)."""
     most = terms.max(axis=0)
-    with np.errstate(invalid="ignore"):
+    most = np.where(np.isneginf(most), 0, most)
+    with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(most + np.log(np.exp(terms - most).sum(axis=0)))

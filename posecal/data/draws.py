@@ -16,7 +16,7 @@ from posecal.data.archive import Header, Member, open_archive
 from posecal.data.arrays import BoolArray, FloatArray
 from posecal.data.file_array import FileArray, open_member, opened
 from posecal.data.gaussian import GaussianPrediction, counting
-from posecal.data.log_density import number_of_coordinates, poses_that_lack
+from posecal.data.log_density import number_of_coordinates, poses_that_lack, refuse_non_finite
 from posecal.data.remarks import Remark
 from posecal.data.root import AnyRoot, resting_joints, root_joints, root_name
 from posecal.data.stored_poses import Rows, StoredPoses
@@ -186,4 +186,6 @@ def stated_log_density(
     assert log_prob is not None
     number = number_of_coordinates(len(columns), truth.shape[2], root)
     lacking, remark = poses_that_lack(counts, len(rows))
+    name = f"{poses.name}: the stated log density of the truth"
+    attempt(problems, refuse_non_finite, name, log_prob, lacking, frames)
     return np.where(lacking, np.nan, log_prob - number * math.log(factor)), number, [*remarks, *remark]

@@ -58,7 +58,7 @@ class GaussianPrediction:
     sigma : array (M, K) or (M, K, D), optional
         Standard deviations, of independent coordinates, instead.
     mixture_weights : array (C, M), optional
-        Weights of the components, of sum 1 for each pose.
+        Weights of the components, of sum 1 for each pose. A component of weight 0 may be anything.
     name : str
         What messages call it; nothing by default.
 
@@ -184,7 +184,8 @@ class GaussianPrediction:
             some = np.flatnonzero(bad)
             others = decoupled(spread[:, some], self.kind, ~self.counts[rows[some]], d)
             factor[:, some], _, bad[some] = factored(others, self.kind, d)
-        self._refuse(np.flatnonzero(bad), rows.astype(str).tolist(), len(rows))
+        counts = True if self.counts is None else self.counts[rows]
+        self._refuse(bad, _are_lost(mean, fixed, counts), rows.astype(str).tolist())
         mean = np.where(fixed[..., None] & np.isnan(mean), 0, mean)
         found = np.empty((n, len(rows), k, d), dtype=self.dtype)
         step = max(1, _DRAWN // (n * k * d))
@@ -256,20 +257,24 @@ class GaussianPrediction:
         array (m,)
             Nats; the joints that are the root are not among the coordinates.
         """
-        found, bad = np.empty(len(rows)), np.zeros(len(rows), dtype=bool)
+        found, (bad, lost) = np.empty(len(rows)), np.zeros((2, len(rows)), dtype=bool)
         for part in self._blocks(len(rows)):
-            found[part], bad[part] = self._log_density(truth[part], rows[part], columns, root)
-        self._refuse(np.flatnonzero(bad), frames, len(rows))
+            found[part], bad[part], lost[part] = self._log_density(truth[part], rows[part], columns, root)
+        self._refuse(bad, lost, frames)
         return found
 
-    def _log_density(self, truth: FloatArray, rows: Rows, columns: Rows, root: AnyRoot) -> tuple[FloatArray, BoolArray]:
+    def _log_density(
+        self, truth: FloatArray, rows: Rows, columns: Rows, root: AnyRoot
+    ) -> tuple[FloatArray, BoolArray, BoolArray]:
         d, k = truth.shape[-1], len(columns)
         mean, spread = self._read(rows)
-        spread = joints_of(spread, self.kind, columns, d)
+        mean, spread = mean[:, :, columns], joints_of(spread, self.kind, columns, d)
         fixed = fixed_joints(spread, self.kind, d)
-        away = truth - np.where(fixed[..., None] & np.isnan(mean[:, :, columns]), 0, mean[:, :, columns])
+        away = truth - np.where(fixed[..., None] & np.isnan(mean), 0, mean)
         kind, keep = self.kind, np.arange(k)
-        if self.counts is not None and not (counts := self.counts[np.ix_(rows, columns)]).all():
+        counts = np.ones((len(rows), k), dtype=bool) if self.counts is None else self.counts[np.ix_(rows, columns)]
+        lost = _are_lost(mean, fixed, counts)
+        if not counts.all():
             counts &= counts[:, root_joints(root)].all(axis=1, keepdims=True)
             spread = decoupled(spread, kind, ~counts, d)
         if root is not None:
@@ -286,17 +291,21 @@ class GaussianPrediction:
         bad |= fixed.any(axis=(0, 2))
         with np.errstate(divide="ignore"):
             weights = np.log(self.weights[:, rows])
-        return log_sum(weights + normal_log_density(away, factor, kind)), bad
+        with np.errstate(invalid="ignore"):  # of frames that are refused
+            return log_sum(weights + normal_log_density(away, factor, kind)), bad, lost
 
-    def _refuse(self, bad: Rows, frames: Sequence[str], number: int) -> None:
-        if len(bad):
-            word = "sigma" if self.kind == "sigma" else "covariance"
-            expected = "above 0" if self.kind == "sigma" else "symmetric and positive definite"
-            raise PoseDataError(
-                f"{self.name}{word}: not {expected} in {len(bad):,} of {number:,} frames (first: "
-                f"{first_few([frames[row] for row in bad])}); expected so of every joint but the root, in the "
-                f"{'' if self.kind == 'sigma' else 'squared '}unit of the mean."
-            )
+    def _refuse(self, bad: BoolArray, lost: BoolArray, frames: Sequence[str]) -> None:
+        """Refuse frames with spreads or means that can't be."""
+        word, expected, unit = "covariance", "symmetric and positive definite", "the squared unit of the mean"
+        if self.kind == "sigma":
+            word, expected, unit = "sigma", "above 0", "the unit of the mean"
+        for wrong, what, where in ((bad, f"{word}: not {expected}", f", in {unit}"), (lost, "mean: not finite", "")):
+            if wrong.any():
+                first = first_few([frames[row] for row in np.flatnonzero(wrong).tolist()])
+                raise PoseDataError(
+                    f"{self.name}{what} in {wrong.sum():,} of {len(wrong):,} frames (first: {first}); expected so of "
+                    f"every joint but the root{where}."
+                )
 
     # --- reading
 
@@ -306,7 +315,7 @@ class GaussianPrediction:
         return (slice(start, start + step) for start in range(0, number, step))
 
     def _read(self, rows: Rows) -> tuple[FloatArray, FloatArray]:
-        """Read means and spreads of some frames, (C, m, …), in double."""
+        """Read means and spreads of some frames, (C, m, …), in double; of components of weight 0 those of another."""
         axis = len(self.mean.shape) - 3
         runs = np.split(rows, np.flatnonzero(np.diff(rows) != 1) + 1)
         read = []
@@ -315,6 +324,10 @@ class GaussianPrediction:
             wheres = [(*every[:axis], slice(int(run[0]), int(run[-1]) + 1), *every[axis + 1 :]) for run in runs]
             some = np.concatenate([array.part(where) for where in wheres], axis=axis).astype(np.float64)
             read.append(some if axis else some[None])
+        weights = self.weights[:, rows]
+        component, row = np.nonzero(weights == 0)
+        for some in read:
+            some[component, row] = some[weights.argmax(axis=0)[row], row]
         return read[0], read[1]
 
 
@@ -343,6 +356,11 @@ def starting_at(hypotheses: T, frame: int) -> T:
     other = copy.copy(hypotheses)
     other.first = frame
     return other
+
+
+def _are_lost(mean: FloatArray, fixed: BoolArray, counts: BoolArray | bool) -> BoolArray:
+    """Find frames (m,) in which a joint that counts moves about a mean (C, m, K, D) that is not finite."""
+    return np.asarray((~np.isfinite(mean).all(axis=-1) & ~fixed & counts).any(axis=(0, 2)))
 
 
 def _generator(seed: int, frame: int, stream: int) -> np.random.Generator:

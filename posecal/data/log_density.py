@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -123,16 +124,23 @@ def log_density(
             f"NLL: dimensions = {found} is declared, and the poses have {own} coordinates without the root "
             f"({len(columns)} joints × {d}): it is per dimension of {found}, and converted from the unit by as many."
         )
-    attempt(problems, _refuse_non_finite, poses.name, values[rows], lacking, frames)
+    attempt(problems, refuse_non_finite, f"{poses.name}: log_prob", values[rows], lacking, frames)
     return np.where(lacking, np.nan, values[rows] - found * math.log(factor)), found, remarks
 
 
-def _refuse_non_finite(name: str, values: FloatArray, lacking: BoolArray, frames: list[str]) -> None:
-    bad = np.flatnonzero(~np.isfinite(values) & ~lacking)
+def refuse_non_finite(name: str, values: FloatArray, lacking: BoolArray, frames: Sequence[str]) -> None:
+    """Refuse log densities (m,) that are not finite, of poses that don't lack a joint.
+
+    Raises
+    ------
+    PoseDataError
+        With the first frames.
+    """
+    bad = np.flatnonzero(~np.isfinite(values) & ~lacking).tolist()
     if len(bad):
         infinite = " An infinite log density makes the NLL of all poses infinite." * bool(np.isinf(values).any())
         raise PoseDataError(
-            f"{name}: log_prob is not finite in {len(bad):,} of {len(values):,} frames (first: "
+            f"{name} is not finite in {len(bad):,} of {len(values):,} frames (first: "
             f"{first_few([frames[row] for row in bad])}); expected nats.{infinite} Give the model a density above "
             "0 everywhere, such as a mixture with a wide component, or leave these frames out."
         )

@@ -10,13 +10,15 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from posecal.data.arrays import FloatArray
 from posecal.engine.sums import Counts, Indices, split_by, sum_by
 
 SMALLEST_SHARE = 1e-8
-"""A direction whose variance is below this share of the largest one's is degenerate."""
+"""Where no deviation says so, a direction whose variance is below this share of the largest one's is degenerate."""
+
+ROUNDING = 1e-14
+"""Variances below this share of the largest mean square of a coordinate are lost in the rounding of sums."""
 
 
 @dataclass(frozen=True)
@@ -58,20 +60,22 @@ def gaussians_of_others(
     d : int
         Coordinates.
     deviation : float
-        A direction with a standard deviation below this is degenerate as well.
+        A direction with a standard deviation below this is degenerate; with 0, one with a variance below
+        :data:`SMALLEST_SHARE` of the largest.
 
     Returns
     -------
     list of S pairs of arrays (d,) and (d, d), or None
         None where the poses without some sequence are not more than d, or don't vary in some direction.
     """
-    total, found = sums.sum(axis=0), []
+    total, found = sums.sum(axis=0), list[tuple[FloatArray, FloatArray]]()
     for own, number in zip(sums, counts, strict=True):
         n = int(counts.sum() - number)
         if n <= d:
             return None
         mean, covariance = _gaussian(total - own, n, d)
-        if _is_degenerate(np.linalg.eigvalsh(covariance), deviation).any():
+        variances = np.linalg.eigvalsh(covariance)
+        if variances[0] < _smallest_variance(variances, total - own, n, d, deviation):
             return None
         found.append((mean, covariance))
     return found
@@ -99,13 +103,14 @@ def gaussian_log_density(
     gaussians = gaussians_of_others(of_sequence, poses, d, deviation)
     if gaussians is None:
         return np.full(len(sums), np.nan)
-    found, (first, second) = np.zeros(len(sums)), np.triu_indices(d)
+    found = np.zeros(len(sums))
     for cells, (mean, covariance) in zip(split_by(sequence, number), gaussians, strict=True):
-        precision = np.linalg.inv(covariance)
-        of_products = precision[first, second] * np.where(first == second, 1, 2)
-        constant = d * math.log(2 * math.pi) + np.linalg.slogdet(covariance)[1] + mean @ precision @ mean
-        squares = sums[cells] @ np.concatenate([-2 * precision @ mean, of_products])
-        found[cells] = -(counts[cells] * constant + squares) / 2
+        constant = d * math.log(2 * math.pi) + np.linalg.slogdet(covariance)[1]
+        white = np.linalg.inv(np.linalg.cholesky(covariance))
+        for cell in cells:
+            about_mean = _products(sums[cell], d) - np.outer(sums[cell, :d], mean)
+            about_mean -= np.outer(mean, sums[cell, :d] - counts[cell] * mean)
+            found[cell] = -(counts[cell] * constant + np.vdot(white, white @ about_mean)) / 2
     return found
 
 
@@ -135,22 +140,31 @@ def constraints(
     number = int(counts.sum())
     if number <= d:
         return None
-    variances = np.linalg.eigvalsh(_gaussian(sums.sum(axis=0), number, d)[1])
+    total = sums.sum(axis=0)
+    variances = np.linalg.eigvalsh(_gaussian(total, number, d)[1])
+    smallest = _smallest_variance(variances, total, number, d, deviation)
     of_sequence, poses = (sum_by(sequence, int(sequence.max()) + 1, values) for values in (lengths, counts))
     within = (of_sequence[:, 1] - of_sequence[:, 0] ** 2 / np.maximum(poses, 1)[:, None]).sum(axis=0) / number
-    is_rigid = within < max(deviation**2, SMALLEST_SHARE * variances[-1])
-    return Constraints(int(_is_degenerate(variances, deviation).sum()), int(is_rigid.sum()), d, lengths.shape[2])
+    is_rigid = within < (deviation**2 if deviation else smallest)
+    return Constraints(int((variances < smallest).sum()), int(is_rigid.sum()), d, lengths.shape[2])
 
 
-def _is_degenerate(variances: FloatArray, deviation: float) -> npt.NDArray[np.bool_]:
-    """Find the degenerate ones among ascending variances along principal directions."""
-    return np.asarray(variances < max(deviation**2, SMALLEST_SHARE * variances[-1]))
+def _smallest_variance(variances: FloatArray, sums: FloatArray, n: int, d: int, deviation: float) -> float:
+    """Give the variance below which a direction is degenerate, from ascending ones along principal directions."""
+    if not deviation:
+        return SMALLEST_SHARE * float(variances[-1])
+    return max(deviation**2, ROUNDING * float(_products(sums, d).max()) / n)
 
 
 def _gaussian(sums: FloatArray, n: int, d: int) -> tuple[FloatArray, FloatArray]:
     """Mean (d,) and covariance (d, d), with n - 1, of n poses from the sums of their moments."""
+    mean = sums[:d] / n
+    return mean, (_products(sums, d) - n * np.outer(mean, mean)) / (n - 1)
+
+
+def _products(sums: FloatArray, d: int) -> FloatArray:
+    """Sums of the products of all pairs of d coordinates, (d, d), from those of :func:`moments`."""
     products = np.empty((d, d))
     first, second = np.triu_indices(d)
     products[first, second] = products[second, first] = sums[d:]
-    mean = sums[:d] / n
-    return mean, (products - n * np.outer(mean, mean)) / (n - 1)
+    return products

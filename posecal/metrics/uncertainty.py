@@ -111,7 +111,8 @@ def sparsification(spread: npt.ArrayLike, error: npt.ArrayLike) -> tuple[FloatAr
         return np.full(DROPPED.size, np.nan), np.full(DROPPED.size, np.nan)
     number = np.maximum(np.rint((1 - DROPPED) * len(e)).astype(int), 1)
     means = (np.cumsum(e[np.argsort(values, kind="stable")]) / np.arange(1, len(e) + 1) for values in (s, e))
-    by_spread, by_error = (mean[number - 1] / mean[-1] for mean in means)
+    with np.errstate(invalid="ignore"):  # of errors that are all 0
+        by_spread, by_error = (mean[number - 1] / mean[-1] for mean in means)
     return by_spread, by_error
 
 

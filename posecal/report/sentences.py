@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from posecal.report.evidence import NEITHER, OVER, STRONG, UNDER, Estimate, Evidence, side_of
+from posecal.report.evidence import NEITHER, OVER, STRONG, UNDER, Evidence, side_of
 from posecal.report.format import counted, p_value, several, span
 from posecal.stats.resampling import LEVEL
 
@@ -92,10 +92,8 @@ def _more(e: Evidence) -> str:
 
 
 def _looks(e: Evidence) -> str:
-    return (
-        f"Looks {e.side}: signed area {e.area.value:+.3f} (95\u00a0% interval {span(e.area.low, e.area.high)}); "
-        f"{_no_test(e)}.{_share(e)}"
-    )
+    interval = span(e.area.low, e.area.high)
+    return f"Looks {e.side}: signed area {e.area.value:+.3f} (95\u00a0% interval {interval}); {_no_test(e)}.{_share(e)}"
 
 
 def _not_tested(e: Evidence) -> str:
@@ -120,17 +118,20 @@ def _weak(e: Evidence) -> str:
 
 
 def _against(e: Evidence) -> str:
-    ece = e.ece
-    chance = f"chance alone gives a calibrated model about {ece.mean:.3f} ({p_value(ece.p)})"
-    return f"ECE {ece.error:.3f}; {chance}.{_share(e)}"
+    return f"ECE {e.ece.error:.3f}; {_chance(e, f'about {e.ece.mean:.3f}')}.{_share(e)}"
+
+
+def _chance(e: Evidence, how_much: str) -> str:
+    """Say what a calibrated model shows, or where sequences are shown to differ, one whose sequences do as well."""
+    alike = "a model that is calibrated on average, with sequences that differ as much,"
+    return f"chance alone gives {alike if _differ(e) else 'a calibrated model'} {how_much} ({p_value(e.ece.p)})"
 
 
 def _nothing_shown(e: Evidence) -> str:
     error, high = e.ece.error, e.ece.high
-    return (
-        f"No miscalibration shown on average: ECE {error:.3f}; chance alone gives a calibrated model up to {high:.3f} "
-        f"({p_value(e.ece.p)}). A true ECE of up to {error + high:.3f} can't be excluded.{_share(e)}"
-    )
+    chance = _chance(e, f"up to {high:.3f}")
+    excluded = f"A true ECE of up to {error + high:.3f} can't be excluded."
+    return f"No miscalibration shown on average: ECE {error:.3f}; {chance}. {excluded}{_share(e)}"
 
 
 # --- intervals ----------------------------------------------------------------------------------------------------
@@ -138,14 +139,10 @@ def _nothing_shown(e: Evidence) -> str:
 
 def _intervals(e: Evidence) -> str:
     many = "" if len(e.excluded) == 1 else "s"
-    rows = " and ".join(map(_interval, e.excluded))
+    rows = " and ".join(f"{row.label} ({span(row.low, row.high)}; best: {row.best:g})" for row in e.excluded)
     known = sum(not math.isnan(row.low) for row in (e.area, *e.coverage))
     chance = f"; of {known} intervals one may do so by chance" if known > len(e.excluded) == 1 else ""
     return f"Yet the 95\u00a0% interval{many} of {rows} exclude{'' if many else 's'} what is best{chance}."
-
-
-def _interval(row: Estimate) -> str:
-    return f"{row.label} ({span(row.low, row.high)}; best: {row.best:g})"
 
 
 # --- sequences ----------------------------------------------------------------------------------------------------
@@ -253,6 +250,13 @@ def _none_rejects(e: Evidence) -> bool:
 
 
 RULES = (
+    Rule(
+        "sequences",
+        "sequences differ, not shown",
+        "p ≥ 0.05 of the ECE, and sequences differ as below; chance is then that of sequences that differ as much",
+        lambda e: e.ece.p >= LEVEL and _differ(e),
+        _sequences_differ,
+    ),
     Rule(
         "verdict",
         "no spread",

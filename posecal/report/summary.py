@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
@@ -20,7 +21,6 @@ from posecal.stats.resampling import MIN_SEQUENCES
 from posecal.stats.uncertainty import (
     are_points,
     p_without_each,
-    weights_allow_no_test,
 )
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def _of_statistics(report: Report) -> Iterator[str]:
             f"{units} allow{'s' * (sequences == 1)} no test: even if all err alike, chance would do that in "
             f"{2 / 2**sequences:.0%} of cases. At least {MIN_SEQUENCES} are needed for a p-value."
         )
-    elif sequences < FEW_SEQUENCES and "ece" in report.metrics and not weights_allow_no_test(totals):
+    elif sequences < FEW_SEQUENCES and "ece" in report.metrics and not math.isnan(report.test("ece").p):
         yield _of_symmetry(report)
     if "occlusion" in report.by:
         yield occlusion_words(totals.protocol, totals.spec)
@@ -98,7 +98,7 @@ def _of_symmetry(report: Report) -> str:
         return f"{_SYMMETRY}."
     low, high = (f"{p:.2f}" if p >= STRONG else f"below {STRONG:g}" for p in (known.min(), known.max()))
     moves = f"stays {high}" if low == high else f"is {low} to {high}"
-    return f"{_SYMMETRY}; without any one, p {moves}."
+    return f"{_SYMMETRY}; with any one left out, p of the ECE {moves}."
 
 
 def summarize(report: Report) -> list[str]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from posecal.calibration.ranks import LEVELS
-from posecal.data.arrays import FloatArray
+from posecal.calibration.ranks import LEVELS, rank_weights
+from posecal.data.arrays import BoolArray, FloatArray
 from posecal.engine.sums import Counts
 
 FEWEST = 0.01
@@ -14,11 +14,22 @@ FEWEST = 0.01
 FAR = 1.0
 """Levels further than this from any such level, in log odds, take the dependence of the standardized errors."""
 
+NOISE = np.pi / 2 / (2 * 0.6744897501960817) ** 2
+"""Mean square of what the median of N normal numbers is off by, times N, in units of their squared distance between
+quartiles, the unit of standardized errors."""
+
+SMALLEST_SHARE = 0.25
+"""Of the mean squared standardized error, what is not noise of the median counts as at least this share."""
+
 _INNER = slice(1, LEVELS.size - 1)
 
 
 def calibrated_deviations(
-    deviations: FloatArray, counts: Counts, offset: FloatArray | None = None, errors: FloatArray | None = None
+    deviations: FloatArray,
+    counts: Counts,
+    offset: FloatArray | None = None,
+    errors: FloatArray | None = None,
+    n: float = np.inf,
 ) -> FloatArray:
     r"""Make a model calibrated by a monotone map of its ranks, and give what its sequences deviate by then.
 
@@ -36,6 +47,8 @@ def calibrated_deviations(
     errors : array (S, J, 3) or (S, K, 3), optional
         Sums of :func:`posecal.calibration.standardized.standardized_errors`, of each curve, or of the K joints of poses
         that all curves are about.
+    n : float
+        N, the mean effective number of hypotheses.
 
     Returns
     -------
@@ -49,6 +62,9 @@ def calibrated_deviations(
     Brownian bridge has between them. Where the truths lie nearly all inside the smallest ball, or outside the largest,
     the ranks don't say how much frames depend on each other; the logarithms of the standardized errors do, and a
     factor of the spread leaves their differences as they are. Without those, frames count as independent there.
+    Ranks say something at levels from 1/(N + 1) to N/(N + 1) alone: beyond, the weight of a truth outside all balls
+    rises from 0 to 1 whatever the truth. There a calibrated sampler's W vary by less than q (1 - q), by as much as
+    those of uniform ranks.
     Differs from the published code: none; ours.
 
     Examples
@@ -69,6 +85,7 @@ def calibrated_deviations(
     omega = np.clip(expected + mean, 0, 1)
     spread = np.sqrt(omega * (1 - omega))
     known = spread**2 >= FEWEST
+    known[:, (1 / (n + 1) - 1e-9 > LEVELS) | (n / (n + 1) + 1e-9 < LEVELS)] = False
     known[:, [0, -1]] = False
     standardized = (deviations - counts[..., None] * mean) * np.divide(
         scale[:, None], spread, out=np.zeros_like(spread), where=known
@@ -86,7 +103,8 @@ def calibrated_deviations(
     apart = np.maximum(from_odds - wanted, wanted - to_odds) > (np.inf if errors is None else FAR)
     apart |= ~known.any(axis=1, keepdims=True)
     if apart.any():
-        taken = np.where(apart, (_of_errors(counts, errors) * scale)[..., None], taken)
+        of_errors = (_of_errors(counts, errors, n) * scale)[..., None] * _share_of_chance(n)[_INNER]
+        taken = np.where(apart, of_errors, taken)
     result = np.zeros(deviations.shape)
     result[..., _INNER] = taken * np.sqrt((expected * (1 - expected)).clip(0))[_INNER]
     return result
@@ -97,7 +115,16 @@ def _log_odds(shares: FloatArray) -> FloatArray:
     return np.asarray(np.log(shares / (1 - shares)))
 
 
-def _of_errors(counts: Counts, errors: FloatArray | None) -> FloatArray:
+def _share_of_chance(n: float) -> FloatArray:
+    """Standard deviation of W of uniform ranks among n hypotheses over √(q (1 - q)), (Q,)."""
+    if n > 100:
+        return np.ones(LEVELS.size)
+    number = max(round(n), 1)
+    deviations = rank_weights(number, np.arange(number + 1)).std(axis=0)
+    return np.asarray(deviations / np.sqrt(np.maximum(LEVELS * (1 - LEVELS), 1e-9)))
+
+
+def _of_errors(counts: Counts, errors: FloatArray | None, n: float) -> FloatArray:
     """Give what a curve of unit variance per pose would deviate by in each sequence, (S, J)."""
     independent = np.sqrt(counts)
     if errors is None:
@@ -108,11 +135,31 @@ def _of_errors(counts: Counts, errors: FloatArray | None) -> FloatArray:
     variance = squares.sum(axis=0) / total - mean**2
     is_known = variance > 1e-6
     deviations = (logs - number * mean) / np.sqrt(np.where(is_known, variance, 1))
-    if number.shape == counts.shape:
-        return np.where(is_known, deviations, independent)
     if not is_known.any():
         return independent
+    deviations *= _without_noise(deviations, number, np.exp(2 * mean + 1.5 * variance), is_known, n)
+    if number.shape == counts.shape:
+        return np.where(is_known, deviations, independent)
     size = np.sqrt((deviations[:, is_known] ** 2).sum(axis=0).mean() / total[is_known].mean())
     together = deviations[:, is_known].sum(axis=1)
     together /= max(np.sqrt((together**2).sum()), 1e-300)
     return np.asarray(together[:, None] * (size * np.sqrt(counts.sum(axis=0))))
+
+
+def _without_noise(
+    deviations: FloatArray, number: FloatArray, squares: FloatArray, is_known: BoolArray, n: float
+) -> float:
+    r"""Give the factor by which the noise of the median of n hypotheses makes deviations of sequences too small.
+
+    .. math:: \sqrt{\frac{1 + (e - 1) / r^2}{e}}
+
+    Noise is independent from frame to frame. A share r of the mean ``squares`` that is none makes the squared errors
+    of two frames correlate by r² of what they would, and so the design effect e of a sequence's frames exceed 1 by r²
+    as much.
+    """
+    share = np.clip(1 - NOISE / n / squares[is_known].mean(), SMALLEST_SHARE, 1)
+    total = number.sum(axis=0)
+    lost = 1 - (number**2).sum(axis=0) / np.maximum(total, 1) ** 2
+    effects = (deviations**2).sum(axis=0)[is_known] / np.maximum(total * lost, 1e-300)[is_known]
+    effect = max(float(effects.mean()), 1.0)
+    return float(np.sqrt((1 + (effect - 1) / share**2) / effect))

@@ -176,6 +176,7 @@ def sign_flips(
     *,
     offset: FloatArray | None = None,
     errors: FloatArray | None = None,
+    n: float = np.inf,
     draws: int = DRAWS,
     seed: int = 0,
 ) -> Null:
@@ -199,6 +200,8 @@ def sign_flips(
         What a perfect sampler's curve is off by at this N, for definitions that are biased.
     errors : array (S, J, 3) or (S, K, 3), optional
         Sums of standardized errors, of these curves or of the joints that they are all about.
+    n : float
+        N, the mean effective number of hypotheses.
     draws : int
         Sign patterns. Where 2\ :sup:`S - 1` is no more, all of them are tried. For more than some 52 curves there are
         fewer: as many as give :data:`MAX_VALUES` mean deviations, and at least :data:`MIN_DRAWS`.
@@ -265,7 +268,7 @@ def sign_flips(
     if not tested:
         return Null(float(own[0]), np.nan, np.nan, np.nan, np.nan, sequences)
     signs = _signs(sequences, n_draws(min(draws, NULL_DRAWS), D[0].size), seed)
-    calibrated = calibrated_deviations(D, counts, offset, errors)
+    calibrated = calibrated_deviations(D, counts, offset, errors, n)
     null, sup = np.concatenate(_reduce_flips(error_and_sup, calibrated, counts, signs, offset), axis=1)
     observed, high, p = float(own[0]), float(np.quantile(null, 0.95)), float(_share_as_large(own))
     return Null(

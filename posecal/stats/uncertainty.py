@@ -102,7 +102,8 @@ def null(totals: Totals, metric: Metric, cells: Cells = None) -> Null:
     deviations, counts, curves = _judged_deviations(totals, metric.statistic, cells, metric.offset, judged)
     whole = replace(metric.deviation, first=None, last=None)
     errors = _errors_of(totals, metric, cells, curves)
-    test = sign_flips(deviations, counts, whole, offset=metric.offset, errors=errors)
+    n = effective_hypotheses(totals)
+    test = sign_flips(deviations, counts, whole, offset=metric.offset, errors=errors, n=n)
     if are_points(totals, metric, cells) or weights_allow_no_test(totals):
         return Null(test.observed, math.nan, math.nan, math.nan, math.nan, test.sequences)
     return test

@@ -237,3 +237,10 @@ def test_a_part_of_a_distribution_is_no_hypothesis(name: str, tmp_path: Path) ->
     np.savez(tmp_path / "h.npz", **{name: MEAN}, unit="mm")
     with pytest.raises(PoseDataError, match=rf"^h.npz holds {name}; expected mean and covariance, or mean and sigma"):
         posecal.PoseData(tmp_path / "h.npz", np.asarray(TRUTH), unit="mm")
+
+
+def test_a_density_that_is_beyond_all_numbers_is_refused() -> None:
+    sigma = SIGMA.copy()
+    sigma[7, 1:] = 1e-200
+    with pytest.raises(PoseDataError, match=r"the stated log density of the truth is not finite in 1 of 60 frames"):
+        evaluate(posecal.GaussianPrediction(MEAN, sigma=sigma), TRUTH, unit="mm", joints=JOINTS, draws=5)

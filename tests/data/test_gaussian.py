@@ -69,6 +69,37 @@ def test_the_density_of_a_mixture_is_the_weighted_sum_of_its_components() -> Non
     np.testing.assert_allclose(GaussianPrediction(mean, sigma=sigma, mixture_weights=weights).log_prob(truth), expected)
 
 
+@pytest.mark.parametrize("far", [1e4, 1e6])
+@pytest.mark.parametrize("weight", [0.5, 1e-6, 1e-300])
+def test_the_density_of_modes_far_apart_is_exact_whatever_their_weights(far: float, weight: float) -> None:
+    truth, mean = world(c=3)
+    mean[1], mean[2] = mean[1] + far, mean[2] - far
+    sigma, weights = np.full((3, M, K), 20.0), np.repeat([[weight], [(1 - weight) / 2], [(1 - weight) / 2]], M, axis=1)
+    terms = [normal(truth.reshape(M, -1), m.reshape(M, -1), [400 * np.eye(K * D)] * M) for m in mean]
+    found = GaussianPrediction(mean, sigma=sigma, mixture_weights=weights).log_prob(truth)
+    np.testing.assert_allclose(found, logsumexp(terms, b=weights, axis=0), rtol=1e-12)
+    nowhere = GaussianPrediction(mean + 4e6, sigma=sigma, mixture_weights=weights).log_prob(truth)
+    assert (np.isfinite(nowhere) & (nowhere < -1e9)).all()
+
+
+@pytest.mark.parametrize("nothing", [0.0, np.nan])
+@pytest.mark.parametrize("kind", ["sigma", "covariance", "full"])
+def test_a_component_of_weight_0_may_be_anything(kind: str, nothing: float) -> None:
+    truth, mean = world(c=2)
+    shapes = {"sigma": (M, K), "covariance": (M, K, D, D), "full": (M, K * D, K * D)}
+    spread = np.full((M, K), 20.0) if kind == "sigma" else random_covariances(15, *shapes[kind])
+    spreads, weights = np.stack([spread, spread]), np.repeat([[0.0], [1.0]], M, axis=1)
+    weights[:, 2] = 1, 0
+    mean[0, np.arange(M) != 2] = mean[1, 2] = nothing
+    spreads[0, np.arange(M) != 2] = spreads[1, 2] = nothing
+    word, one = "sigma" if kind == "sigma" else "covariance", mean[1].copy()
+    one[2] = mean[0, 2]
+    padded = GaussianPrediction(mean, **{word: spreads}, mixture_weights=weights)
+    alone = GaussianPrediction(one, **{word: spread})
+    np.testing.assert_allclose(padded.log_prob(truth), alone.log_prob(truth))
+    np.testing.assert_array_equal(padded.sample(5, seed=2), alone.sample(5, seed=2))
+
+
 def turn_to_root(root: int) -> Array:
     """From all coordinates to those of the other joints relative to one, (KD - D, KD)."""
     relative = np.eye(K) - np.eye(K)[root]
@@ -255,6 +286,41 @@ def test_covariances_that_are_none_are_refused_with_the_first_frames(kind: str) 
     assert np.isfinite(GaussianPrediction(mean[[0, 2, 5]], covariance[[0, 2, 5]]).log_prob(truth[[0, 2, 5]])).all()
 
 
+@pytest.mark.parametrize("ridge", [0, 1e-14])
+def test_covariances_of_coordinates_that_follow_from_others_are_refused_whatever_rounding_says(ridge: float) -> None:
+    """Of 40 products that are singular some have a Cholesky factor by rounding."""
+    roots = np.random.default_rng(0).normal(0, 20, (40, 6, 6))
+    roots[:, 3:] = -roots[:, :3]
+    singular = roots @ roots.swapaxes(1, 2)
+    singular *= 1 + ridge * np.eye(6)
+    with pytest.raises(PoseDataError, match=r"^covariance: not symmetric and positive definite in 40 of 40 frames"):
+        GaussianPrediction(np.zeros((40, 2, 3)), singular).log_prob(np.zeros((40, 2, 3)))
+
+
+def test_whether_a_covariance_is_refused_depends_on_no_other_frame_and_no_unit() -> None:
+    covariance = np.repeat(np.diag([1e-8, 1.0, 1e6])[None, None], 2, axis=0)
+    prediction = GaussianPrediction(np.zeros((2, 1, 3)), covariance)
+    density = -(3 * np.log(2 * np.pi) + np.log(1e-2)) / 2
+    np.testing.assert_allclose(prediction.log_prob(np.zeros((2, 1, 3))), density)
+    covariance[1, 0, 1, 1] = -1
+    with pytest.raises(PoseDataError, match=r"in 1 of 2 frames \(first: 1\)"):
+        GaussianPrediction(np.zeros((2, 1, 3)), covariance).log_prob(np.zeros((2, 1, 3)))
+
+
+def test_means_that_are_not_finite_are_refused_where_the_joint_moves() -> None:
+    truth, mean = world(c=2)
+    mean[1, 3, 2, 0] = np.nan
+    sigma, weights = np.full((2, M, K), 9.0), np.full((2, M), 0.5)
+    prediction = GaussianPrediction(mean, sigma=sigma, mixture_weights=weights)
+    message = r"^mean: not finite in 1 of 6 frames \(first: 3\); expected so of every joint but the root\.$"
+    with pytest.raises(PoseDataError, match=message):
+        prediction.log_prob(truth)
+    with pytest.raises(PoseDataError, match=message):
+        prediction.sample(2)
+    sigma[:, 3, 2] = 0
+    assert np.isfinite(GaussianPrediction(mean, sigma=sigma, mixture_weights=weights).log_prob(truth[:], root=2)).all()
+
+
 def test_deviations_that_are_none_are_refused() -> None:
     truth, mean = world()
     sigma = np.ones((M, K))
@@ -263,6 +329,14 @@ def test_deviations_that_are_none_are_refused() -> None:
         GaussianPrediction(mean, sigma=sigma).log_prob(truth)
     with pytest.raises(PoseDataError, match=r"^sigma: not above 0 in 2 of 6 frames"):
         GaussianPrediction(mean, sigma=sigma).sample(3)
+
+
+def test_every_coordinate_of_a_joint_needs_a_deviation() -> None:
+    truth, mean = world()
+    sigma = np.ones((M, K, D))
+    sigma[2, 1, 0], sigma[4, 3, 2] = -1, 0
+    with pytest.raises(PoseDataError, match=r"^sigma: not above 0 in 2 of 6 frames \(first: 2, 4\)"):
+        GaussianPrediction(mean, sigma=sigma).log_prob(truth)
 
 
 def test_frames_of_a_part_are_named_by_their_own_numbers() -> None:

@@ -69,6 +69,9 @@ def test_intervals_of_shares_at_the_edge_are_the_rule_of_three_s() -> None:
     low, high = ends_at_edges(values[:1], number[:1], CORRELATION)
     np.testing.assert_allclose([low[0], high[0]], [2 * 0.05**0.1 - 1, 1.0])
     assert np.isnan(ends_at_edges(np.zeros(1), number[:1], POSITIVE)).all()
+    near = np.array([1e-9, 3e-9])
+    np.testing.assert_array_equal(np.isnan(ends_at_edges(near, number[:2], SHARE)[0]), [False, True])
+    np.testing.assert_array_equal(np.isnan(ends_at_edges(2e3 * near, number[:2], (0.0, 2e3))[0]), [False, True])
 
 
 @pytest.mark.parametrize("bounds", [(1.0, 0.0), (0.0, 0.0), (0.0,), 3.0, ("0", "1"), (math.nan, 1.0), None])

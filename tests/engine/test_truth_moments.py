@@ -90,6 +90,19 @@ def test_directions_that_vary_less_than_a_deviation_are_counted() -> None:
     assert found_in(x, sequence, deviation=0.05) == Constraints(0, 0, D, 0)
 
 
+@pytest.mark.parametrize("far", [1e4, 1e6])
+def test_poses_far_apart_hide_no_constraint_and_make_none(far: float) -> None:
+    x, sequence = poses(9)
+    apart = far * np.random.default_rng(3).choice([-1, 1], len(x))
+    x[:, 0] += apart
+    lengths = 300 + np.random.default_rng(4).normal(0, [0.01, 1.0], (len(x), 2))
+    assert found_in(x, sequence, lengths, deviation=0.1) == Constraints(0, 1, D, 2)
+    found = gaussian_log_density(moments(x), np.ones(len(x)), sequence, D, deviation=0.1)
+    np.testing.assert_allclose(found, naive(x, sequence), rtol=1e-4)
+    x[:, 3] = x[:, 0] + x[:, 1]
+    assert found_in(x, sequence, lengths, deviation=0.1) == Constraints(1, 1, D, 2)
+
+
 def test_bones_of_one_length_within_each_sequence_are_counted() -> None:
     x, sequence = poses(6)
     random = np.random.default_rng(2)

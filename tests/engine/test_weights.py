@@ -349,3 +349,11 @@ def test_weighted_statistics_by_hand() -> None:
     assert weighted_quantiles(values, weights, (0.25, 0.26, 0.75, 1.0)).tolist() == [[1, 3, 3, 5]]
     assert effective_number(weights).tolist() == effective_number(7 * weights).tolist() == [1 / 0.375]
     np.testing.assert_allclose(effective_counts(values > 2, weights), [0.75 / 0.375])
+
+
+def test_a_quantile_is_not_reached_where_more_than_rounding_lacks() -> None:
+    """Weights within 1e-4 of equal ones have the quantiles of these: sums are off by 1e-4 q (1 - q) at most."""
+    values = np.array([1.0, 2.0])
+    for lacking, value in ((1e-5, 1), (1e-4, 2)):
+        weights = np.array([0.9 - lacking, 0.1 + lacking])
+        assert weighted_quantiles(values, weights, (0.9,)).tolist() == [value]

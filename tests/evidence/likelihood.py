@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +23,7 @@ DESIGNS = (
 """Sequences, frames of each, the correlation of a frame with the next, and coordinates."""
 
 WIDTHS = (10.0, 1.0, 0.1, 0.01)
+FAR = "mixture of 2, 1 km apart, and of one of weight 0"
 
 
 def half_log_2_pi_e() -> float:
@@ -147,6 +149,40 @@ def planar_rows(_: int) -> list[tuple[str, ...]]:
     return rows
 
 
+BONES = np.array([120.0, 440.0, 430.0])
+
+
+def places(random: np.random.Generator, far: float, varies: float) -> Array:
+    """True poses (800, 4, 3) of chains of three bones, whose lengths vary and whose root moves, mm."""
+    directions = random.normal(size=(800, 3, 3))
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    offsets = directions * (BONES + varies * random.normal(size=(800, 3)))[..., None]
+    root = random.normal(0, 60 + far, (800, 1, 3))
+    return np.concatenate([root, root + np.cumsum(offsets, axis=1)], axis=1)
+
+
+def places_rows(_: int) -> list[tuple[str, ...]]:
+    """How many bones and directions a remark says not to vary, and how many do not."""
+    rows = []
+    for far in (0.0, 1e4, 1e6):
+        for varies in (0.01, 2.0):
+            truth = places(np.random.default_rng(0), far, varies)
+            sequence = np.arange(800) // 40
+            labels = {"sequence": sequence}
+            names = ("Hip", "RHip", "RKnee", "RFoot")
+            options = {"unit": "mm", "root_joint": "none", "joints": names, "metrics": "nll", "labels": labels}
+            report = evaluate(truth[None], truth, log_prob=np.zeros(800), **options)
+            remark = " ".join(text for text in report.remarks if text.startswith("NLL"))
+            now = [re.search(rf"(\d+) of \d+ {word}", remark) for word in ("bones", "directions")]
+            lengths = np.linalg.norm(np.diff(truth, axis=1), axis=-1).reshape(20, 40, 3)
+            variances = np.linalg.eigvalsh(np.cov(truth.reshape(800, -1).T))
+            least = max(0.1**2, 1e-8 * variances[-1])
+            before = (lengths.var(axis=1).mean(axis=0) < least).sum(), (variances < least).sum()
+            shown = (f"{a}, {b}" for a, b in (before, [match[1] if match else 0 for match in now]))
+            rows.append((f"{60 + far:,.0f} mm", f"{varies:g} mm", *shown, "3, 0" if varies < 0.1 else "0, 0"))
+    return rows
+
+
 # --- distributions that are stated rightly
 
 
@@ -155,6 +191,7 @@ def stated_rightly(draws: int, seed: int, kind: str) -> tuple[float, float, floa
     random = np.random.default_rng([seed, 4])
     m, k = 1000, 5
     mean, sigma = random.normal(0, 300, (2, m, k, 3)), random.uniform(20, 60, (2, m, k))
+    mean[1] += 1e6 * (kind == FAR)
     component = (random.random(m) < 0.3).astype(int)
     if kind == "Gaussian":
         component[:] = 0
@@ -165,8 +202,11 @@ def stated_rightly(draws: int, seed: int, kind: str) -> tuple[float, float, floa
     weights = np.repeat([[0.7], [0.3]], m, axis=1)
     prediction, expected = posecal.GaussianPrediction(mean[0], sigma=sigma[0]), log_terms[0]
     if kind != "Gaussian":
-        prediction = posecal.GaussianPrediction(mean, sigma=sigma, mixture_weights=weights)
         expected = np.logaddexp(*(log_terms + np.log(weights)))
+        if kind == FAR:
+            mean, sigma, weights = (np.concatenate([of, of[:1] * np.nan]) for of in (mean, sigma, weights))
+            weights[2] = 0
+        prediction = posecal.GaussianPrediction(mean, sigma=sigma, mixture_weights=weights)
     options = {"unit": "mm", "root_joint": "none", "draws": draws, "seed": seed, "metrics": "nll, ece, coverage_90"}
     report = evaluate(prediction, truth, labels={"sequence": rows // 50}, **options)
     return report["nll"] + expected.mean(), report["ece"], report["coverage_90"]
@@ -175,7 +215,7 @@ def stated_rightly(draws: int, seed: int, kind: str) -> tuple[float, float, floa
 def stated_rows(replicates: int) -> list[tuple[str, ...]]:
     """The table of :func:`stated_rightly`."""
     rows = []
-    for kind in ("Gaussian", "mixture of 2"):
+    for kind in ("Gaussian", "mixture of 2", FAR):
         for draws in (20, 200):
             found = np.array([stated_rightly(draws, seed, kind) for seed in range(replicates)])
             ece, coverage = (mean_and_error(found[:, column].tolist()) for column in (1, 2))
@@ -206,6 +246,18 @@ TABLES = [
         "likelihood-constraints",
         ("model of planar truths", "NLL, nats", "energy score, mm", "ECE", "remark"),
         planar_rows,
+        1,
+    ),
+    Table(
+        "likelihood-places",
+        (
+            "deviation of the place",
+            "of the length of bones",
+            "bones and directions that are said not to vary, before",
+            "now",
+            "right",
+        ),
+        places_rows,
         1,
     ),
     Table(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -20,10 +21,12 @@ Array = np.ndarray
 DATA = tuple(Ranks(S, F, K, c) for S, F, K in ((12, 100, 8), (40, 50, 8), (12, 100, 1)) for c in (0.0, 0.95))
 """Sequences × frames, joints, and the correlation of neighbouring frames."""
 
-MODELS: dict[str, dict[str, float]] = {
+MIXED = "spread × 0.5 in every other sequence, × 2 in the others"
+MODELS: dict[str, dict[str, Any]] = {
     **{f"spread × {spread:g}": {"spread": spread} for spread in (0.1, 0.5, 1.0, 2.0, 10.0)},
     "shifted by 1.5 sd": {"shift": 1.5},
     "one mode for two at ± 2 sd": {"modes": 2.0},
+    MIXED: {"spread": np.array([0.5, 2.0])},
 }
 MEDIAN = Deviation(over="median")
 
@@ -45,10 +48,11 @@ def nulls(ranks: Ranks, model: str, replicates: int) -> tuple[list[Null], list[f
     """What is printed for a model, and the mean that flips of its own deviations gave (posecal 0.1.0)."""
     random, found, before = np.random.default_rng(2), [], []
     signs = _signs(ranks.sequences, 500, 0).astype(float)
+    changes = {name: np.resize(value, ranks.sequences) for name, value in MODELS[model].items() if name == "spread"}
     for _ in range(replicates):
-        inside, errors = ranks.sums(random, **MODELS[model])
+        inside, errors = ranks.sums(random, **MODELS[model] | changes)
         own, counts = deviations(ranks, inside)
-        found.append(sign_flips(own, counts, MEDIAN, errors=errors, draws=500))
+        found.append(sign_flips(own, counts, MEDIAN, errors=errors, n=ranks.hypotheses, draws=500))
         means = np.einsum("bs,skq->bkq", signs, own) / (ranks.sequences * ranks.frames)
         before.append(float(ece_of(means + LEVELS).mean()))
     return found, before
@@ -65,6 +69,35 @@ def null_rows(replicates: int) -> list[tuple[str, ...]]:
             cells.append(f"{np.mean(before):.4f} → {mean:.4f}, {high:.4f}")
         rows.append((model, *cells))
     rows.append(("a calibrated sampler", *("{:.4f}, {:.4f}".format(*calibrated(ranks, replicates)) for ranks in DATA)))
+    return rows
+
+
+# --- numbers of hypotheses --------------------------------------------------------------------------------------------
+
+NUMBERS = 2, 5, 10, 20, 50, 200
+
+
+def ratio_to_calibrated(ranks: Ranks, spread: float, replicates: int) -> tuple[float, float]:
+    """Mean over a calibrated sampler's, as it was without N, and now."""
+    random, found = np.random.default_rng(4), []
+    for _ in range(replicates):
+        inside, errors = ranks.sums(random, spread)
+        own, counts = deviations(ranks, inside)
+        known = (np.inf, ranks.hypotheses)
+        found.append([sign_flips(own, counts, MEDIAN, errors=errors, n=n, draws=500).mean for n in known])
+    before, now = np.mean(found, axis=0) / calibrated(ranks, replicates)[0]
+    return float(before), float(now)
+
+
+def number_rows(replicates: int) -> list[tuple[str, ...]]:
+    """A row for each number of hypotheses: the ratio of the null's mean to what a calibrated sampler shows."""
+    rows = []
+    for n in NUMBERS:
+        cells = []
+        for correlation in (0.0, 0.95):
+            ranks = Ranks(12, 100, 8, correlation, hypotheses=n)
+            cells += ["{:.2f} → {:.2f}".format(*ratio_to_calibrated(ranks, s, replicates)) for s in (0.1, 0.5, 2, 10)]
+        rows.append((str(n), *cells))
     return rows
 
 
@@ -150,6 +183,12 @@ TABLES = [
             *(f"{d.sequences} × {d.frames}, K = {d.joints}{', AR(1) .95' * (d.correlation > 0)}" for d in DATA),
         ),
         null_rows,
+        40,
+    ),
+    Table(
+        "null-hypotheses",
+        ("N", *(f"× {s:g}{more}" for more in ("", ", AR(1) .95") for s in (0.1, 0.5, 2, 10))),
+        number_rows,
         40,
     ),
     Table("degenerate", ("data", "before (quoted)", "now", "remark"), degenerate_rows, 1),

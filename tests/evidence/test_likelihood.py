@@ -9,9 +9,11 @@ import pytest
 
 from tests.evidence.likelihood import (
     DESIGNS,
+    FAR,
     UNITS,
     half_log_2_pi_e,
     nll_by_unit,
+    places_rows,
     planar_models,
     right_model,
     skill_of_the_population,
@@ -53,7 +55,12 @@ def test_a_model_that_is_narrow_across_the_plane_wins_by_nll_alone() -> None:
         assert any("don't vary in 5 of 15 directions" in remark for remark in report.remarks)
 
 
-@pytest.mark.parametrize("kind", ["Gaussian", "mixture of 2"])
+def test_constraints_are_said_where_there_are_some_wherever_the_poses_are() -> None:
+    for *_, now, right in places_rows(1):
+        assert now == right
+
+
+@pytest.mark.parametrize("kind", ["Gaussian", "mixture of 2", FAR])
 def test_distributions_that_are_stated_rightly_are_calibrated_and_have_the_exact_nll(kind: str) -> None:
     found = np.array([stated_rightly(50, seed, kind) for seed in range(4)])
     assert np.abs(found[:, 0]).max() < 1e-9

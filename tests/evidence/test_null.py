@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from posecal.calibration import perfect_sampler
-from tests.evidence.null import DATA, calibrated, degenerate_rows, few_rows, nulls, simulated_floor
+from tests.evidence.null import DATA, calibrated, degenerate_rows, few_rows, nulls, ratio_to_calibrated, simulated_floor
 from tests.helpers.sequences import Ranks
 
 REPLICATES = 6
@@ -35,6 +35,17 @@ def test_any_model_is_compared_with_what_a_calibrated_sampler_shows(ranks: Ranks
     for number, expected in (("mean", mean), ("high", high)):
         ratio = np.mean([getattr(null, number) for null in found]) / expected
         assert 1 / allowed < ratio < allowed, number
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("spread", [0.1, 0.5, 2.0, 10.0])
+@pytest.mark.parametrize("correlation", [0.0, 0.95])
+@pytest.mark.parametrize("n", [2, 20])
+def test_so_is_a_model_of_any_number_of_hypotheses(n: int, correlation: float, spread: float) -> None:
+    factor = 2.5 if spread in {0.1, 10.0} else 1.5
+    allowed = factor * (1 + 3 * SPREAD_OF_ONE / np.sqrt(REPLICATES) * (correlation > 0) + 0.1)
+    _, now = ratio_to_calibrated(Ranks(12, 100, 8, correlation, hypotheses=n), spread, REPLICATES)
+    assert 1 / allowed < now < allowed
 
 
 @pytest.mark.slow

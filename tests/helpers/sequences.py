@@ -48,17 +48,21 @@ class Ranks:
         return errors
 
     def sums(
-        self, random: np.random.Generator, spread: float = 1.0, shift: float = 0.0, modes: float = 0.0
+        self, random: np.random.Generator, spread: float | Array = 1.0, shift: float = 0.0, modes: float = 0.0
     ) -> tuple[Array, Array]:
         """Give the sums over each sequence of the ranks' weights, (S, K, Q), and of standardized errors, (S, K, 3).
 
-        The model's spread and centre are off, or it has one mode where there are two, alike at each joint of a frame.
+        The model's spread (one, or of each sequence) and centre are off, or it has one mode where there are two, alike
+        at each joint of a frame.
         """
+        spread = np.reshape(spread, (-1, 1, 1))
         errors = self.errors(random)
         errors[..., 0] += shift + modes * random.choice([-1, 1], size=(*errors.shape[:2], 1))
         distances = np.linalg.norm(errors, axis=-1) / spread
         less = random.binomial(self.hypotheses, stats.chi(self.coordinates).cdf(distances))
-        logs = np.maximum(np.log(distances), -5)
+        noise = np.sqrt(np.pi / 2 / self.hypotheses) * random.spawn(1)[0].normal(size=errors.shape)
+        width = 2 * stats.norm.ppf(0.75) * np.sqrt(self.coordinates)  # the distance between quartiles
+        logs = np.maximum(np.log(np.linalg.norm(errors / np.asarray(spread)[..., None] + noise, axis=-1) / width), -5)
         standardized = np.stack([np.ones_like(logs), logs, logs**2], axis=-1)
         return rank_weights(self.hypotheses, less).sum(axis=1), standardized.sum(axis=1)
 

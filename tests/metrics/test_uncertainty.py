@@ -68,3 +68,7 @@ def test_a_spread_that_goes_with_the_error_correlates_and_another_does_not() -> 
     # Without any relation the correlation's standard error is 1/√(M - 1).
     assert abs(unrelated["spread_error_correlation"]) < 4 / math.sqrt(M - 1)
     assert related["ause"] < unrelated["ause"]
+
+
+def test_without_errors_there_is_nothing_to_drop() -> None:
+    assert np.isnan(sparsification([1, 2, 3], [0, 0, 0])).all()

@@ -41,6 +41,7 @@ ALSO = {
         "test_stacked_means.py",
         "test_wrong_arguments.py",
     ),
+    "posecal/data/covariances.py": ("test_gaussian.py", "test_draws.py"),
     "posecal/calibration/curve.py": ("test_error.py",),
     "posecal/calibration/ranks.py": ("test_exactness.py",),
     "posecal/engine/accumulate.py": ("test_averaged.py", "test_batches.py", "test_call.py", "test_failures.py"),
@@ -53,6 +54,7 @@ ALSO = {
     "posecal/stats/jackknife.py": ("test_uncertainty.py",),
     "posecal/stats/remarks.py": ("test_summary.py",),
     "posecal/stats/resampling.py": ("test_uncertainty.py",),
+    "posecal/stats/same_poses.py": ("test_comparison_refusals.py",),
     "posecal/metrics/uncertainty.py": ("test_orders.py",),
     "posecal/registry.py": ("test_own_metrics.py", "test_registering.py", "test_explain.py"),
 }

@@ -47,9 +47,11 @@ def first(e: Evidence) -> str:
 
 def spoken(e: Evidence) -> list[str]:
     """Names of the rules whose sentences are given."""
-    given, groups = list(sentences(e)), dict.fromkeys(rule.group for rule in RULES)
-    firsts = [next((r for r in RULES if r.group == group and r.holds(e)), None) for group in groups]
-    names = [rule.name for rule in firsts if rule is not None]
+    given, names, groups = list(sentences(e)), list[str](), set[str]()
+    for rule in RULES:
+        if rule.group not in groups and rule.holds(e):
+            groups.add(rule.group)
+            names.append(rule.name)
     assert len(names) == len(given)
     return names
 
@@ -194,16 +196,24 @@ def of_sequences(low: float, high: float, p: float = NAN, *, frames: float = 50,
 
 
 def test_sequences_differ_where_both_sides_and_a_test_show_it() -> None:
-    shown = evidence(sequences=of_sequences(-0.05, 0.05, 0.009))
-    assert list(sentences(shown))[1] == (
+    shown = evidence(0.05, sequences=of_sequences(-0.05, 0.05, 0.009))
+    assert spoken(shown) == ["sequences differ, not shown", "not shown"]
+    assert list(sentences(shown)) == [
         "Some sequences are off throughout (p = 0.009): most overconfident A (signed area -0.05), most "
-        "underconfident B (+0.05)."
-    )
+        "underconfident B (+0.05).",
+        "No miscalibration shown on average: ECE 0.040; chance alone gives a model that is calibrated on average, with "
+        "sequences that differ as much, up to 0.020 (p = 0.050). A true ECE of up to 0.060 can't be excluded.",
+    ]
     assert spoken(replace(shown, sequences=of_sequences(-0.05, 0.05, 0.01))) == ["not shown"]
     assert spoken(replace(shown, sequences=of_sequences(-0.049, 0.05, 0.009))) == ["not shown"]
     assert spoken(replace(shown, sequences=of_sequences(-0.05, 0.049, 0.009))) == ["not shown"]
-    beyond = evidence(0.001, sequences=of_sequences(-0.05, 0.05, 0.009))
-    assert spoken(beyond) == ["beyond chance", "sequences differ"]
+    for p, verdict in ((0.001, "beyond chance"), (0.049, "weak evidence"), (NAN, "no test")):
+        assert spoken(replace(shown, ece=replace(shown.ece, p=p))) == [verdict, "sequences differ"]
+    weak = replace(shown, ece=replace(shown.ece, p=0.049))
+    assert first(weak).endswith(
+        "chance alone gives a model that is calibrated on average, with sequences that differ as much, about 0.010 "
+        "(p = 0.049)."
+    )
 
 
 def test_sequences_that_range_widely_are_said_with_what_chance_would_take() -> None:

@@ -120,14 +120,25 @@ def test_sequences_that_cancel_are_said_with_the_intervals_that_exclude_what_is_
     x, y = gaussian(5, N, S * F, K)
     centre, truth = x.mean(axis=0), y
     first, second, third = summarize(report(centre + spread * (x - centre), truth, S=S))
-    assert first.startswith("No miscalibration shown on average: ECE 0.")
-    assert second.startswith("Yet the 95\u00a0% interval")
-    assert "coverage at 95 % (0." in second
-    assert third.startswith("Some sequences are off throughout (p = 0.0")
-    low, high = re.findall(r"(s\d+) \(.*?([+-][\d.]+)\)", third)
+    assert first.startswith("Some sequences are off throughout (p = 0.0")
+    assert second.startswith("No miscalibration shown on average: ECE 0.")
+    assert (
+        "chance alone gives a model that is calibrated on average, with sequences that differ as much, up to" in second
+    )
+    assert third.startswith("Yet the 95\u00a0% interval")
+    assert "coverage at 95 % (0." in third
+    low, high = re.findall(r"(s\d+) \(.*?([+-][\d.]+)\)", first)
     assert low[0] < "s006" <= high[0]
     assert float(low[1]) < -0.2
     assert float(high[1]) > 0.2
+
+
+def test_nothing_is_said_of_p_values_that_are_not_there() -> None:
+    _, y = gaussian(6, N, M, K)
+    for x in (np.repeat(y[None], N, axis=0), np.repeat(y[None] + 30, N, axis=0)):
+        same = report(x, y, S=12)
+        assert math.isnan(same.test("ece").p)
+        assert not any("p-values" in remark or "p of the ECE" in remark for remark in same.remarks)
 
 
 # --- remarks --------------------------------------------------------------------------------------------------
@@ -206,7 +217,7 @@ def test_below_twenty_sequences_what_p_values_assume_is_remarked_on_and_how_that
     (remark,) = (remark for remark in report.remarks if remark.startswith("p-values assume"))
     p = p_without_each(report.totals, report.metrics["ece"])
     low, high = (f"{value:.2f}" if value >= 0.01 else "below 0.01" for value in (p.min(), p.max()))
-    words = f"either side alike; without any one, p is {low} to {high}."
+    words = f"either side alike; with any one left out, p of the ECE is {low} to {high}."
     assert remark.endswith(words)
 
 
@@ -222,4 +233,4 @@ def test_p_values_of_six_to_nineteen_sequences_have_the_remark(sequences: int, a
         root_joint="none",
     )
     remarks = [remark for remark in report.remarks if remark.startswith("p-values assume")]
-    assert (len(remarks), sum("without any one" in remark for remark in remarks)) == (assumed, moves)
+    assert (len(remarks), sum("left out" in remark for remark in remarks)) == (assumed, moves)

@@ -19,7 +19,7 @@ Array = np.ndarray
 Q = LEVELS.size
 
 
-def naive(D: Array, counts: Array, expected: Array, drive: Array | None) -> Array:
+def naive(D: Array, counts: Array, expected: Array, drive: Array | None, n: int = 10_000) -> Array:
     """The definition, number by number; ``drive`` is what a curve of unit variance deviates by."""
     S, J, _ = D.shape
     found = np.zeros(D.shape)
@@ -28,7 +28,8 @@ def naive(D: Array, counts: Array, expected: Array, drive: Array | None) -> Arra
         scale = 1 / math.sqrt(1 - sum((counts[s, j] / total) ** 2 for s in range(S)))
         mean = [sum(D[s, j, q] for s in range(S)) / total for q in range(Q)]
         omega = [min(max(expected[q] + mean[q], 0.0), 1.0) for q in range(Q)]
-        known = [q for q in range(1, Q - 1) if omega[q] * (1 - omega[q]) >= FEWEST]
+        of_ranks = [q for q in range(1, Q - 1) if q * (n + 1) >= 20 and q * (n + 1) <= 20 * n]  # q is in twentieths
+        known = [q for q in of_ranks if omega[q] * (1 - omega[q]) >= FEWEST]
 
         def odds(share: float) -> float:
             return math.log(share / (1 - share))
@@ -44,7 +45,9 @@ def naive(D: Array, counts: Array, expected: Array, drive: Array | None) -> Arra
             length = math.sqrt(share**2 + (1 - share) ** 2 + 2 * share * (1 - share) * math.exp(-gap / 2))
             far = not known or (drive is not None and max(odds(omega[low]) - wanted, wanted - odds(omega[high])) > FAR)
             for s in range(S):
+                weights = [min(max((n + 1) * q / 20 - rank, 0.0), 1.0) for rank in range(min(n, 99) + 1)]
                 z = math.sqrt(counts[s, j]) if drive is None else drive[s, j]
+                z *= 1 if n > 99 else float(np.std(weights)) / math.sqrt(q / 20 * (1 - q / 20))
                 if not far:
                     two = [
                         (D[s, j, level] - counts[s, j] * mean[level]) / math.sqrt(omega[level] * (1 - omega[level]))
@@ -76,6 +79,48 @@ def test_they_follow_the_definition(spread: float, offset: Array | float) -> Non
     drive = (logs - number * mean) / np.sqrt(squares.sum(axis=0) / number.sum(axis=0) - mean**2)
     found = calibrated_deviations(D, counts, given, errors)
     np.testing.assert_allclose(found, naive(D, counts, expected, drive), atol=1e-9)
+
+
+@pytest.mark.parametrize("spread", [0.1, 1.0, 10.0])
+@pytest.mark.parametrize("n", [2, 3, 19])
+def test_of_few_hypotheses_ranks_say_something_between_the_outermost_alone(n: int, spread: float) -> None:
+    ranks = Ranks(sequences=7, frames=30, joints=3, correlation=0.8, hypotheses=n)
+    inside, _ = ranks.sums(np.random.default_rng(3), spread)
+    counts = np.full((7, 3), 30)
+    D = inside - 30 * LEVELS
+    np.testing.assert_allclose(
+        calibrated_deviations(D, counts, n=n), naive(D, counts, LEVELS, None, n), rtol=1e-9, atol=1e-9
+    )
+
+
+def test_a_joint_with_one_known_error_says_nothing_of_its_own() -> None:
+    D, counts, errors = sums(0.02)
+    errors[:, 2] = 0
+    errors[4, 2] = 1, -0.7, 0.49
+    expected = calibrated_deviations(D, counts)
+    np.testing.assert_array_equal(calibrated_deviations(D, counts, None, errors)[:, 2], expected[:, 2])
+
+
+def test_noise_of_the_median_makes_sequences_seem_more_alike() -> None:
+    """Errors of which a share r is no noise: the excess of the design effect over 1 is divided by r², r at least ¼."""
+    random, number = np.random.default_rng(8), np.full((9, 2), 40.0)
+    sums_of_logs = 40 * random.normal(-1, 0.3, (9, 1)) + 4 * random.normal(size=(9, 2))
+    D, counts = np.full((9, 2, Q), -40.0) * LEVELS, np.full((9, 2), 40)  # all truths lie outside
+    for mean, share in ((0.0, None), (-1.0, None), (-2.5, 0.25)):
+        logs = sums_of_logs + 40 * (1 + mean)
+        squares = logs**2 / 40 + 40 * 0.5
+        errors = np.stack([number, logs, squares], axis=-1)
+        variance = squares.sum(axis=0) / 360 - (logs.sum(axis=0) / 360) ** 2
+        size = np.exp(2 * logs.sum(axis=0) / 360 + 1.5 * variance).mean()
+        noise = math.pi / 2 / 1.3489795**2 / 50  # of the median of 50, in squared distances between quartiles
+        share = share or 1 - noise / size
+        assert share >= 0.25
+        plain = calibrated_deviations(D, counts, None, errors)[..., 10]
+        effect = (plain**2).sum(axis=0).mean() / 360 / 0.25
+        found = calibrated_deviations(D, counts, None, errors, 50)[..., 10]
+        ratio = math.sqrt((1 + (effect - 1) / share**2) / effect) * np.std(np.clip(51 / 2 - np.arange(51), 0, 1)) / 0.5
+        assert effect > 1.5
+        np.testing.assert_allclose(found, ratio * plain, rtol=1e-6)
 
 
 @pytest.mark.parametrize("spread", [0.3, 1.0, 4.0])
@@ -113,11 +158,22 @@ def test_the_same_sequences_show_nearly_the_same_whatever_the_spread(spread: flo
     for factor in (1.0, spread):
         inside, errors = ranks.sums(np.random.default_rng(5), factor)
         counts = np.full((20, 4), 50)
-        found.append(sign_flips(inside - 50 * LEVELS, counts, Deviation(over="median"), errors=errors))
+        found.append(sign_flips(inside - 50 * LEVELS, counts, Deviation(over="median"), errors=errors, n=50))
     assert found[1].p <= 1 / 2000
     assert found[0].p > 0.001
     for number in ("mean", "high"):
         assert 1 / 1.7 < getattr(found[1], number) / getattr(found[0], number) < 1.7
+
+
+@pytest.mark.parametrize("n", [2, 5, 10])
+def test_few_hypotheses_that_hold_no_truth_are_compared_with_the_same(n: int) -> None:
+    """Where all truths lie outside, W differ from level to level and not from pose to pose."""
+    ranks, found = Ranks(sequences=20, frames=50, joints=4, hypotheses=n), []
+    for factor in (1.0, 0.02):
+        inside, errors = ranks.sums(np.random.default_rng(5), factor)
+        deviations = inside - 50 * LEVELS
+        found.append(sign_flips(deviations, np.full((20, 4), 50), Deviation(over="median"), errors=errors, n=n))
+    assert 1 / 1.7 < found[1].mean / found[0].mean < 1.7
 
 
 @pytest.mark.parametrize("over", OVER)

@@ -97,6 +97,18 @@ def test_true_poses_are_compared_but_for_rounding() -> None:
         compare_totals([one, moved(1.5e-4)], ["a", "b"])
 
 
+def test_true_poses_about_zero_are_compared_to_a_ten_thousandth_of_a_unit_more() -> None:
+    one = totals_of(X, Y, "mpjpe")
+    small = replace(one, sums={**one.sums, "truth": np.full_like(one.sums["truth"], 0.5)})
+
+    def moved(by: float) -> Totals:
+        return replace(one, sums={**one.sums, "truth": small.sums["truth"] + by})
+
+    assert compare_totals([small, moved(1.2e-4)], ["a", "b"]).names == ("a", "b")
+    with pytest.raises(PoseDataError, match="a and b were evaluated against different true poses"):
+        compare_totals([small, moved(1.8e-4)], ["a", "b"])
+
+
 def test_a_metric_of_one_s_own_is_the_same_for_both() -> None:
     own = [Metric.from_function(lambda x, y: x[0, :, 0, 0], name="own", definition=text) for text in ("one", "other")]
     pair = [replace(totals_of(X, Y, "mpjpe"), own_metrics=(metric,)) for metric in own]

@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from posecal.errors import PoseDataError
-from posecal.stats.multiplicity import adjust, check_primary, default_primary, names_of
+from posecal.stats.multiplicity import adjust, check_known, check_primary, default_primary, names_of
 from tests.helpers.comparisons import X, Y, totals_of
 
 
@@ -48,6 +48,13 @@ def test_a_score_and_calibration_are_primary_and_minmpjpe_where_there_is_no_scor
     metrics: str, primary: tuple[str, ...]
 ) -> None:
     assert default_primary(metrics.split(", ")) == primary
+
+
+def test_names_that_no_data_could_have_are_refused_before_anything_is_measured() -> None:
+    check_known([])
+    check_known(["ece", "crps"])
+    with pytest.raises(PoseDataError, match=r"^primary: .*mpjp"):
+        check_known(["ece", "mpjp"])
 
 
 def test_unknown_primary_metrics_are_refused_all_at_once() -> None:

@@ -64,6 +64,31 @@ def test_rounding_is_no_difference(scale: float, shift: float) -> None:
 
 
 @pytest.mark.parametrize(
+    ("values", "is_rounding"),
+    [((1e6, 1e6 - 1), True), ((1e6, 1e6 - 1.001), False), ((-1e6, 1 - 1e6), True), ((1e-9, 0.0), True)],
+)
+def test_a_millionth_of_the_larger_number_is_rounding(values: tuple[float, float], is_rounding: bool) -> None:
+    a, b = values
+    without = {"a": np.full(8, a), "b": b + (a - b) * np.linspace(-0.01, 0.01, 8)}
+    (pair,) = pairs("lower", {"a": a, "b": b}, without, np.ones(8))
+    assert (pair.p == 1) is is_rounding
+
+
+def test_small_differences_have_a_better_model_too() -> None:
+    pair = of_means(np.linspace(0.50, 0.51, 8), np.linspace(0.90, 0.92, 8))
+    assert -1 < pair.value < 0
+    assert pair.difference("m", "lower", 0.01, primary=True).better == "a"
+    assert pair.difference("m", "higher", 0.01, primary=True).better == "b"
+
+
+def test_a_pair_without_a_difference_keeps_its_models_and_sequences() -> None:
+    found = of_means(np.linspace(1, 2, 8), np.linspace(3, 4.5, 8)).unknown()
+    assert (found.first, found.second, found.interval.sequences) == ("a", "b", 8)
+    interval = found.interval
+    assert np.isnan([found.value, found.p, interval.low, interval.high, interval.error, interval.freedom]).all()
+
+
+@pytest.mark.parametrize(
     ("direction", "better"), [("lower", "a"), ("higher", "b"), ("none", None), ("zero", "b")], ids=str
 )
 def test_the_better_model_is_the_one_in_the_direction(direction: Direction, better: str | None) -> None:

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import posecal
+from posecal.registry import metrics_of
 from posecal.report.comparison import Comparison, compare_totals, comparison_sheet
+from posecal.stats.same_poses import poses_that_count
 from tests.helpers.comparisons import LABELS, M, S, X, Y, totals_of
 
 N = len(X)
@@ -59,6 +61,20 @@ def test_models_that_count_the_same_poses_are_compared_beside_one_that_does_not(
     values = [difference.value for difference in found.differences_of("crps")]
     assert np.isnan(values).tolist() == [True, False, True]
     assert f"crps ({M} of a, {M - 1} of b, {M} of c)" in " ".join(found.remarks)
+
+
+def test_the_number_of_poses_is_that_of_the_joint_where_models_differ_most() -> None:
+    models = {name: totals_of(x, Y, "crps") for name, x in (("a", X), ("b", X + 1))}
+    (statistic,) = {metric.statistic for metric in metrics_of(models["a"].protocol, models["a"].spec).values()}
+    K = len(models["a"].spec.joints)
+    for name, lacking in (("a", 0), ("b", 3)):
+        counts = np.repeat(models[name].counts[statistic.name].reshape(S, -1)[:, :1], K, axis=1)
+        counts[0, 0] -= 1
+        counts[1, 1] -= lacking
+        models[name] = replace(models[name], counts={**models[name].counts, statistic.name: counts})
+    found = poses_that_count(models, statistic)
+    assert found.numbers == {"a": M, "b": M - 3}
+    assert not found.alike("a", "b")
 
 
 def test_values_per_pose_are_counted_in_each_sequence() -> None:

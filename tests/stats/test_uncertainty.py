@@ -17,6 +17,7 @@ from posecal.stats import resampling, uncertainty
 from posecal.stats.jackknife import jackknife, joint_leave_one_out, leave_one_out, sequence_sizes
 from posecal.stats.resampling import LEVEL, holm, sign_flips, thin
 from posecal.stats.uncertainty import (
+    effective_hypotheses,
     effective_poses,
     effective_sample_size,
     interval,
@@ -100,7 +101,9 @@ def test_a_null_is_that_of_the_sums_of_its_cells(average: str) -> None:
     some = with_curves(4, average=average)
     for cells in CELLS:
         D, counts = sequence_deviations(some, INSIDE, cells)
-        assert null(some, ECE, cells) == sign_flips(D, counts, Deviation(None, -1, "median"))
+        assert null(some, ECE, cells) == sign_flips(
+            D, counts, Deviation(None, -1, "median"), n=effective_hypotheses(some)
+        )
         assert effective_sample_size(some, INSIDE, cells) == effective_poses(D[:, :-1], counts[:, :-1])
         assert unbiased_squared_error(some, INSIDE, cells) == squared_error(D[:, :-1], counts[:, :-1])
     with pytest.raises(ValueError, match="is no calibration error"):
@@ -165,7 +168,7 @@ def test_a_test_of_a_mesh_is_that_of_the_curves_that_it_judges(monkeypatch: pyte
     assert len(judged) == 2
     np.testing.assert_array_equal(D, sequence_deviations(some, INSIDE)[0][:, chosen])
     np.testing.assert_array_equal(counts, sequence_deviations(some, INSIDE)[1][:, chosen])
-    assert null(some, ECE) == sign_flips(D, counts, Deviation(over="median"))
+    assert null(some, ECE) == sign_flips(D, counts, Deviation(over="median"), n=effective_hypotheses(some))
     np.testing.assert_array_equal(sequence_deviations(some, INSIDE, judged=slice(-1, None))[0][:, 0], pooled(some))
 
 
@@ -283,8 +286,9 @@ def test_each_curve_has_the_standardized_errors_of_its_joint_or_of_all(
         D, counts = D[:, : errors.shape[1]], counts[:, : errors.shape[1]]
     else:
         D, counts = D[:, -1:], counts[:, -1:]
-    assert found == sign_flips(D, counts, Deviation(over=deviation.over), errors=errors)
-    assert found != sign_flips(D, counts, Deviation(over=deviation.over))
+    over, n = Deviation(over=deviation.over), effective_hypotheses(some)
+    assert found == sign_flips(D, counts, over, errors=errors, n=n)
+    assert found != sign_flips(D, counts, over, n=n)
 
 
 def test_hypotheses_that_never_differ_are_not_tested() -> None:
