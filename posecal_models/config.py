@@ -36,7 +36,7 @@ class ModelConfig:
     Attributes
     ----------
     kind : str
-        ``cgnf``, ``simple-baseline`` or ``gaussian-noise``.
+        ``cgnf``, ``simple-baseline``, ``gaussian-noise`` or ``mixture-density``.
     size : str
         Size of a cGNF: ``tiny``, ``small``, ``large``, ``xlarge``.
     backward_weights, scale
@@ -47,7 +47,12 @@ class ModelConfig:
     units : str
         Constants of the standardizer: ``fitted`` to the training set, or those of the ``released`` code.
     width, residuals, dropout
-        Options of a SimpleBaseline.
+        Options of a SimpleBaseline and of a mixture density network.
+    components : int
+        Gaussians of a mixture density network.
+    variant : str
+        Variant of a mixture density network: ``released`` is that of its authors' code, ``repaired`` mends its loss,
+        see :mod:`posecal_models.published_losses`.
     start : str
         Initial weights, named or a file, with their standardizer; random initialisation where not given.
     mean : str
@@ -56,7 +61,7 @@ class ModelConfig:
         Standard deviations of a Gaussian noise model: one σ per ``joint`` or per ``coordinate``.
     """
 
-    kind: Literal["cgnf", "simple-baseline", "gaussian-noise"] = "cgnf"
+    kind: Literal["cgnf", "simple-baseline", "gaussian-noise", "mixture-density"] = "cgnf"
     size: Literal["tiny", "small", "large", "xlarge"] = "small"
     backward_weights: bool = True
     scale: Literal["sigmoid", "exp"] = "exp"
@@ -65,6 +70,8 @@ class ModelConfig:
     width: _Count = 1024
     residuals: _CountOrNone = 2
     dropout: Annotated[float, Limit(0, math.nextafter(1, 0), "0 or more and below 1")] = 0.5
+    components: _Count = 5
+    variant: Literal["repaired", "released"] = "repaired"
     start: str = ""
     mean: str = ""
     spread: Literal["joint", "coordinate"] = "joint"
@@ -122,7 +129,8 @@ class TrainConfig:
     Attributes
     ----------
     objective : str
-        ``likelihood``; for a Gaussian noise model also ``min-mpjpe``; for a SimpleBaseline ``squared-error``.
+        ``likelihood``; for a Gaussian noise model also ``min-mpjpe``; for a SimpleBaseline ``squared-error``; for a
+        mixture density network ``published``, by ``model.variant``.
     sample_weight : float
         λ: weight of the error of a cGNF's mode, per mm.
     sample_loss : str
@@ -142,7 +150,8 @@ class TrainConfig:
         Initial learning rate of Adam.
     schedule : str
         ``plateau``: times 0.1 when the loss has not fallen for ``patience`` epochs, stop at the third time.
-        ``exponential``: times 0.96 every 100,000 steps. ``cosine``: falls to 0 at the last step.
+        ``exponential``: times 0.96 every 100,000 steps; ``continuous``: the same, a little at every step. ``cosine``:
+        falls to 0 at the last step.
     patience : int
         Epochs without improvement before the learning rate drops.
     epochs : int
@@ -159,7 +168,7 @@ class TrainConfig:
         Time between two checkpoints.
     """
 
-    objective: Literal["likelihood", "min-mpjpe", "squared-error"] = "likelihood"
+    objective: Literal["likelihood", "min-mpjpe", "squared-error", "published"] = "likelihood"
     sample_weight: _NotNegative = 0.0
     sample_loss: Literal["joints", "pairs"] = "joints"
     loss_per: Literal["pose", "node"] = "pose"
@@ -168,7 +177,7 @@ class TrainConfig:
     graphs_per_pose: _Count = 5
     augmentation: Literal["paper", "released"] = "paper"
     learning_rate: _Positive = 1e-3
-    schedule: Literal["plateau", "exponential", "cosine"] = "plateau"
+    schedule: Literal["plateau", "exponential", "continuous", "cosine"] = "plateau"
     patience: _CountOrNone = 10
     epochs: _Count = 200
     steps_per_epoch: Annotated[int, Limit(0, words="0 (all poses) or more")] = 0
@@ -204,10 +213,13 @@ class Config:
     train: TrainConfig = field(default_factory=TrainConfig)
 
     def __post_init__(self) -> None:
-        if self.model.kind == "simple-baseline" and self.train.batch == 1:
+        if self.model.kind in ("simple-baseline", "mixture-density") and self.train.batch == 1:
             raise PoseDataError(
-                "train.batch: 1 of a simple-baseline; expected 2 or more. Its batch norm needs the variance of a batch."
+                f"train.batch: 1 of a {self.model.kind}; expected 2 or more. Its batch norm needs the variance of a "
+                "batch."
             )
+        if self.model.units == "released" and self.model.kind in ("mixture-density",):
+            raise PoseDataError(f"model.units: released of a {self.model.kind}; expected fitted. Leave it out.")
         if self.train.cuda_graph and self.model.kind != "cgnf":
             raise PoseDataError(
                 f"train.cuda_graph: true of a {self.model.kind}; expected a cgnf, whose steps are thousands of short "

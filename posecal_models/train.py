@@ -67,7 +67,7 @@ class Training:
 
     Parameters
     ----------
-    estimator : CGNF, SimpleBaseline or GaussianNoise
+    estimator : ReferenceEstimator
         The estimator to train, on the device of the training.
     config : Config
         The configuration.
@@ -304,7 +304,7 @@ class Training:
                 + ", ".join(f"{name} is {value:.6g}" for name, value in losses.items())
                 + f". {self._advice(self.step - 1)} or check the poses of data.validation_subjects."
             )
-        return losses["loss"]
+        return losses.get("selection", losses["loss"])
 
     def _progress(self) -> TrainingProgress:
         return TrainingProgress(

@@ -15,11 +15,20 @@ from posecal_models.estimators.cgnf.flow import SIZES, FlowSize
 from posecal_models.estimators.cgnf.graph import PoseGraph
 from posecal_models.estimators.cgnf.model import CGNF
 from posecal_models.estimators.gaussian_noise import GaussianNoise
-from posecal_models.estimators.simple_baseline import SimpleBaseline
+from posecal_models.estimators.mixture_density import MixtureDensityNetwork
+from posecal_models.estimators.simple_baseline import HOURGLASS, SimpleBaseline
 
 __all__ = ["ReferenceEstimator", "baseline_keypoints", "build", "build_from_config", "describe", "parameter_count"]
 
-ReferenceEstimator = CGNF | SimpleBaseline | GaussianNoise
+ReferenceEstimator = CGNF | SimpleBaseline | GaussianNoise | MixtureDensityNetwork
+
+_PUBLISHED: dict[str, tuple[type[MixtureDensityNetwork], tuple[str, ...]]] = {
+    "mixture-density": (
+        MixtureDensityNetwork,
+        ("components", "width", "residuals", "dropout", "origin", "variant"),
+    ),
+}
+"""Models of other papers, with their options, which are settings of the same name."""
 
 
 def build_from_config(
@@ -38,7 +47,7 @@ def build_from_config(
 
     Returns
     -------
-    CGNF, SimpleBaseline or GaussianNoise
+    ReferenceEstimator
         With random initialisation.
 
     Raises
@@ -46,10 +55,14 @@ def build_from_config(
     PoseDataError
         Where a Gaussian noise model has no mean.
     """
+    names = baseline_keypoints(config) if keypoints is None else keypoints
     if config.kind == "gaussian-noise":
         if mean is None:
             raise PoseDataError("model.mean: not given; expected the weights file of a trained SimpleBaseline.")
         return GaussianNoise(mean, spread=config.spread)
+    if config.kind in _PUBLISHED:
+        published, options = _PUBLISHED[config.kind]
+        return published(keypoints=names, **{name: getattr(config, name) for name in options})
     estimator: CGNF | SimpleBaseline
     if config.kind == "cgnf":
         estimator = CGNF(
@@ -60,7 +73,7 @@ def build_from_config(
         )
     else:
         estimator = SimpleBaseline(
-            keypoints=baseline_keypoints(config) if keypoints is None else keypoints,
+            keypoints=names,
             width=config.width,
             residuals=config.residuals,
             dropout=config.dropout,
@@ -72,7 +85,12 @@ def build_from_config(
 
 
 def baseline_keypoints(config: ModelConfig) -> tuple[str, ...]:
-    """Name the 16 keypoints that a SimpleBaseline reads, after the hip's where they are relative to it."""
+    """Name the keypoints of an estimator that reads all of them.
+
+    16, after the hip's where they are relative to it; those of the stacked hourglass network for the published models.
+    """
+    if config.kind in _PUBLISHED:
+        return HOURGLASS
     return joint_set("h36m-17" if config.origin == "root" else "h36m-16")
 
 
@@ -81,7 +99,7 @@ def describe(estimator: ReferenceEstimator) -> dict[str, Any]:
 
     Parameters
     ----------
-    estimator : CGNF, SimpleBaseline or GaussianNoise
+    estimator : ReferenceEstimator
         A reference estimator.
 
     Returns
@@ -110,11 +128,15 @@ def describe(estimator: ReferenceEstimator) -> dict[str, Any]:
             "residuals": len(estimator.residuals),
             "origin": estimator.standardizer.origin,
         }
-    return {
-        "kind": "gaussian-noise",
-        "spread": "joint" if estimator.log_sigma.shape[1] == 1 else "coordinate",
-        "mean": describe(estimator.mean),
-    }
+    if isinstance(estimator, GaussianNoise):
+        return {
+            "kind": "gaussian-noise",
+            "spread": "joint" if estimator.log_sigma.shape[1] == 1 else "coordinate",
+            "mean": describe(estimator.mean),
+        }
+    kind = next(kind for kind, (published, _) in _PUBLISHED.items() if isinstance(estimator, published))
+    names = {"joints": list(estimator.joints), "keypoints": list(estimator.keypoints)}
+    return {"kind": kind, **names, **estimator.options}
 
 
 def build(description: dict[str, Any]) -> ReferenceEstimator:
@@ -127,7 +149,7 @@ def build(description: dict[str, Any]) -> ReferenceEstimator:
 
     Returns
     -------
-    CGNF, SimpleBaseline or GaussianNoise
+    ReferenceEstimator
         With random initialisation.
 
     Raises
@@ -145,13 +167,20 @@ def build(description: dict[str, Any]) -> ReferenceEstimator:
         if kind == "simple-baseline":
             options = {name: description[name] for name in ("width", "residuals", "origin")}
             return SimpleBaseline(tuple(description["joints"]), tuple(description["keypoints"]), **options)
+        if kind in _PUBLISHED:
+            published, names = _PUBLISHED[kind]
+            options = {name: description[name] for name in names}
+            return published(tuple(description["joints"]), tuple(description["keypoints"]), **options)
         if kind == "gaussian-noise":
             mean = build(description["mean"])
             if isinstance(mean, SimpleBaseline):
                 return GaussianNoise(mean, spread=description["spread"])
     except (KeyError, TypeError) as problem:
         raise PoseDataError(f"weights: incomplete or invalid description ({problem}).") from problem
-    raise PoseDataError(f"weights: of {description.get('kind')!r}; expected cgnf, simple-baseline or gaussian-noise.")
+    raise PoseDataError(
+        f"weights: of {description.get('kind')!r}; expected cgnf, simple-baseline, "
+        f"gaussian-noise or {', '.join(_PUBLISHED)}."
+    )
 
 
 def parameter_count(estimator: nn.Module) -> int:

@@ -34,6 +34,10 @@ CASES: dict[str, dict[str, dict[str, Any]]] = {
     "cgnf, L_sample": {"model": {"size": "tiny"}, "train": {"sample_weight": 0.1, "sample_loss": "pairs"}},
     "simple-baseline": BASELINE,
     "gaussian, likelihood": {"model": {"kind": "gaussian-noise"}},
+    "mixture-density": {
+        "model": {"kind": "mixture-density", "width": 8, "variant": "released"},
+        "train": {"objective": "published"},
+    },
     "gaussian, min-mpjpe": {"model": {"kind": "gaussian-noise"}, "train": {"objective": "min-mpjpe"}},
 }
 GRAPHS = 10
