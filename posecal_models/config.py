@@ -36,7 +36,7 @@ class ModelConfig:
     Attributes
     ----------
     kind : str
-        ``cgnf``, ``simple-baseline``, ``gaussian-noise`` or ``mixture-density``.
+        ``cgnf``, ``simple-baseline``, ``gaussian-noise``, ``mixture-density`` or ``cvae``.
     size : str
         Size of a cGNF: ``tiny``, ``small``, ``large``, ``xlarge``.
     backward_weights, scale
@@ -47,12 +47,12 @@ class ModelConfig:
     units : str
         Constants of the standardizer: ``fitted`` to the training set, or those of the ``released`` code.
     width, residuals, dropout
-        Options of a SimpleBaseline and of a mixture density network.
+        Options of a SimpleBaseline, a mixture density network and a CVAE.
     components : int
         Gaussians of a mixture density network.
     variant : str
-        Variant of a mixture density network: ``released`` is that of its authors' code, ``repaired`` mends its loss,
-        see :mod:`posecal_models.published_losses`.
+        Variant of a mixture density network or a CVAE: ``released`` is that of its authors' code, ``repaired`` has
+        a proper score as its loss, see :mod:`posecal_models.published_losses`.
     start : str
         Initial weights, named or a file, with their standardizer; random initialisation where not given.
     mean : str
@@ -61,7 +61,7 @@ class ModelConfig:
         Standard deviations of a Gaussian noise model: one σ per ``joint`` or per ``coordinate``.
     """
 
-    kind: Literal["cgnf", "simple-baseline", "gaussian-noise", "mixture-density"] = "cgnf"
+    kind: Literal["cgnf", "simple-baseline", "gaussian-noise", "mixture-density", "cvae"] = "cgnf"
     size: Literal["tiny", "small", "large", "xlarge"] = "small"
     backward_weights: bool = True
     scale: Literal["sigmoid", "exp"] = "exp"
@@ -130,7 +130,7 @@ class TrainConfig:
     ----------
     objective : str
         ``likelihood``; for a Gaussian noise model also ``min-mpjpe``; for a SimpleBaseline ``squared-error``; for a
-        mixture density network ``published``, by ``model.variant``.
+        mixture density network or a CVAE ``published``, by ``model.variant``.
     sample_weight : float
         λ: weight of the error of a cGNF's mode, per mm.
     sample_loss : str
@@ -138,7 +138,7 @@ class TrainConfig:
     loss_per : str
         Whether a cGNF's log densities are per ``pose`` or, as released, per ``node``.
     hypotheses : int
-        N of the objective ``min-mpjpe``.
+        N of the objective ``min-mpjpe``, and draws of a CVAE's latents.
     batch : int
         Poses per batch, over all processes.
     graphs_per_pose : int
@@ -213,13 +213,17 @@ class Config:
     train: TrainConfig = field(default_factory=TrainConfig)
 
     def __post_init__(self) -> None:
-        if self.model.kind in ("simple-baseline", "mixture-density") and self.train.batch == 1:
+        if self.model.kind in ("simple-baseline", "mixture-density", "cvae") and self.train.batch == 1:
             raise PoseDataError(
                 f"train.batch: 1 of a {self.model.kind}; expected 2 or more. Its batch norm needs the variance of a "
                 "batch."
             )
-        if self.model.units == "released" and self.model.kind in ("mixture-density",):
+        if self.model.units == "released" and self.model.kind in ("mixture-density", "cvae"):
             raise PoseDataError(f"model.units: released of a {self.model.kind}; expected fitted. Leave it out.")
+        if self.model.kind == "cvae" and self.model.width < 4:
+            raise PoseDataError(
+                f"model.width: {self.model.width} of a cvae; expected 4 or more. A quarter of them are latents."
+            )
         if self.train.cuda_graph and self.model.kind != "cgnf":
             raise PoseDataError(
                 f"train.cuda_graph: true of a {self.model.kind}; expected a cgnf, whose steps are thousands of short "

@@ -11,12 +11,13 @@ from posecal.errors import PoseDataError
 from posecal_models.config import TrainConfig
 from posecal_models.contract import Context, standard_normal
 from posecal_models.estimators.cgnf.model import CGNF
+from posecal_models.estimators.cvae import CVAE
 from posecal_models.estimators.gaussian_noise import GaussianNoise
 from posecal_models.estimators.mixture_density import MixtureDensityNetwork
 from posecal_models.estimators.registry import ReferenceEstimator
 from posecal_models.estimators.simple_baseline import SimpleBaseline
 from posecal_models.objective import Objective
-from posecal_models.published_losses import MixtureLikelihood
+from posecal_models.published_losses import AveragedDraws, EvidenceBound, MixtureLikelihood
 
 __all__ = ["BestOfN", "FlowLikelihood", "Likelihood", "Objective", "SquaredError", "build_objective", "mode_error"]
 
@@ -245,6 +246,8 @@ def build_objective(estimator: ReferenceEstimator, config: TrainConfig) -> Objec
         return BestOfN(estimator, config.hypotheses)
     if isinstance(estimator, MixtureDensityNetwork) and config.objective == "published":
         return MixtureLikelihood(estimator)
+    if isinstance(estimator, CVAE) and config.objective == "published":
+        return (AveragedDraws if estimator.variant == "released" else EvidenceBound)(estimator, config.hypotheses)
     raise PoseDataError(
         f"train.objective: {config.objective} of a {type(estimator).__name__}; expected likelihood for a cGNF, "
         "squared-error for a SimpleBaseline, likelihood or min-mpjpe for a Gaussian noise model, "

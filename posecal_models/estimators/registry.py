@@ -14,19 +14,21 @@ from posecal_models.data.standardizer import Standardizer
 from posecal_models.estimators.cgnf.flow import SIZES, FlowSize
 from posecal_models.estimators.cgnf.graph import PoseGraph
 from posecal_models.estimators.cgnf.model import CGNF
+from posecal_models.estimators.cvae import CVAE
 from posecal_models.estimators.gaussian_noise import GaussianNoise
 from posecal_models.estimators.mixture_density import MixtureDensityNetwork
 from posecal_models.estimators.simple_baseline import HOURGLASS, SimpleBaseline
 
 __all__ = ["ReferenceEstimator", "baseline_keypoints", "build", "build_from_config", "describe", "parameter_count"]
 
-ReferenceEstimator = CGNF | SimpleBaseline | GaussianNoise | MixtureDensityNetwork
+ReferenceEstimator = CGNF | SimpleBaseline | GaussianNoise | MixtureDensityNetwork | CVAE
 
-_PUBLISHED: dict[str, tuple[type[MixtureDensityNetwork], tuple[str, ...]]] = {
+_PUBLISHED: dict[str, tuple[type[MixtureDensityNetwork | CVAE], tuple[str, ...]]] = {
     "mixture-density": (
         MixtureDensityNetwork,
         ("components", "width", "residuals", "dropout", "origin", "variant"),
     ),
+    "cvae": (CVAE, ("width", "residuals", "dropout", "origin", "variant")),
 }
 """Models of other papers, with their options, which are settings of the same name."""
 

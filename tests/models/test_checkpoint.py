@@ -33,6 +33,7 @@ from posecal_models.contract import Context
 from posecal_models.estimators.cgnf.flow import SIZES, FlowSize
 from posecal_models.estimators.cgnf.graph import PoseGraph
 from posecal_models.estimators.cgnf.model import CGNF
+from posecal_models.estimators.cvae import CVAE
 from posecal_models.estimators.gaussian_noise import GaussianNoise
 from posecal_models.estimators.mixture_density import MixtureDensityNetwork
 from posecal_models.estimators.registry import build, describe
@@ -54,6 +55,7 @@ def estimators():
             baseline,
             GaussianNoise(SimpleBaseline(width=8), spread="coordinate"),
             MixtureDensityNetwork(("a", "b"), ("b", "a"), components=2, width=8, residuals=1, variant="released"),
+            CVAE(width=8, residuals=1),
         ]
     for estimator in models:
         for buffer in estimator.buffers():
@@ -62,7 +64,7 @@ def estimators():
     return models
 
 
-@pytest.mark.parametrize("index", range(5))
+@pytest.mark.parametrize("index", range(6))
 def test_an_estimator_comes_back_from_its_file(tmp_path, index):
     estimator = estimators()[index].eval()
     save_estimator(tmp_path / "w.safetensors", estimator, notes={"poses": 12})

@@ -38,6 +38,11 @@ CASES: dict[str, dict[str, dict[str, Any]]] = {
         "model": {"kind": "mixture-density", "width": 8, "variant": "released"},
         "train": {"objective": "published"},
     },
+    "cvae, released": {
+        "model": {"kind": "cvae", "width": 8, "variant": "released"},
+        "train": {"objective": "published"},
+    },
+    "cvae, repaired": {"model": {"kind": "cvae", "width": 8}, "train": {"objective": "published"}},
     "gaussian, min-mpjpe": {"model": {"kind": "gaussian-noise"}, "train": {"objective": "min-mpjpe"}},
 }
 GRAPHS = 10
