@@ -26,6 +26,7 @@ _Count = Annotated[int, Limit(1)]
 _CountOrNone = Annotated[int, Limit(0)]
 _NotNegative = Annotated[float, Limit(0)]
 _Positive = Annotated[float, Limit(math.ulp(0.0), words="a positive number")]
+_Decay = Annotated[float, Limit(0, math.nextafter(1, 0), "0 or more and below 1")]
 _Seed = Annotated[int, Limit(0, LARGEST_SEED, "0 or more")]
 
 
@@ -36,7 +37,8 @@ class ModelConfig:
     Attributes
     ----------
     kind : str
-        ``cgnf``, ``simple-baseline``, ``gaussian-noise``, ``mixture-density`` or ``cvae``.
+        ``cgnf``, ``simple-baseline``, ``gaussian-noise``, ``mixture-density``, ``cvae`` or
+        ``inn``.
     size : str
         Size of a cGNF: ``tiny``, ``small``, ``large``, ``xlarge``.
     backward_weights, scale
@@ -47,12 +49,13 @@ class ModelConfig:
     units : str
         Constants of the standardizer: ``fitted`` to the training set, or those of the ``released`` code.
     width, residuals, dropout
-        Options of a SimpleBaseline, a mixture density network and a CVAE.
+        Options of a SimpleBaseline, a mixture density network and a CVAE; width also of an INN.
     components : int
         Gaussians of a mixture density network.
     variant : str
-        Variant of a mixture density network or a CVAE: ``released`` is that of its authors' code, ``repaired`` has
-        a proper score as its loss, see :mod:`posecal_models.published_losses`.
+        Variant of a mixture density network, a CVAE or an INN: ``released`` is that of its authors' code, ``repaired``
+        has a proper score in its loss, see :mod:`posecal_models.published_losses` and
+        :mod:`posecal_models.adversarial`.
     start : str
         Initial weights, named or a file, with their standardizer; random initialisation where not given.
     mean : str
@@ -61,7 +64,7 @@ class ModelConfig:
         Standard deviations of a Gaussian noise model: one σ per ``joint`` or per ``coordinate``.
     """
 
-    kind: Literal["cgnf", "simple-baseline", "gaussian-noise", "mixture-density", "cvae"] = "cgnf"
+    kind: Literal["cgnf", "simple-baseline", "gaussian-noise", "mixture-density", "cvae", "inn"] = "cgnf"
     size: Literal["tiny", "small", "large", "xlarge"] = "small"
     backward_weights: bool = True
     scale: Literal["sigmoid", "exp"] = "exp"
@@ -130,7 +133,7 @@ class TrainConfig:
     ----------
     objective : str
         ``likelihood``; for a Gaussian noise model also ``min-mpjpe``; for a SimpleBaseline ``squared-error``; for a
-        mixture density network or a CVAE ``published``, by ``model.variant``.
+        mixture density network, a CVAE or an INN ``published``, by ``model.variant``.
     sample_weight : float
         λ: weight of the error of a cGNF's mode, per mm.
     sample_loss : str
@@ -138,7 +141,7 @@ class TrainConfig:
     loss_per : str
         Whether a cGNF's log densities are per ``pose`` or, as released, per ``node``.
     hypotheses : int
-        N of the objective ``min-mpjpe``, and draws of a CVAE's latents.
+        N of the objective ``min-mpjpe`` and of an INN's losses; draws of a CVAE's latents.
     batch : int
         Poses per batch, over all processes.
     graphs_per_pose : int
@@ -151,7 +154,7 @@ class TrainConfig:
     schedule : str
         ``plateau``: times 0.1 when the loss has not fallen for ``patience`` epochs, stop at the third time.
         ``exponential``: times 0.96 every 100,000 steps; ``continuous``: the same, a little at every step. ``cosine``:
-        falls to 0 at the last step.
+        falls to 0 at the last step. ``halved``: halves for the last 5 of 155 parts.
     patience : int
         Epochs without improvement before the learning rate drops.
     epochs : int
@@ -160,6 +163,10 @@ class TrainConfig:
         0: one pass over all poses.
     clip : float
         Maximum norm of the gradient.
+    clip_by : str
+        Whether ``clip`` is that ``norm``, or the largest ``value`` of each number of the gradient.
+    beta1, beta2 : float
+        Adam's decay of the means of gradients and of their squares.
     cuda_graph : bool
         Whether a GPU records a step of a cGNF once and replays it, see :mod:`posecal_models.cuda_graph`.
     seed : int
@@ -177,11 +184,14 @@ class TrainConfig:
     graphs_per_pose: _Count = 5
     augmentation: Literal["paper", "released"] = "paper"
     learning_rate: _Positive = 1e-3
-    schedule: Literal["plateau", "exponential", "continuous", "cosine"] = "plateau"
+    schedule: Literal["plateau", "exponential", "continuous", "cosine", "halved"] = "plateau"
     patience: _CountOrNone = 10
     epochs: _Count = 200
     steps_per_epoch: Annotated[int, Limit(0, words="0 (all poses) or more")] = 0
     clip: _Positive = 1.0
+    clip_by: Literal["norm", "value"] = "norm"
+    beta1: _Decay = 0.9
+    beta2: _Decay = 0.999
     cuda_graph: bool = False
     seed: _Seed = 0
     checkpoint_seconds: _NotNegative = 60.0
@@ -218,12 +228,14 @@ class Config:
                 f"train.batch: 1 of a {self.model.kind}; expected 2 or more. Its batch norm needs the variance of a "
                 "batch."
             )
-        if self.model.units == "released" and self.model.kind in ("mixture-density", "cvae"):
+        if self.model.units == "released" and self.model.kind in ("mixture-density", "cvae", "inn"):
             raise PoseDataError(f"model.units: released of a {self.model.kind}; expected fitted. Leave it out.")
         if self.model.kind == "cvae" and self.model.width < 4:
             raise PoseDataError(
                 f"model.width: {self.model.width} of a cvae; expected 4 or more. A quarter of them are latents."
             )
+        if self.model.kind == "inn" and self.train.hypotheses == 1:
+            raise PoseDataError("train.hypotheses: 1 of an inn; expected 2 or more. Its losses need their spread.")
         if self.train.cuda_graph and self.model.kind != "cgnf":
             raise PoseDataError(
                 f"train.cuda_graph: true of a {self.model.kind}; expected a cgnf, whose steps are thousands of short "

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import torch
 from torch import Tensor, nn
 
@@ -17,6 +19,9 @@ class Objective(nn.Module):
     validation poses, that selects the weights that are saved.
     """
 
+    one_process = False
+    """Whether what :meth:`before_step` trains is that of one process."""
+
     def initialise(self, context: Context, truth: Tensor) -> None:
         """Initialise the estimator with a first batch; nothing, where that is not needed."""
 
@@ -24,3 +29,13 @@ class Objective(nn.Module):
         """Draw the random numbers of the loss of a batch, so that the loss itself is a function of its inputs."""
         del truth, generator
         return None
+
+    def before_step(self, context: Context, truth: Tensor, noise: Tensor | None, learning_rate: float) -> None:
+        """Train what the loss itself consists of, such as a critic; nothing, where there is none."""
+
+    def state(self) -> dict[str, Tensor]:
+        """Return what a checkpoint has to hold of it."""
+        return {}
+
+    def load_state(self, tensors: Mapping[str, Tensor]) -> None:
+        """Load what :meth:`state` returned."""

@@ -8,11 +8,13 @@ import torch
 from torch import Tensor
 
 from posecal.errors import PoseDataError
+from posecal_models.adversarial import InvertibleLosses
 from posecal_models.config import TrainConfig
 from posecal_models.contract import Context, standard_normal
 from posecal_models.estimators.cgnf.model import CGNF
 from posecal_models.estimators.cvae import CVAE
 from posecal_models.estimators.gaussian_noise import GaussianNoise
+from posecal_models.estimators.inn import INN
 from posecal_models.estimators.mixture_density import MixtureDensityNetwork
 from posecal_models.estimators.registry import ReferenceEstimator
 from posecal_models.estimators.simple_baseline import SimpleBaseline
@@ -248,6 +250,8 @@ def build_objective(estimator: ReferenceEstimator, config: TrainConfig) -> Objec
         return MixtureLikelihood(estimator)
     if isinstance(estimator, CVAE) and config.objective == "published":
         return (AveragedDraws if estimator.variant == "released" else EvidenceBound)(estimator, config.hypotheses)
+    if isinstance(estimator, INN) and config.objective == "published":
+        return InvertibleLosses(estimator, config.hypotheses, learning_rate=config.learning_rate, seed=config.seed)
     raise PoseDataError(
         f"train.objective: {config.objective} of a {type(estimator).__name__}; expected likelihood for a cGNF, "
         "squared-error for a SimpleBaseline, likelihood or min-mpjpe for a Gaussian noise model, "

@@ -110,11 +110,16 @@ class Training:
         if self.processes.size > 1 and data.device.type == "cuda":
             nn.SyncBatchNorm.convert_sync_batchnorm(estimator)  # type: ignore[no-untyped-call]
         self.objective = build_objective(estimator, config.train)
+        if self.objective.one_process and self.processes.size > 1:
+            raise PoseDataError(f"processes: {self.processes.size} of a training with a critic; expected one.")
         self._losses: nn.Module = self.objective
         if self.processes.size > 1:
             self._losses = DistributedDataParallel(self.objective)
         self._learning_rate = torch.tensor(config.train.learning_rate, device=data.device)
-        self.optimizer = torch.optim.Adam(self.parameters.values(), self._learning_rate, fused=True, capturable=True)
+        betas = (config.train.beta1, config.train.beta2)
+        self.optimizer = torch.optim.Adam(
+            self.parameters.values(), self._learning_rate, betas=betas, fused=True, capturable=True
+        )
         self._loss_names: list[str] = []
         self._update: Callable[..., Tensor] = self.update
         if config.train.cuda_graph:
@@ -209,17 +214,28 @@ class Training:
         context, truth = context[rows], truth[rows]
         noise = self.objective.noise(truth, generator)
         self.estimator.train()
-        self._learning_rate.fill_(self.schedule.learning_rate(self.step))
+        rate = self.schedule.learning_rate(self.step)
+        self._learning_rate.fill_(rate)
+        self.objective.before_step(context, truth, noise, rate)
         device = self.data.device
         with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
             torch.manual_seed(generator.initial_seed() ^ self.processes.rank)  # of dropout
             inputs = [context.keypoints, context.observed, truth, *([] if noise is None else [noise])]
+            if noise is not None and context.sigma is not None:
+                inputs.append(context.sigma)
             self._unread.append(self._update(*inputs))
         self.step += 1
         if device.type == "cpu" or len(self._unread) >= _STEPS_BETWEEN_READS:
             self._read_losses()
 
-    def update(self, keypoints: Tensor, observed: Tensor, truth: Tensor, noise: Tensor | None = None) -> Tensor:
+    def update(
+        self,
+        keypoints: Tensor,
+        observed: Tensor,
+        truth: Tensor,
+        noise: Tensor | None = None,
+        sigma: Tensor | None = None,
+    ) -> Tensor:
         """Update the weights: forward and backward pass, clipping and Adam, without a synchronisation.
 
         Parameters
@@ -230,6 +246,8 @@ class Training:
             Their poses, mm.
         noise : Tensor, optional
             The random numbers of the loss.
+        sigma : Tensor, optional
+            The detector's, for losses with random numbers.
 
         Returns
         -------
@@ -238,9 +256,12 @@ class Training:
         """
         options = {"graphs_per_pose": self.config.train.graphs_per_pose} if self.config.model.kind == "cgnf" else {}
         self.optimizer.zero_grad()
-        losses = self._losses(Context(keypoints, observed), truth, noise, **options)
+        losses = self._losses(Context(keypoints, observed, sigma), truth, noise, **options)
         losses["loss"].backward()
-        norm = nn.utils.clip_grad_norm_(self.parameters.values(), self.config.train.clip)
+        parameters, clip = self.parameters.values(), self.config.train.clip
+        norm = nn.utils.clip_grad_norm_(parameters, clip if self.config.train.clip_by == "norm" else math.inf)
+        if self.config.train.clip_by == "value":
+            nn.utils.clip_grad_value_(parameters, clip)
         self.optimizer.step()
         self._loss_names = list(losses)
         return torch.stack([*(loss.detach() for loss in losses.values()), norm])
@@ -334,6 +355,7 @@ class Training:
         for name, parameter in self.parameters.items():
             for moment, tensor in self.optimizer.state.get(parameter, {}).items():
                 tensors[f"adam.{moment}.{name}"] = tensor
+        tensors |= {f"objective.{name}": tensor for name, tensor in self.objective.state().items()}
         tensors["losses.steps"] = torch.tensor(self._step_losses, dtype=torch.float64)
         tensors["losses.epochs"] = torch.tensor(self._epochs, dtype=torch.float64).view(-1, 5)
         notes = {"config": self.config.table(), "epochs": self.epoch, "steps": self.step, "poses": len(self.data)}
@@ -383,6 +405,7 @@ class Training:
                 }
                 if moments:
                     self.optimizer.state[parameter] = moments
+            self.objective.load_state(_with_prefix("objective.", tensors))
             self._step_losses = tensors["losses.steps"].tolist()
             self._epochs = [tuple(row) for row in tensors["losses.epochs"].tolist()]
 

@@ -16,19 +16,21 @@ from posecal_models.estimators.cgnf.graph import PoseGraph
 from posecal_models.estimators.cgnf.model import CGNF
 from posecal_models.estimators.cvae import CVAE
 from posecal_models.estimators.gaussian_noise import GaussianNoise
+from posecal_models.estimators.inn import INN
 from posecal_models.estimators.mixture_density import MixtureDensityNetwork
 from posecal_models.estimators.simple_baseline import HOURGLASS, SimpleBaseline
 
 __all__ = ["ReferenceEstimator", "baseline_keypoints", "build", "build_from_config", "describe", "parameter_count"]
 
-ReferenceEstimator = CGNF | SimpleBaseline | GaussianNoise | MixtureDensityNetwork | CVAE
+ReferenceEstimator = CGNF | SimpleBaseline | GaussianNoise | MixtureDensityNetwork | CVAE | INN
 
-_PUBLISHED: dict[str, tuple[type[MixtureDensityNetwork | CVAE], tuple[str, ...]]] = {
+_PUBLISHED: dict[str, tuple[type[MixtureDensityNetwork | CVAE | INN], tuple[str, ...]]] = {
     "mixture-density": (
         MixtureDensityNetwork,
         ("components", "width", "residuals", "dropout", "origin", "variant"),
     ),
     "cvae": (CVAE, ("width", "residuals", "dropout", "origin", "variant")),
+    "inn": (INN, ("width", "variant")),
 }
 """Models of other papers, with their options, which are settings of the same name."""
 

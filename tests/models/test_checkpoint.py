@@ -35,6 +35,7 @@ from posecal_models.estimators.cgnf.graph import PoseGraph
 from posecal_models.estimators.cgnf.model import CGNF
 from posecal_models.estimators.cvae import CVAE
 from posecal_models.estimators.gaussian_noise import GaussianNoise
+from posecal_models.estimators.inn import INN
 from posecal_models.estimators.mixture_density import MixtureDensityNetwork
 from posecal_models.estimators.registry import build, describe
 from posecal_models.estimators.simple_baseline import SimpleBaseline
@@ -56,6 +57,7 @@ def estimators():
             GaussianNoise(SimpleBaseline(width=8), spread="coordinate"),
             MixtureDensityNetwork(("a", "b"), ("b", "a"), components=2, width=8, residuals=1, variant="released"),
             CVAE(width=8, residuals=1),
+            INN(width=8),
         ]
     for estimator in models:
         for buffer in estimator.buffers():
@@ -64,7 +66,7 @@ def estimators():
     return models
 
 
-@pytest.mark.parametrize("index", range(6))
+@pytest.mark.parametrize("index", range(7))
 def test_an_estimator_comes_back_from_its_file(tmp_path, index):
     estimator = estimators()[index].eval()
     save_estimator(tmp_path / "w.safetensors", estimator, notes={"poses": 12})

@@ -43,6 +43,11 @@ CASES: dict[str, dict[str, dict[str, Any]]] = {
         "train": {"objective": "published"},
     },
     "cvae, repaired": {"model": {"kind": "cvae", "width": 8}, "train": {"objective": "published"}},
+    "inn, released": {
+        "model": {"kind": "inn", "width": 8, "variant": "released"},
+        "train": {"objective": "published", "hypotheses": 7, "clip_by": "value"},
+    },
+    "inn, repaired": {"model": {"kind": "inn", "width": 8}, "train": {"objective": "published", "hypotheses": 7}},
     "gaussian, min-mpjpe": {"model": {"kind": "gaussian-noise"}, "train": {"objective": "min-mpjpe"}},
 }
 GRAPHS = 10
