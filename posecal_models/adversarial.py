@@ -228,7 +228,7 @@ def kernel_discrepancy(one: Tensor, two: Tensor) -> Tensor:
     Examples
     --------
     >>> kernel_discrepancy(torch.zeros(1, 1), torch.ones(1, 1))  # 2 times 1 - 1 / 401, 1 - 1 / 26 and 1 - 81 / 181
-    tensor(5.0230)
+    tensor(5.0231)
     """
     total = one.new_zeros(())
     for first, second, sign in ((one, one, 1), (two, two, 1), (one, two, -2)):
