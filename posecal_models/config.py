@@ -37,8 +37,7 @@ class ModelConfig:
     Attributes
     ----------
     kind : str
-        ``cgnf``, ``simple-baseline``, ``gaussian-noise``, ``mixture-density``, ``cvae`` or
-        ``inn``.
+        ``cgnf``, ``simple-baseline``, ``gaussian-noise``, ``mixture-density``, ``cvae`` or ``inn``.
     size : str
         Size of a cGNF: ``tiny``, ``small``, ``large``, ``xlarge``.
     backward_weights, scale
@@ -54,8 +53,7 @@ class ModelConfig:
         Gaussians of a mixture density network.
     variant : str
         Variant of a mixture density network, a CVAE or an INN: ``released`` is that of its authors' code, ``repaired``
-        has a proper score in its loss, see :mod:`posecal_models.published_losses` and
-        :mod:`posecal_models.adversarial`.
+        mends its loss, see :mod:`posecal_models.published_losses` and :mod:`posecal_models.adversarial`.
     start : str
         Initial weights, named or a file, with their standardizer; random initialisation where not given.
     mean : str

@@ -266,6 +266,20 @@ def test_a_training_that_was_stopped_goes_on_with_its_critic(motion_file, tmp_pa
         assert torch.equal(second.objective.state()[name], tensor), name
 
 
+@pytest.mark.usefixtures("_small_critic")
+def test_a_step_bounds_each_number_of_the_gradient_and_gives_the_loss_the_detector_s_sigma(motion_file, tmp_path):
+    config = Config.load("wehrbein-inn").with_changes([*SETTINGS, "train.clip=1e-4"])
+    run = prepare(config, motion_file, tmp_path / "run")
+    seen = []
+    run.objective.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[0].sigma))
+    run.one_step()
+    largest = [float(p.grad.abs().max()) for p in run.parameters.values()]
+    np.testing.assert_allclose(max(largest), 1e-4, rtol=1e-6)
+    assert min(largest) > 0
+    assert seen[0].unique().tolist() == [3.0, 25.0]
+    assert run.optimizer.defaults["betas"] == (0.5, 0.9)
+
+
 def test_a_critic_is_of_one_process(motion_file, tmp_path):
     config = Config.load("wehrbein-inn").with_changes(SETTINGS)
     with pytest.raises(PoseDataError, match="processes: 2 of a training with a critic; expected one"):
