@@ -161,7 +161,7 @@ def evaluate_estimator(
     ----------
     name : str
         The estimator's name.
-    estimator : CGNF, SimpleBaseline or GaussianNoise
+    estimator : ReferenceEstimator
         The estimator to evaluate.
     data : LiftingSet
         M images.

@@ -190,7 +190,7 @@ def save_estimator(
     ----------
     path : str or Path
         Output file, ``*.safetensors``.
-    estimator : CGNF, SimpleBaseline or GaussianNoise
+    estimator : ReferenceEstimator
         The estimator to save.
     tensors : mapping of str to Tensor, optional
         Other weights of the same estimator; its own where not given.
@@ -224,7 +224,7 @@ def load_estimator(name: str | Path, *, device: torch.device | str = "cpu") -> R
 
     Returns
     -------
-    CGNF, SimpleBaseline or GaussianNoise
+    ReferenceEstimator
         In evaluation mode.
 
     Raises

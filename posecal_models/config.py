@@ -27,6 +27,7 @@ _CountOrNone = Annotated[int, Limit(0)]
 _NotNegative = Annotated[float, Limit(0)]
 _Share = Annotated[float, Limit(0, 1, "a share between 0 and 1")]
 _Positive = Annotated[float, Limit(math.ulp(0.0), words="a positive number")]
+_Decay = Annotated[float, Limit(0, math.nextafter(1, 0), "0 or more and below 1")]
 _Seed = Annotated[int, Limit(0, LARGEST_SEED, "0 or more")]
 
 
@@ -37,7 +38,8 @@ class ModelConfig:
     Attributes
     ----------
     kind : str
-        ``cgnf``, ``simple-baseline``, ``gaussian-noise`` or ``amortized-posterior``.
+        ``cgnf``, ``simple-baseline``, ``gaussian-noise``, ``mixture-density``, ``cvae``, ``inn`` or
+        ``amortized-posterior``.
     size : str
         Size of a cGNF: ``tiny``, ``small``, ``large``, ``xlarge``.
     backward_weights, scale
@@ -47,13 +49,17 @@ class ModelConfig:
         data must then hold) or ``none``.
     units : str
         Constants of the standardizer: ``fitted`` to the training set, or those of the ``released`` code.
-    width, residuals
-        Options of a SimpleBaseline and of an amortised posterior.
-    dropout
-        Option of a SimpleBaseline.
-    dimensions, components, position
+    width, residuals, dropout
+        Options of a SimpleBaseline, a mixture density network and a CVAE; width also of an INN, width and residuals of
+        an amortised posterior.
+    components : int
+        Gaussians of a mixture density network or an amortised posterior.
+    dimensions, position
         Options of an amortised posterior, see
-        :class:`posecal_models.estimators.amortized_posterior.AmortizedPosterior`; 0 dimensions are 3K.
+        :class:`posecal_models.estimators.amortized_posterior.AmortizedPosterior`.
+    variant : str
+        Variant of a mixture density network, a CVAE or an INN: ``released`` is that of its authors' code, ``repaired``
+        mends its loss, see :mod:`posecal_models.published_losses` and :mod:`posecal_models.adversarial`.
     start : str
         Initial weights, named or a file, with their standardizer; random initialisation where not given.
     mean : str
@@ -62,7 +68,9 @@ class ModelConfig:
         Standard deviations of a Gaussian noise model: one σ per ``joint`` or per ``coordinate``.
     """
 
-    kind: Literal["cgnf", "simple-baseline", "gaussian-noise", "amortized-posterior"] = "cgnf"
+    kind: Literal[
+        "cgnf", "simple-baseline", "gaussian-noise", "mixture-density", "cvae", "inn", "amortized-posterior"
+    ] = "cgnf"
     size: Literal["tiny", "small", "large", "xlarge"] = "small"
     backward_weights: bool = True
     scale: Literal["sigmoid", "exp"] = "exp"
@@ -71,9 +79,10 @@ class ModelConfig:
     width: _Count = 1024
     residuals: _CountOrNone = 2
     dropout: Annotated[float, Limit(0, math.nextafter(1, 0), "0 or more and below 1")] = 0.5
-    dimensions: Annotated[int, Limit(0, words="0 (3K) or more")] = 0
-    components: _Count = 4
+    components: _Count = 5
+    dimensions: _CountOrNone = 0
     position: bool = True
+    variant: Literal["repaired", "released"] = "repaired"
     start: str = ""
     mean: str = ""
     spread: Literal["joint", "coordinate"] = "joint"
@@ -147,7 +156,8 @@ class TrainConfig:
     Attributes
     ----------
     objective : str
-        ``likelihood``; for a Gaussian noise model also ``min-mpjpe``; for a SimpleBaseline ``squared-error``.
+        ``likelihood``; for a Gaussian noise model also ``min-mpjpe``; for a SimpleBaseline ``squared-error``; for a
+        mixture density network, a CVAE or an INN ``published``, by ``model.variant``.
     sample_weight : float
         λ: weight of the error of a cGNF's mode, per mm.
     sample_loss : str
@@ -155,7 +165,7 @@ class TrainConfig:
     loss_per : str
         Whether a cGNF's log densities are per ``pose`` or, as released, per ``node``.
     hypotheses : int
-        N of the objective ``min-mpjpe``.
+        N of the objective ``min-mpjpe`` and of an INN's losses; draws of a CVAE's latents.
     batch : int
         Poses per batch, over all processes.
     graphs_per_pose : int
@@ -168,8 +178,8 @@ class TrainConfig:
         degenerate.
     learning_rate : float
         Initial learning rate of Adam.
-    second_moment_decay, weight_decay : float
-        β₂ of Adam, and decoupled weight decay.
+    weight_decay : float
+        Decoupled weight decay of Adam.
     average : float
         Decay of the moving average of the weights, which is validated and saved; 0: the weights themselves.
     selection : str
@@ -177,7 +187,8 @@ class TrainConfig:
         of 50 hypotheses of each, mm.
     schedule : str
         ``plateau``: times 0.1 when the loss has not fallen for ``patience`` epochs, stop at the third time.
-        ``exponential``: times 0.96 every 100,000 steps. ``cosine``: falls to 0 at the last step.
+        ``exponential``: times 0.96 every 100,000 steps; ``continuous``: the same, a little at every step. ``cosine``:
+        falls to 0 at the last step. ``halved``: halves for the last 5 of 155 parts.
     patience : int
         Epochs without improvement before the learning rate drops.
     epochs : int
@@ -188,6 +199,10 @@ class TrainConfig:
         Of the matrices in the weights file, ``single`` or ``half``; training is in single precision.
     clip : float
         Maximum norm of the gradient.
+    clip_by : str
+        Whether ``clip`` is that ``norm``, or the largest ``value`` of each number of the gradient.
+    beta1, beta2 : float
+        Adam's decay of the means of gradients and of their squares.
     cuda_graph : bool
         Whether a GPU records a step of a cGNF once and replays it, see :mod:`posecal_models.cuda_graph`.
     seed : int
@@ -196,7 +211,7 @@ class TrainConfig:
         Time between two checkpoints.
     """
 
-    objective: Literal["likelihood", "min-mpjpe", "squared-error"] = "likelihood"
+    objective: Literal["likelihood", "min-mpjpe", "squared-error", "published"] = "likelihood"
     sample_weight: _NotNegative = 0.0
     sample_loss: Literal["joints", "pairs"] = "joints"
     loss_per: Literal["pose", "node"] = "pose"
@@ -206,16 +221,18 @@ class TrainConfig:
     augmentation: Literal["paper", "released"] = "paper"
     truth_noise: _NotNegative = 0.0
     learning_rate: _Positive = 1e-3
-    second_moment_decay: Annotated[float, Limit(0, math.nextafter(1, 0), "0 or more and below 1")] = 0.999
     weight_decay: _NotNegative = 0.0
-    average: Annotated[float, Limit(0, math.nextafter(1, 0), "0 or more and below 1")] = 0.0
+    average: _Decay = 0.0
     selection: Literal["loss", "energy-score"] = "loss"
-    schedule: Literal["plateau", "exponential", "cosine"] = "plateau"
+    schedule: Literal["plateau", "exponential", "continuous", "cosine", "halved"] = "plateau"
     patience: _CountOrNone = 10
     epochs: _Count = 200
     steps_per_epoch: Annotated[int, Limit(0, words="0 (all poses) or more")] = 0
     precision: Literal["single", "half"] = "single"
     clip: _Positive = 1.0
+    clip_by: Literal["norm", "value"] = "norm"
+    beta1: _Decay = 0.9
+    beta2: _Decay = 0.999
     cuda_graph: bool = False
     seed: _Seed = 0
     checkpoint_seconds: _NotNegative = 60.0
@@ -247,10 +264,19 @@ class Config:
     train: TrainConfig = field(default_factory=TrainConfig)
 
     def __post_init__(self) -> None:
-        if self.model.kind == "simple-baseline" and self.train.batch == 1:
+        if self.model.kind in ("simple-baseline", "mixture-density", "cvae") and self.train.batch == 1:
             raise PoseDataError(
-                "train.batch: 1 of a simple-baseline; expected 2 or more. Its batch norm needs the variance of a batch."
+                f"train.batch: 1 of a {self.model.kind}; expected 2 or more. Its batch norm needs the variance of a "
+                "batch."
             )
+        if self.model.units == "released" and self.model.kind in ("mixture-density", "cvae", "inn"):
+            raise PoseDataError(f"model.units: released of a {self.model.kind}; expected fitted. Leave it out.")
+        if self.model.kind == "cvae" and self.model.width < 4:
+            raise PoseDataError(
+                f"model.width: {self.model.width} of a cvae; expected 4 or more. A quarter of them are latents."
+            )
+        if self.model.kind == "inn" and self.train.hypotheses == 1:
+            raise PoseDataError("train.hypotheses: 1 of an inn; expected 2 or more. Its losses need their spread.")
         if self.train.cuda_graph and self.model.kind != "cgnf":
             raise PoseDataError(
                 f"train.cuda_graph: true of a {self.model.kind}; expected a cgnf, whose steps are thousands of short "

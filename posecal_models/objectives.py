@@ -5,17 +5,23 @@ from __future__ import annotations
 from typing import Literal
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 import posecal
 from posecal.errors import PoseDataError
+from posecal_models.adversarial import InvertibleLosses
 from posecal_models.config import TrainConfig
 from posecal_models.contract import Context, PoseDistribution, standard_normal
 from posecal_models.estimators.amortized_posterior import AmortizedPosterior
 from posecal_models.estimators.cgnf.model import CGNF
+from posecal_models.estimators.cvae import CVAE
 from posecal_models.estimators.gaussian_noise import GaussianNoise
+from posecal_models.estimators.inn import INN
+from posecal_models.estimators.mixture_density import MixtureDensityNetwork
 from posecal_models.estimators.registry import ReferenceEstimator
 from posecal_models.estimators.simple_baseline import SimpleBaseline
+from posecal_models.objective import Objective
+from posecal_models.published_losses import AveragedDraws, EvidenceBound, MixtureLikelihood
 
 __all__ = [
     "BestOfN",
@@ -30,21 +36,6 @@ __all__ = [
 ]
 
 SampleLoss = Literal["joints", "pairs"]
-
-
-class Objective(nn.Module):
-    """A training loss, a mean over the poses of a batch.
-
-    A call gives the losses by name, ``loss`` among them, which is minimised.
-    """
-
-    def initialise(self, context: Context, truth: Tensor) -> None:
-        """Initialise the estimator with a first batch; nothing, where that is not needed."""
-
-    def noise(self, truth: Tensor, generator: torch.Generator) -> Tensor | None:
-        """Draw the random numbers of the loss of a batch, so that the loss itself is a function of its inputs."""
-        del truth, generator
-        return None
 
 
 class FlowLikelihood(Objective):
@@ -298,7 +289,7 @@ def build_objective(estimator: ReferenceEstimator, config: TrainConfig) -> Objec
 
     Parameters
     ----------
-    estimator : CGNF, SimpleBaseline or GaussianNoise
+    estimator : ReferenceEstimator
         The estimator to train.
     config : TrainConfig
         Settings of the training.
@@ -326,8 +317,14 @@ def build_objective(estimator: ReferenceEstimator, config: TrainConfig) -> Objec
         return Likelihood(estimator, config.truth_noise)
     if isinstance(estimator, GaussianNoise) and config.objective == "min-mpjpe":
         return BestOfN(estimator, config.hypotheses)
+    if isinstance(estimator, MixtureDensityNetwork) and config.objective == "published":
+        return MixtureLikelihood(estimator)
+    if isinstance(estimator, CVAE) and config.objective == "published":
+        return (AveragedDraws if estimator.variant == "released" else EvidenceBound)(estimator, config.hypotheses)
+    if isinstance(estimator, INN) and config.objective == "published":
+        return InvertibleLosses(estimator, config.hypotheses, learning_rate=config.learning_rate, seed=config.seed)
     raise PoseDataError(
-        f"train.objective: {config.objective} of a {type(estimator).__name__}; expected likelihood for a cGNF "
-        "or an AmortizedPosterior, squared-error for a SimpleBaseline, likelihood or min-mpjpe for a Gaussian noise "
-        "model."
+        f"train.objective: {config.objective} of a {type(estimator).__name__}; expected likelihood for a cGNF or an "
+        "AmortizedPosterior, squared-error for a SimpleBaseline, likelihood or min-mpjpe for a Gaussian noise model, "
+        "published for the others."
     )

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from posecal.data.skeleton import joint_set
 from posecal.errors import PoseDataError, PoseFileError
 from posecal_models.checkpoint import load_estimator
 from posecal_models.config import Config, DataConfig, ModelConfig
@@ -21,7 +22,7 @@ from posecal_models.distributed import ProcessGroup
 from posecal_models.estimators.amortized_posterior import AmortizedPosterior
 from posecal_models.estimators.gaussian_noise import GaussianNoise
 from posecal_models.estimators.registry import ReferenceEstimator, baseline_keypoints, build_from_config, describe
-from posecal_models.estimators.simple_baseline import SimpleBaseline
+from posecal_models.estimators.simple_baseline import HOURGLASS, SimpleBaseline
 from posecal_models.train import Training
 from posecal_models.training_folder import CHECKPOINT, check_folder, digests
 
@@ -176,11 +177,16 @@ def prepare(
 
 
 def _keypoints(config: ModelConfig, training: LiftingSet) -> tuple[str, ...] | None:
-    """Name the keypoints of a SimpleBaseline: those that some image of the training set has."""
-    if config.kind != "simple-baseline":
+    """Name the keypoints of an estimator that reads all of them: those that some image of the training set has.
+
+    Models of other papers read as many as published: the neck's where the hip's is missing.
+    """
+    if config.kind in ("cgnf", "gaussian-noise"):
         return None
     names = baseline_keypoints(config)
     keypoints = training.in_order_of(keypoint_joints=names).keypoints
+    if names == HOURGLASS:
+        return HOURGLASS if np.isfinite(keypoints[:, 0]).any() else joint_set("h36m-16")
     available = tuple(name for j, name in enumerate(names) if np.isfinite(keypoints[:, j]).any())
     if not available:
         raise PoseDataError(f"keypoints: no image has any of {', '.join(names)}; expected some of them in each.")

@@ -49,6 +49,10 @@ class Schedule:
             return start * 0.5 * (1 + math.cos(math.pi * step / max(1, self.total_steps)))
         if self.config.schedule == "exponential":
             return start * 0.96 ** (step // 100_000)
+        if self.config.schedule == "continuous":
+            return start * math.pow(0.96, step / 100_000)
+        if self.config.schedule == "halved":
+            return start * (0.5 if step >= self.total_steps * 150 / 155 else 1)
         return start * 0.1**self.drops
 
     def after_epoch(self, loss: float) -> None:

@@ -71,7 +71,7 @@ class Training:
 
     Parameters
     ----------
-    estimator : CGNF, SimpleBaseline or GaussianNoise
+    estimator : ReferenceEstimator
         The estimator to train, on the device of the training.
     config : Config
         The configuration.
@@ -117,6 +117,8 @@ class Training:
         if config.train.average:
             self.average = AveragedModel(estimator, multi_avg_fn=get_ema_multi_avg_fn(config.train.average))  # type: ignore[no-untyped-call]
         self.objective = build_objective(estimator, config.train)
+        if self.objective.one_process and self.processes.size > 1:
+            raise PoseDataError(f"processes: {self.processes.size} of a training with a critic; expected one.")
         self._losses: nn.Module = self.objective
         if self.processes.size > 1:
             self._losses = DistributedDataParallel(self.objective)
@@ -124,7 +126,7 @@ class Training:
         self.optimizer = torch.optim.AdamW(
             self.parameters.values(),
             self._learning_rate,
-            betas=(0.9, config.train.second_moment_decay),
+            betas=(config.train.beta1, config.train.beta2),
             weight_decay=config.train.weight_decay,
             fused=True,
             capturable=True,
@@ -230,7 +232,9 @@ class Training:
         context, truth = context[rows], truth[rows]
         noise = self.objective.noise(truth, generator)
         self.estimator.train()
-        self._learning_rate.fill_(self.schedule.learning_rate(self.step))
+        rate = self.schedule.learning_rate(self.step)
+        self._learning_rate.fill_(rate)
+        self.objective.before_step(context, truth, noise, rate)
         device = self.data.device
         with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
             torch.manual_seed(generator.initial_seed() ^ self.processes.rank)  # of dropout
@@ -265,7 +269,10 @@ class Training:
         self.optimizer.zero_grad()
         losses = self._losses(Context(keypoints, observed, sigma), truth, noise, **options)
         losses["loss"].backward()
-        norm = nn.utils.clip_grad_norm_(self.parameters.values(), self.config.train.clip)
+        parameters, clip = self.parameters.values(), self.config.train.clip
+        norm = nn.utils.clip_grad_norm_(parameters, clip if self.config.train.clip_by == "norm" else math.inf)
+        if self.config.train.clip_by == "value":
+            nn.utils.clip_grad_value_(parameters, clip)
         self.optimizer.step()
         self._loss_names = list(losses)
         return torch.stack([*(loss.detach() for loss in losses.values()), norm])
@@ -335,7 +342,7 @@ class Training:
                 + ", ".join(f"{name} is {value:.6g}" for name, value in losses.items())
                 + f". {self._advice(self.step - 1)} or check the poses of data.validation_subjects."
             )
-        return losses["loss"]
+        return losses.get("selection", losses["loss"])
 
     def _progress(self) -> TrainingProgress:
         return TrainingProgress(
@@ -367,6 +374,7 @@ class Training:
         for name, parameter in self.parameters.items():
             for moment, tensor in self.optimizer.state.get(parameter, {}).items():
                 tensors[f"adam.{moment}.{name}"] = tensor
+        tensors |= {f"objective.{name}": tensor for name, tensor in self.objective.state().items()}
         tensors["losses.steps"] = torch.tensor(self._step_losses, dtype=torch.float64)
         tensors["losses.epochs"] = torch.tensor(self._epochs, dtype=torch.float64).view(-1, 5)
         notes = {"config": self.config.table(), "epochs": self.epoch, "steps": self.step, "poses": len(self.data)}
@@ -419,6 +427,7 @@ class Training:
                 }
                 if moments:
                     self.optimizer.state[parameter] = moments
+            self.objective.load_state(_with_prefix("objective.", tensors))
             self._step_losses = tensors["losses.steps"].tolist()
             self._epochs = [tuple(row) for row in tensors["losses.epochs"].tolist()]
 

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from posecal.errors import PoseDataError
 from posecal_models.contract import Context
 
-__all__ = ["Origin", "Standardizer", "check_pixels"]
+__all__ = ["CoordinateStandardizer", "Origin", "Standardizer", "check_pixels"]
 
 Origin = Literal["observed", "root", "none"]
 
@@ -186,8 +186,8 @@ class Standardizer(nn.Module):
 
     @property
     def log_determinant(self) -> Tensor:
-        """Log of the volume in mm of a unit volume of standardised poses: K * D * log(scale), nats."""
-        return self.pose_mean.numel() * self.pose_scale.log()
+        """Log of the volume in mm of a unit volume of standardised poses: the sum of log(scale) over K * D, nats."""
+        return self.pose_scale.log().expand_as(self.pose_mean).sum()
 
     def extra_repr(self) -> str:
         """Format the constants."""
@@ -197,6 +197,80 @@ class Standardizer(nn.Module):
             f"origin={self.origin!r}, pose_scale={float(self.pose_scale):.1f} mm, "
             f"keypoint_scale={float(self.keypoint_scale):.1f} px"
         )
+
+
+class CoordinateStandardizer(Standardizer):
+    r"""The affine maps with a mean and a standard deviation of each coordinate.
+
+    .. math:: x_{kd} = (\mathrm{pose}_{kd} - \mu_{kd}) / s_{kd}, \qquad
+              c_{jd} = (\mathrm{keypoint}_{jd} - o_d - \nu_{jd}) / r_{jd}
+
+    Parameters
+    ----------
+    joints, keypoints : int
+        K and J.
+    origin : str
+        Origin of the keypoints; ``none`` keeps their position in the image.
+
+    Examples
+    --------
+    >>> standardizer = CoordinateStandardizer(joints=1, keypoints=1)
+    >>> standardizer.fit(torch.tensor([[[3.0, 0, 40]], [[5.0, 2, 20]]]), torch.tensor([[[600.0, 5]], [[700.0, 9]]]))
+    >>> standardizer.pose_scale, standardizer.keypoint_scale
+    (tensor([[ 1.,  1., 10.]]), tensor([[50.,  2.]]))
+    """
+
+    keypoint_mean: Tensor
+
+    def __init__(self, joints: int, keypoints: int, *, origin: Origin = "none") -> None:
+        super().__init__(joints, origin=origin)
+        self.register_buffer("pose_scale", torch.ones(joints, 3))
+        self.register_buffer("keypoint_mean", torch.zeros(keypoints, 2))
+        self.register_buffer("keypoint_scale", torch.ones(keypoints, 2))
+
+    def fit(self, poses: Tensor, keypoints: Tensor, observed: Tensor | None = None) -> None:
+        """Fit the constants to training data; see :meth:`Standardizer.fit`.
+
+        A coordinate that does not vary is divided by 1.
+
+        Parameters
+        ----------
+        poses : Tensor
+            (M, K, 3), mm.
+        keypoints : Tensor
+            (M, J, 2), pixels.
+        observed : Tensor, optional
+            (M, J), bool; all where not given. The others are left out.
+        """
+        mask = torch.ones_like(keypoints[..., 0], dtype=torch.bool) if observed is None else observed
+        self.keypoint_mean.zero_()
+        self.keypoint_scale.fill_(1)
+        centred = self.all_keypoints(Context(keypoints, mask)).double()
+        weights = mask[..., None] / mask.sum(0).clamp(min=1)[:, None]
+        self.keypoint_mean.copy_(torch.where(mask[..., None], weights * centred, 0).sum(0))
+        squares = (centred - self.keypoint_mean.double()).square()
+        self.keypoint_scale.copy_(_or_one(torch.where(mask[..., None], weights * squares, 0).sum(0).sqrt()))
+        self.pose_mean.copy_(poses.double().mean(0))
+        spread = (poses.double() - self.pose_mean.double()).square().mean(0).sqrt()
+        if not spread.any():
+            raise PoseDataError(f"poses: all {len(poses):,} are the same pose; expected different poses.")
+        self.pose_scale.copy_(_or_one(spread))
+
+    def check_keypoints(self, context: Context) -> None:
+        """Raise an error for keypoints that look normalised already; see :func:`check_pixels`."""
+        check_pixels(context)
+
+    def all_keypoints(self, context: Context) -> Tensor:
+        """Standardise all keypoints, observed or not: (M, J, 2), unitless."""
+        return super().all_keypoints(context) - self.keypoint_mean / self.keypoint_scale
+
+    def extra_repr(self) -> str:
+        """Format the constants."""
+        return f"origin={self.origin!r}, joints={len(self.pose_scale)}, keypoints={len(self.keypoint_scale)}"
+
+
+def _or_one(spread: Tensor) -> Tensor:
+    return torch.where(spread > 0, spread, 1)
 
 
 def check_pixels(context: Context) -> None:

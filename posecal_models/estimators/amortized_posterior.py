@@ -229,7 +229,7 @@ class AmortizedPosterior(nn.Module):
     joints, keypoints : tuple of str
         K joints of the pose, without the root, and J keypoints. Human3.6M's 16 where not given.
     dimensions : int
-        D, see :class:`PoseCoordinates`; 3K where not given.
+        D, see :class:`PoseCoordinates`; 0: 3K.
     components : int
         C of the mixture.
     width, residuals : int
@@ -255,7 +255,7 @@ class AmortizedPosterior(nn.Module):
         joints: tuple[str, ...] | None = None,
         keypoints: tuple[str, ...] | None = None,
         *,
-        dimensions: int | None = None,
+        dimensions: int = 0,
         components: int = 4,
         width: int = 600,
         residuals: int = 3,
@@ -267,9 +267,16 @@ class AmortizedPosterior(nn.Module):
         self.keypoints: tuple[str, ...] = self.joints if keypoints is None else keypoints
         if origin == "root":
             raise PoseDataError("model.origin: root of an amortised posterior; expected observed or none.")
-        self.components, self.position = components, position
+        self.options = {
+            "dimensions": dimensions,
+            "components": components,
+            "width": width,
+            "residuals": residuals,
+            "position": position,
+            "origin": origin,
+        }
         self._is_centred = origin == "observed"
-        count, d = len(self.keypoints), 3 * len(self.joints) if dimensions is None else dimensions
+        count, d = len(self.keypoints), dimensions or 3 * len(self.joints)
         self.standardizer = Standardizer(len(self.joints), origin=origin)
         self.coordinates = PoseCoordinates(len(self.joints), d)
         self.register_buffer("position_mean", torch.zeros(2))
@@ -390,14 +397,14 @@ class AmortizedPosterior(nn.Module):
                     at_hand.to(c.dtype),
                     context.observed.to(c.dtype),
                     log_sigma,
-                    place if self.position else torch.zeros_like(place),
+                    place if self.options["position"] else torch.zeros_like(place),
                 ],
                 dim=1,
             )
         )
         for residual in self.residuals:
             features = residual(features)
-        correction = self.last(self.norm(features)).unflatten(1, (self.components, -1))
+        correction = self.last(self.norm(features)).unflatten(1, (self.options["components"], -1))
         log_weight, offset, log_diagonal, off_diagonal = correction.split(self._sizes, dim=-1)
         d = offset.shape[-1]
         triangle = torch.zeros(*offset.shape, d, dtype=c.dtype, device=c.device)

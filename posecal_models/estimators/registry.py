@@ -15,12 +15,33 @@ from posecal_models.estimators.amortized_posterior import AmortizedPosterior
 from posecal_models.estimators.cgnf.flow import SIZES, FlowSize
 from posecal_models.estimators.cgnf.graph import PoseGraph
 from posecal_models.estimators.cgnf.model import CGNF
+from posecal_models.estimators.cvae import CVAE
 from posecal_models.estimators.gaussian_noise import GaussianNoise
-from posecal_models.estimators.simple_baseline import SimpleBaseline
+from posecal_models.estimators.inn import INN
+from posecal_models.estimators.mixture_density import MixtureDensityNetwork
+from posecal_models.estimators.simple_baseline import HOURGLASS, SimpleBaseline
 
 __all__ = ["ReferenceEstimator", "baseline_keypoints", "build", "build_from_config", "describe", "parameter_count"]
 
-ReferenceEstimator = CGNF | SimpleBaseline | GaussianNoise | AmortizedPosterior
+ReferenceEstimator = CGNF | SimpleBaseline | GaussianNoise | MixtureDensityNetwork | CVAE | INN | AmortizedPosterior
+
+_PUBLISHED = ("mixture-density", "cvae", "inn")
+"""Models of other papers."""
+
+_OptionedEstimator = MixtureDensityNetwork | CVAE | INN | AmortizedPosterior
+_OPTIONS: dict[str, tuple[type[_OptionedEstimator], tuple[str, ...]]] = {
+    "mixture-density": (
+        MixtureDensityNetwork,
+        ("components", "width", "residuals", "dropout", "origin", "variant"),
+    ),
+    "cvae": (CVAE, ("width", "residuals", "dropout", "origin", "variant")),
+    "inn": (INN, ("width", "variant")),
+    "amortized-posterior": (
+        AmortizedPosterior,
+        ("dimensions", "components", "width", "residuals", "position", "origin"),
+    ),
+}
+"""Estimators whose options are settings of the same name."""
 
 
 def build_from_config(
@@ -39,7 +60,7 @@ def build_from_config(
 
     Returns
     -------
-    CGNF, SimpleBaseline, GaussianNoise or AmortizedPosterior
+    ReferenceEstimator
         With random initialisation.
 
     Raises
@@ -47,19 +68,14 @@ def build_from_config(
     PoseDataError
         Where a Gaussian noise model has no mean.
     """
+    names = baseline_keypoints(config) if keypoints is None else keypoints
     if config.kind == "gaussian-noise":
         if mean is None:
             raise PoseDataError("model.mean: not given; expected the weights file of a trained SimpleBaseline.")
         return GaussianNoise(mean, spread=config.spread)
-    if config.kind == "amortized-posterior":
-        return AmortizedPosterior(
-            dimensions=config.dimensions or None,
-            components=config.components,
-            width=config.width,
-            residuals=config.residuals,
-            position=config.position,
-            origin=config.origin,
-        )
+    if config.kind in _OPTIONS:
+        optioned, options = _OPTIONS[config.kind]
+        return optioned(keypoints=names, **{name: getattr(config, name) for name in options})
     estimator: CGNF | SimpleBaseline
     if config.kind == "cgnf":
         estimator = CGNF(
@@ -70,7 +86,7 @@ def build_from_config(
         )
     else:
         estimator = SimpleBaseline(
-            keypoints=baseline_keypoints(config) if keypoints is None else keypoints,
+            keypoints=names,
             width=config.width,
             residuals=config.residuals,
             dropout=config.dropout,
@@ -82,7 +98,12 @@ def build_from_config(
 
 
 def baseline_keypoints(config: ModelConfig) -> tuple[str, ...]:
-    """Name the 16 keypoints that a SimpleBaseline reads, after the hip's where they are relative to it."""
+    """Name the keypoints of an estimator that reads all of them.
+
+    16, after the hip's where they are relative to it; those of the stacked hourglass network for the published models.
+    """
+    if config.kind in _PUBLISHED:
+        return HOURGLASS
     return joint_set("h36m-17" if config.origin == "root" else "h36m-16")
 
 
@@ -91,7 +112,7 @@ def describe(estimator: ReferenceEstimator) -> dict[str, Any]:
 
     Parameters
     ----------
-    estimator : CGNF, SimpleBaseline, GaussianNoise or AmortizedPosterior
+    estimator : ReferenceEstimator
         A reference estimator.
 
     Returns
@@ -120,23 +141,15 @@ def describe(estimator: ReferenceEstimator) -> dict[str, Any]:
             "residuals": len(estimator.residuals),
             "origin": estimator.standardizer.origin,
         }
-    if isinstance(estimator, AmortizedPosterior):
+    if isinstance(estimator, GaussianNoise):
         return {
-            "kind": "amortized-posterior",
-            "joints": list(estimator.joints),
-            "keypoints": list(estimator.keypoints),
-            "dimensions": len(estimator.coordinates.scale),
-            "components": estimator.components,
-            "width": estimator.first.out_features,
-            "residuals": len(estimator.residuals),
-            "position": estimator.position,
-            "origin": estimator.standardizer.origin,
+            "kind": "gaussian-noise",
+            "spread": "joint" if estimator.log_sigma.shape[1] == 1 else "coordinate",
+            "mean": describe(estimator.mean),
         }
-    return {
-        "kind": "gaussian-noise",
-        "spread": "joint" if estimator.log_sigma.shape[1] == 1 else "coordinate",
-        "mean": describe(estimator.mean),
-    }
+    kind = next(kind for kind, (optioned, _) in _OPTIONS.items() if isinstance(estimator, optioned))
+    names = {"joints": list(estimator.joints), "keypoints": list(estimator.keypoints)}
+    return {"kind": kind, **names, **estimator.options}
 
 
 def build(description: dict[str, Any]) -> ReferenceEstimator:
@@ -149,7 +162,7 @@ def build(description: dict[str, Any]) -> ReferenceEstimator:
 
     Returns
     -------
-    CGNF, SimpleBaseline, GaussianNoise or AmortizedPosterior
+    ReferenceEstimator
         With random initialisation.
 
     Raises
@@ -167,17 +180,20 @@ def build(description: dict[str, Any]) -> ReferenceEstimator:
         if kind == "simple-baseline":
             options = {name: description[name] for name in ("width", "residuals", "origin")}
             return SimpleBaseline(tuple(description["joints"]), tuple(description["keypoints"]), **options)
-        if kind == "amortized-posterior":
-            names = ("dimensions", "components", "width", "residuals", "position", "origin")
+        if kind in _OPTIONS:
+            optioned, names = _OPTIONS[kind]
             options = {name: description[name] for name in names}
-            return AmortizedPosterior(tuple(description["joints"]), tuple(description["keypoints"]), **options)
+            return optioned(tuple(description["joints"]), tuple(description["keypoints"]), **options)
         if kind == "gaussian-noise":
             mean = build(description["mean"])
             if isinstance(mean, SimpleBaseline):
                 return GaussianNoise(mean, spread=description["spread"])
     except (KeyError, TypeError) as problem:
         raise PoseDataError(f"weights: incomplete or invalid description ({problem}).") from problem
-    raise PoseDataError(f"weights: of {description.get('kind')!r}; expected one of posecal's kinds.")
+    raise PoseDataError(
+        f"weights: of {description.get('kind')!r}; expected cgnf, simple-baseline, "
+        f"gaussian-noise or {', '.join(_OPTIONS)}."
+    )
 
 
 def parameter_count(estimator: nn.Module) -> int:

@@ -17,34 +17,66 @@ from posecal.errors import PoseDataError
 from posecal_models.contract import Context, PointEstimate, check_keypoints
 from posecal_models.data.standardizer import Origin, Standardizer
 
-__all__ = ["SimpleBaseline", "from_public"]
+__all__ = ["HOURGLASS", "DenseLayer", "ResidualBlock", "SimpleBaseline", "check_all_keypoints", "from_public"]
+
+HOURGLASS = ("Hip", *(name for name in joint_set("h36m-16") if name != "Neck/Nose"))
+"""The 16 keypoints of the stacked hourglass network: the hip, but neither neck nor nose."""
 
 
-class _Layer(nn.Module):
+class DenseLayer(nn.Module):
     """Linear, batch norm, ReLU, dropout."""
 
-    def __init__(self, features: int, features_out: int, dropout: float) -> None:
+    def __init__(self, features: int, features_out: int, dropout: float, linear: type[nn.Linear] = nn.Linear) -> None:
         super().__init__()
-        self.linear = nn.Linear(features, features_out)
+        self.linear = linear(features, features_out)
         self.norm = nn.BatchNorm1d(features_out)
         self.dropout = nn.Dropout(dropout)
 
     def forward(self, features: Tensor) -> Tensor:
+        """Apply the layer, (M, features) to (M, features_out)."""
         result: Tensor = self.dropout(torch.relu(self.norm(self.linear(features))))
         return result
 
 
-class _Residual(nn.Module):
+class ResidualBlock(nn.Module):
     """Two layers whose output is added to their input."""
 
-    def __init__(self, width: int, dropout: float) -> None:
+    def __init__(self, width: int, dropout: float, linear: type[nn.Linear] = nn.Linear) -> None:
         super().__init__()
-        self.first = _Layer(width, width, dropout)
-        self.second = _Layer(width, width, dropout)
+        self.first = DenseLayer(width, width, dropout, linear)
+        self.second = DenseLayer(width, width, dropout, linear)
 
     def forward(self, features: Tensor) -> Tensor:
+        """Apply the block, (M, width) to (M, width)."""
         result: Tensor = features + self.second(self.first(features))
         return result
+
+
+def check_all_keypoints(context: Context, keypoints: tuple[str, ...], estimator: str) -> None:
+    """Check the keypoints of an estimator that reads every one, observed or not.
+
+    Parameters
+    ----------
+    context : Context
+        Keypoints of M poses.
+    keypoints : tuple of str
+        The names that the estimator reads, in order.
+    estimator : str
+        Its name, for messages.
+
+    Raises
+    ------
+    PoseDataError
+        Where there are more or fewer, or one is not finite (not checked on a GPU, where it would need a
+        synchronisation).
+    """
+    check_keypoints(context, keypoints)
+    if context.keypoints.device.type == "cpu" and not context.keypoints.isfinite().all():
+        missing = int((~context.keypoints.isfinite().all(-1)).sum())
+        raise PoseDataError(
+            f"keypoints: {missing:,} of {context.observed.numel():,} are not finite; "
+            f"{estimator} reads every keypoint. Give the detector's estimate, or use a cGNF."
+        )
 
 
 class SimpleBaseline(nn.Module):
@@ -93,8 +125,8 @@ class SimpleBaseline(nn.Module):
         super().__init__()
         self._joints = joint_set("h36m-16") if joints is None else joints
         self._keypoints = self._joints if keypoints is None else keypoints
-        self.first = _Layer(2 * len(self._keypoints), width, dropout)
-        self.residuals = nn.ModuleList(_Residual(width, dropout) for _ in range(residuals))
+        self.first = DenseLayer(2 * len(self._keypoints), width, dropout)
+        self.residuals = nn.ModuleList(ResidualBlock(width, dropout) for _ in range(residuals))
         self.last = nn.Linear(width, 3 * len(self._joints))
         self.standardizer = Standardizer(len(self._joints), origin=origin)
         for module in self.modules():
@@ -125,13 +157,7 @@ class SimpleBaseline(nn.Module):
             Where there are more or fewer, or one is not finite (not checked on a GPU, where it would need a
             synchronisation).
         """
-        check_keypoints(context, self.keypoints)
-        if context.keypoints.device.type == "cpu" and not context.keypoints.isfinite().all():
-            missing = int((~context.keypoints.isfinite().all(-1)).sum())
-            raise PoseDataError(
-                f"keypoints: {missing:,} of {context.observed.numel():,} are not finite; "
-                "SimpleBaseline reads every keypoint. Give the detector's estimate, or use a cGNF."
-            )
+        check_all_keypoints(context, self.keypoints, "SimpleBaseline")
 
     def standardised_poses(self, context: Context) -> Tensor:
         """Estimate standardised poses.

@@ -33,7 +33,10 @@ from posecal_models.contract import Context
 from posecal_models.estimators.cgnf.flow import SIZES, FlowSize
 from posecal_models.estimators.cgnf.graph import PoseGraph
 from posecal_models.estimators.cgnf.model import CGNF
+from posecal_models.estimators.cvae import CVAE
 from posecal_models.estimators.gaussian_noise import GaussianNoise
+from posecal_models.estimators.inn import INN
+from posecal_models.estimators.mixture_density import MixtureDensityNetwork
 from posecal_models.estimators.registry import build, describe
 from posecal_models.estimators.simple_baseline import SimpleBaseline
 from tests.models.random_flows import with_hip_keypoint
@@ -52,6 +55,9 @@ def estimators():
             CGNF(SIZES["tiny"]),
             baseline,
             GaussianNoise(SimpleBaseline(width=8), spread="coordinate"),
+            MixtureDensityNetwork(("a", "b"), ("b", "a"), components=2, width=8, residuals=1, variant="released"),
+            CVAE(width=8, residuals=1),
+            INN(width=8),
         ]
     for estimator in models:
         for buffer in estimator.buffers():
@@ -60,7 +66,7 @@ def estimators():
     return models
 
 
-@pytest.mark.parametrize("index", range(4))
+@pytest.mark.parametrize("index", range(7))
 def test_an_estimator_comes_back_from_its_file(tmp_path, index):
     estimator = estimators()[index].eval()
     save_estimator(tmp_path / "w.safetensors", estimator, notes={"poses": 12})

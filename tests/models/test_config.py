@@ -44,6 +44,8 @@ def test_all_problems_of_a_configuration_are_in_one_message():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
+        ("model.kind=cvae model.width=3", r"model\.width: 3 of a cvae; expected 4 or more"),
+        ("model.kind=cvae model.units=released", r"model\.units: released of a cvae; expected fitted"),
         ("train.epochs=0", r"train\.epochs: 0; expected 1 or more"),
         ("epochs=3", "expected table.name=value"),
         ("train.epoch=3", "train.epoch is not known. Did you mean epochs"),
@@ -53,7 +55,7 @@ def test_all_problems_of_a_configuration_are_in_one_message():
 )
 def test_a_change_that_does_not_fit_is_refused(change, words):
     with pytest.raises(PoseDataError, match=words):
-        Config().with_changes([change])
+        Config().with_changes(change.split())
 
 
 def test_a_change_may_be_text_a_number_or_a_list():

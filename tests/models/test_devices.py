@@ -34,6 +34,20 @@ CASES: dict[str, dict[str, dict[str, Any]]] = {
     "cgnf, L_sample": {"model": {"size": "tiny"}, "train": {"sample_weight": 0.1, "sample_loss": "pairs"}},
     "simple-baseline": BASELINE,
     "gaussian, likelihood": {"model": {"kind": "gaussian-noise"}},
+    "mixture-density": {
+        "model": {"kind": "mixture-density", "width": 8, "variant": "released"},
+        "train": {"objective": "published"},
+    },
+    "cvae, released": {
+        "model": {"kind": "cvae", "width": 8, "variant": "released"},
+        "train": {"objective": "published"},
+    },
+    "cvae, repaired": {"model": {"kind": "cvae", "width": 8}, "train": {"objective": "published"}},
+    "inn, released": {
+        "model": {"kind": "inn", "width": 8, "variant": "released"},
+        "train": {"objective": "published", "hypotheses": 7, "clip_by": "value"},
+    },
+    "inn, repaired": {"model": {"kind": "inn", "width": 8}, "train": {"objective": "published", "hypotheses": 7}},
     "gaussian, min-mpjpe": {"model": {"kind": "gaussian-noise"}, "train": {"objective": "min-mpjpe"}},
     "amortised posterior": {"model": {"kind": "amortized-posterior", "width": 16}, "train": {"truth_noise": 5.0}},
 }

@@ -148,3 +148,11 @@ def test_keypoints_that_can_t_be_read_are_refused_before_any_step(pairs, tmp_pat
     with pytest.raises(PoseDataError, match=r"1 of .* are not finite; SimpleBaseline reads every keypoint"):
         trained(replace(pairs, observed=pairs.observed & np.isfinite(pairs.keypoints).all(-1)), tmp_path, BASELINE)
     assert not (tmp_path / "run").exists()
+
+
+def test_a_published_model_reads_the_hip_s_keypoint_where_there_is_one(pairs, tmp_path):
+    pairs.save(tmp_path / "pairs.npz")
+    config = Config.load("mdn").with_changes(["model.width=8", "train.steps_per_epoch=1", "train.epochs=1"])
+    estimator = prepare(config, tmp_path / "pairs.npz", tmp_path / "run").estimator
+    assert estimator.keypoints[0] == "Hip"
+    assert "Neck/Nose" not in estimator.keypoints

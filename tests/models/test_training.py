@@ -175,7 +175,13 @@ def test_the_learning_rate_falls_on_a_plateau_and_the_training_stops_at_the_thir
 
 
 @pytest.mark.parametrize(
-    ("schedule", "step", "rate"), [("exponential", 250_000, 1e-3 * 0.96**2), ("cosine", 500, 5e-4), ("cosine", 0, 1e-3)]
+    ("schedule", "step", "rate"),
+    [
+        ("exponential", 250_000, 1e-3 * 0.96**2),
+        ("continuous", 250_000, 1e-3 * 0.96**2.5),
+        ("cosine", 500, 5e-4),
+        ("cosine", 0, 1e-3),
+    ],
 )
 def test_the_other_schedules_follow_their_formulas(schedule, step, rate):
     config = Config.from_table({"train": {"schedule": schedule}}).train
