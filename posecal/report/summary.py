@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
@@ -21,6 +20,7 @@ from posecal.stats.resampling import MIN_SEQUENCES
 from posecal.stats.uncertainty import (
     are_points,
     p_without_each,
+    weights_allow_no_test,
 )
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def _of_statistics(report: Report) -> Iterator[str]:
             f"{units} allow{'s' * (sequences == 1)} no test: even if all err alike, chance would do that in "
             f"{2 / 2**sequences:.0%} of cases. At least {MIN_SEQUENCES} are needed for a p-value."
         )
-    elif sequences < FEW_SEQUENCES and "ece" in report.metrics and not math.isnan(report.test("ece").p):
+    elif sequences < FEW_SEQUENCES and _is_tested(report):
         yield _of_symmetry(report)
     if "occlusion" in report.by:
         yield occlusion_words(totals.protocol, totals.spec)
@@ -88,6 +88,13 @@ def _joints_without_a_rank(totals: Totals) -> list[str]:
         return []
     empty = np.asarray(counts[NAME].any(axis=0) & ~counts[ranks][:, :-1].any(axis=0))
     return [totals.spec.joints[k] for k in np.flatnonzero(empty)]
+
+
+def _is_tested(report: Report) -> bool:
+    """Whether the ECE has a p-value, of enough sequences, without its computation."""
+    if "ece" not in report.metrics or not report.count("ece"):
+        return False
+    return not are_points(report.totals, report.metrics["ece"]) and not weights_allow_no_test(report.totals)
 
 
 def _of_symmetry(report: Report) -> str:

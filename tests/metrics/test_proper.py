@@ -184,3 +184,21 @@ def test_of_one_hypothesis_a_block_s_scores_are_not_numbers() -> None:
 @pytest.mark.parametrize("name", ["energy", "crps", "variogram"])  # the Brier score needs three
 def test_of_two_hypotheses_every_score_is_a_number(name: str) -> None:
     assert np.isfinite(SCORES[name](*skewed(14, 2, 5, 4))).all()
+
+
+@pytest.mark.parametrize("name", ["energy", "crps", "variogram"])
+@pytest.mark.parametrize("absent", [0, 1, 3])
+def test_a_joint_that_does_not_count_is_as_if_it_were_not_there(name: str, absent: int) -> None:
+    x, y = skewed(9, 7, 6, 5)
+    where = np.ones((6, 5), dtype=bool)
+    where[:, absent] = False
+    others = np.delete(x, absent, axis=2), np.delete(y, absent, axis=1)
+    np.testing.assert_allclose(SCORES[name](x, y, where=where), SCORES[name](*others), **AGREE)
+
+
+def test_one_pair_of_joints_has_its_own_variogram() -> None:
+    """Distances of 4 in both hypotheses and of 1 in the truth: (√4 - √1)²."""
+    x, y = np.zeros((2, 3, 2, 3)), np.zeros((3, 2, 3))
+    x[:, :, 1, 0], y[:, 1, 0] = 4, 1
+    x[1] += 1
+    np.testing.assert_allclose(variogram_score(x, y, unit="mm", axes="NMKD"), 1, rtol=1e-6)
