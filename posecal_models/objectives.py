@@ -257,7 +257,7 @@ def energy_score(
     return torch.as_tensor(posecal.metrics.energy_score(drawn, truth.cpu().numpy(), axes="NMKD", unit="mm").mean())
 
 
-TEMPERATURES = (0.9, 0.95, 1.0, 1.05, 1.1, 1.15, 1.2, 1.3)
+TEMPERATURES = tuple(hundredths / 100 for hundredths in range(90, 155, 5))
 
 
 def fit_temperature(estimator: AmortizedPosterior, context: Context, truth: Tensor, seed: int) -> None:

@@ -353,14 +353,15 @@ def test_a_pickle_that_is_no_checkpoint_is_refused(tmp_path):
 WEIGHTS = ROOT / "posecal_models" / "weights"
 
 
-def test_the_small_cgnf_is_under_5_mb_and_has_its_card():
-    assert named_weights() == ("cgnf-small",)
-    assert (WEIGHTS / "cgnf-small.safetensors").stat().st_size < 5e6
-    card = " ".join((WEIGHTS / "cgnf-small.md").read_text(encoding="utf-8").split())
+@pytest.mark.parametrize(("name", "size"), [("cgnf-small", 5e6), ("reference", 10e6)])
+def test_named_weights_are_small_and_have_their_card(name, size):
+    assert named_weights() == ("cgnf-small", "reference")
+    assert (WEIGHTS / f"{name}.safetensors").stat().st_size < size
+    card = " ".join((WEIGHTS / f"{name}.md").read_text(encoding="utf-8").split())
     for words in (
         "The data used in this project was obtained from mocap.cs.cmu.edu.",
         "The database was created with funding from NSF EIA-0196217.",
-        ", ".join(load_estimator("cgnf-small").joints),
+        ", ".join(load_estimator(name).joints),
         "Cameras",
         "Limits",
     ):

@@ -11,18 +11,16 @@ import torch
 import posecal
 from posecal_models import cli
 from posecal_models.checkpoint import load_estimator, notes_of
+from posecal_models.contract import Context
+from posecal_models.data.detector import Detector
 from posecal_models.data.lifting_set import LiftingSet
 from posecal_models.data.mocap import MocapPoses
 from posecal_models.sample import sample_to_file
-
-WEIGHTS = Path(cli.__file__).parent / "weights"
 
 
 @pytest.fixture(scope="module")
 def images() -> LiftingSet:
     """Every eighth frame of the captured motion in two cameras, with the detector's noise."""
-    from posecal_models.data.detector import Detector
-
     return Detector().detect_set(MocapPoses(cli._CAPTURED_MOTION).project(every=8, views=2))
 
 
@@ -44,11 +42,10 @@ def test_its_hypotheses_have_legs_of_one_length(images):
     """Within a hypothesis left and right thigh differ by some centimetres, as joints of one body do."""
     model = load_estimator("reference")
     at = {name: k for k, name in enumerate(model.joints)}
-    context = images.images.in_order_of(model.keypoints)
-    from posecal_models.sample import _context
-
+    here = images.images.in_order_of(model.keypoints)
+    context = Context(*map(torch.from_numpy, (here.keypoints, here.observed, here.sigma)))
     with torch.inference_mode():
-        drawn = model(_context(context, slice(None), "cpu")).sample(20, generator=torch.Generator().manual_seed(0))
+        drawn = model(context).sample(20, generator=torch.Generator().manual_seed(0))
     left, right = (
         torch.linalg.vector_norm(drawn[:, :, at[f"{side}Knee"]] - drawn[:, :, at[f"{side}Hip"]], dim=-1)
         for side in "LR"
@@ -64,9 +61,3 @@ def test_the_captured_motion_is_of_people_that_are_held_out():
     assert set(mocap.subject.tolist()) <= held_out
     assert len(mocap.poses) == 320
     assert "mocap.cs.cmu.edu" in str(np.load(cli._CAPTURED_MOTION)["licence"])
-
-
-def test_its_weights_are_small_and_described():
-    assert (WEIGHTS / "reference.safetensors").stat().st_size < 10_000_000
-    card = (WEIGHTS / "reference.md").read_text(encoding="utf-8")
-    assert all(word in card for word in ("mocap.cs.cmu.edu", "Limits", "Evaluation"))
