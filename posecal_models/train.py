@@ -11,16 +11,15 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import torch
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
-from posecal.data.write import written_together
-from posecal.errors import PoseDataError, PoseFileError, refuse_unreadable
-from posecal_models.checkpoint import read_tensors, save_estimator, write_tensors
+from posecal.errors import PoseDataError
+from posecal_models import training_state
 from posecal_models.config import Config
 from posecal_models.contract import Context
 from posecal_models.cuda_graph import RecordedStep
@@ -32,7 +31,8 @@ from posecal_models.estimators.amortized_posterior import AmortizedPosterior
 from posecal_models.estimators.registry import ReferenceEstimator
 from posecal_models.objectives import build_objective, energy_score, fit_temperature
 from posecal_models.schedule import Schedule
-from posecal_models.training_folder import CHECKPOINT, WEIGHTS, check_same, write_losses
+from posecal_models.training_folder import CHECKPOINT
+from posecal_models.training_state import selection_loss
 
 __all__ = ["Training", "TrainingProgress"]
 
@@ -90,6 +90,12 @@ class Training:
     ----------
     step, epoch : int
         Steps and epochs done so far.
+    best : dict of str to Tensor
+        The weights with the lowest validation loss.
+    step_losses : list of float
+        The loss of every step so far.
+    epoch_losses : list of tuple of float
+        Epoch, step, learning rate, training and validation loss, of every epoch so far.
     """
 
     def __init__(
@@ -139,10 +145,10 @@ class Training:
         self.schedule = Schedule(config.train, self.steps_per_epoch * config.train.epochs)
         self.step = self.epoch = 0
         self.best: dict[str, Tensor] = {}
-        self._step_losses: list[float] = []
+        self.step_losses: list[float] = []
         self._unread: list[Tensor] = []
         self._last_losses: dict[str, float] = {}
-        self._epochs: list[tuple[float, ...]] = []
+        self.epoch_losses: list[tuple[float, ...]] = []
         self._order: tuple[int, Tensor] | None = None
 
     def run(self, *, on_step: Callable[[TrainingProgress], None] | None = None, max_steps: int | None = None) -> None:
@@ -244,7 +250,7 @@ class Training:
             self.average.update_parameters(self.estimator)
         self.step += 1
         if device.type == "cpu" or len(self._unread) >= _STEPS_BETWEEN_READS:
-            self._read_losses()
+            self.read_losses()
 
     def update(
         self, keypoints: Tensor, observed: Tensor, sigma: Tensor, truth: Tensor, noise: Tensor | None = None
@@ -277,8 +283,14 @@ class Training:
         self._loss_names = list(losses)
         return torch.stack([*(loss.detach() for loss in losses.values()), norm])
 
-    def _read_losses(self) -> None:
-        """Read the losses of the last steps, and check that all are finite."""
+    def read_losses(self) -> None:
+        """Read the losses of the last steps, and check that all are finite.
+
+        Raises
+        ------
+        PoseDataError
+            Where one is not.
+        """
         if not self._unread:
             return
         first = self.step - len(self._unread)
@@ -287,7 +299,7 @@ class Training:
             self._last_losses = dict(zip(self._loss_names, numbers, strict=True))
             self._check_finite(step, self._last_losses, norm)
             losses.append(self._last_losses["loss"])
-        self._step_losses += losses
+        self.step_losses += losses
         self._unread = []  # not before: weights that a loss made useless are never saved
 
     def _check_finite(self, step: int, losses: dict[str, float], norm: float) -> None:
@@ -307,15 +319,15 @@ class Training:
         return f"{checkpoint}Lower train.learning_rate ({self.schedule.learning_rate(step):.3g})"
 
     def _end_epoch(self) -> None:
-        self._read_losses()
+        self.read_losses()
         self.epoch += 1
-        recent = self._step_losses[-self.steps_per_epoch :]
+        recent = self.step_losses[-self.steps_per_epoch :]
         train = sum(recent) / len(recent)
         validation = self._validate()
         rate = self.schedule.learning_rate(self.step - 1)
         validation_loss = math.nan if validation is None else validation
-        self._epochs.append((float(self.epoch), float(self.step), rate, train, validation_loss))
-        loss = _selection_loss(self._epochs[-1])
+        self.epoch_losses.append((float(self.epoch), float(self.step), rate, train, validation_loss))
+        loss = selection_loss(self.epoch_losses[-1])
         if loss < self.schedule.best:
             self.best = {name: t.detach().clone() for name, t in self.estimate.state_dict().items()}
         self.schedule.after_epoch(loss)
@@ -351,97 +363,15 @@ class Training:
             self.schedule.total_steps,
             self.schedule.learning_rate(self.step - 1),
             self._last_losses,
-            self._epochs[-1][-1] if self._epochs and self.validation is not None else None,
+            self.epoch_losses[-1][-1] if self.epoch_losses and self.validation is not None else None,
         )
 
     def save(self) -> None:
-        """Write checkpoint, weights and loss curve, all or none.
-
-        Raises
-        ------
-        PoseDataError
-            Where a loss is not finite.
-        PoseFileError
-            Where one can't be written.
-        """
-        self._read_losses()
-        if not self.processes.is_main:
-            return
-        tensors = {f"weights.{name}": tensor for name, tensor in self.estimator.state_dict().items()}
-        tensors |= {f"best.{name}": tensor for name, tensor in self.best.items()}
-        if self.average is not None:
-            tensors |= {f"average.{name}": tensor for name, tensor in self.average.state_dict().items()}
-        for name, parameter in self.parameters.items():
-            for moment, tensor in self.optimizer.state.get(parameter, {}).items():
-                tensors[f"adam.{moment}.{name}"] = tensor
-        tensors |= {f"objective.{name}": tensor for name, tensor in self.objective.state().items()}
-        tensors["losses.steps"] = torch.tensor(self._step_losses, dtype=torch.float64)
-        tensors["losses.epochs"] = torch.tensor(self._epochs, dtype=torch.float64).view(-1, 5)
-        notes = {"config": self.config.table(), "epochs": self.epoch, "steps": self.step, "poses": len(self.data)}
-        if self._epochs:
-            notes["weights_of_step"] = int(min(self._epochs, key=_selection_loss)[1])
-        with written_together():
-            write_tensors(self.folder / CHECKPOINT, tensors, self._state())
-            write_losses(self.folder, self._epochs)
-            half = self.config.train.precision == "half"
-            save_estimator(self.folder / WEIGHTS, self.estimate, tensors=self.best or None, notes=notes, half=half)
-
-    def _state(self) -> dict[str, Any]:
-        schedule = self.schedule
-        return {
-            "training": {"config": self.config.table(), "step": self.step, "epoch": self.epoch, "data": self.digests},
-            "schedule": {"best": schedule.best, "waited": schedule.bad_epochs, "drops": schedule.drops},
-        }
+        """Write checkpoint, weights and loss curve, all or none; see :func:`posecal_models.training_state.save`."""
+        self.read_losses()
+        if self.processes.is_main:
+            training_state.save(self)
 
     def resume(self) -> None:
-        """Load the checkpoint in the folder.
-
-        The number of epochs may differ from that at the start; a cosine schedule then changes its slope.
-
-        Raises
-        ------
-        PoseFileError
-            Where there is none, or it is damaged.
-        PoseDataError
-            Where it is of another configuration or of other data.
-        """
-        path = self.folder / CHECKPOINT
-        tensors, about = read_tensors(path, device=self.data.device)
-        if "training" not in about:
-            raise PoseFileError(f"{path}: holds no training; expected a checkpoint.")
-        with refuse_unreadable(path, "holds no complete training ({}). Give another folder."):
-            check_same(path, about["training"], self.config, self.digests)
-            self.step, self.epoch = about["training"]["step"], about["training"]["epoch"]
-            schedule = about["schedule"]
-            self.schedule.best, self.schedule.bad_epochs = schedule["best"], schedule["waited"]
-            self.schedule.drops = schedule["drops"]
-            self.estimator.load_state_dict(_with_prefix("weights.", tensors))
-            self.best = _with_prefix("best.", tensors)
-            if self.average is not None:
-                self.average.load_state_dict(_with_prefix("average.", tensors))
-            for name, parameter in self.parameters.items():
-                moments = {
-                    moment: tensors[f"adam.{moment}.{name}"]
-                    for moment in ("step", "exp_avg", "exp_avg_sq")
-                    if f"adam.{moment}.{name}" in tensors
-                }
-                if moments:
-                    self.optimizer.state[parameter] = moments
-            self.objective.load_state(_with_prefix("objective.", tensors))
-            self._step_losses = tensors["losses.steps"].tolist()
-            self._epochs = [tuple(row) for row in tensors["losses.epochs"].tolist()]
-
-    @property
-    def step_losses(self) -> list[float]:
-        """The loss of every step so far."""
-        return list(self._step_losses)
-
-
-def _with_prefix(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
-    return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
-
-
-def _selection_loss(epoch: tuple[float, ...]) -> float:
-    """Return the loss that weights are selected by: that of validation, or of training where there is none."""
-    *_, train, validation = epoch
-    return train if math.isnan(validation) else validation
+        """Load the checkpoint in the folder; see :func:`posecal_models.training_state.resume`."""
+        training_state.resume(self)

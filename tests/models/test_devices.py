@@ -239,5 +239,5 @@ def test_losses_of_a_gpu_are_read_every_fifty_steps(monkeypatch, motion_file, tm
         run.one_step()
         read.append(len(run.step_losses))
     assert read == [*[0] * 49, 50, 50]
-    run._read_losses()
+    run.read_losses()
     assert len(run.step_losses) == 51
