@@ -18,6 +18,7 @@ from posecal.data.weights import are_unequal
 from posecal.engine.protocol import Protocol, named_joints
 from posecal.errors import PoseDataError, first_few
 from posecal.errors import option as named
+from posecal.geometry.procrustes import FEWEST_JOINTS
 
 MESHES = (6890, 10475, 778)
 """How many vertices the meshes of SMPL, SMPL-X and MANO have."""
@@ -238,7 +239,7 @@ class Scope:
         """Say which joints a metric lacks: those of PCK and AUC, of CPS, or of an alignment; nothing for others."""
         p = self.protocol
         align = p.align if name.startswith("pa_") else p.cps_align if "cps" in name else "none"
-        least = {"none": 1, "rigid": 2}.get(align, 3)  # of fewer all alignments are perfect
+        least = FEWEST_JOINTS.get(align, 1)
         if self.fit.sum() < least:
             return f"at least {least} joints to align"
         kind = "pck" if "pck" in name or "auc" in name else "cps" if "cps" in name else ""

@@ -37,6 +37,9 @@ Alignment = Literal["none", "similarity", "rigid", "reflection", "scale", "norm_
 ALIGNMENTS: tuple[Alignment, ...] = get_args(Alignment)
 _ROTATING = ("similarity", "rigid", "reflection")
 
+FEWEST_JOINTS: dict[Alignment, int] = {"similarity": 3, "rigid": 2, "reflection": 3, "rms_mean": 2}
+"""Joints of fewer of which an alignment is perfect whatever the pose; 1 for the others."""
+
 _TIE = 1e-4
 """Below this relative gap between the best and the other rotations, decompose: there, rounding costs 1e-16 / gap²."""
 

@@ -14,7 +14,7 @@ import numpy as np
 from posecal.data.arrays import BoolArray, FloatArray
 from posecal.engine.block import Block
 from posecal.errors import PoseDataError
-from posecal.geometry.procrustes import Alignment, aligned_errors
+from posecal.geometry.procrustes import FEWEST_JOINTS, Alignment, aligned_errors
 
 OfPoses = Literal["mean_pose", "median_pose", "weighted_pose", "mode"]
 OF_POSES: tuple[OfPoses, ...] = get_args(OfPoses)
@@ -89,12 +89,18 @@ def joint_errors(
     Raises
     ------
     PoseDataError
-        For an alignment of angles.
+        For an alignment of angles, or of so few joints that it is perfect whatever the pose.
     """
     if align == "none" and of is None:
         return block.errors
     if align != "none" and block.period is not None:
         raise PoseDataError(f"align: {align}; expected none for angles, which have no place and no size.")
+    least = FEWEST_JOINTS.get(align, 1)
+    if block.truth.shape[1] < least:
+        raise PoseDataError(
+            f"align: {align} of poses with {block.truth.shape[1]} joints, which it fits whatever they are; expected at "
+            f"least {least} joints, or none."
+        )
     key = ("joint_errors", align, of, _bytes(None if align == "none" else fit), mode)
 
     def compute() -> FloatArray:

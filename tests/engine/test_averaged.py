@@ -55,7 +55,8 @@ def test_averaged_calibration_and_its_null_are_those_of_equally_large_groups(lab
             np.testing.assert_allclose(one.value(name), other.value(name), rtol=1e-9, err_msg=name)
         if metric.deviation is not None:
             found, expected = (vars(report.test(name)) for report in (one, other))
-            np.testing.assert_allclose(list(found.values()), list(expected.values()), rtol=1e-4, err_msg=name)
+            # the noise of the median, which the null takes into account, is that of one frame, and copies share it
+            np.testing.assert_allclose(list(found.values()), list(expected.values()), rtol=5e-2, err_msg=name)
 
 
 @pytest.mark.parametrize("label", ["sequence", "action"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import posecal
 from posecal.engine.block import Block
 from posecal.errors import PoseDataError
 from posecal.geometry.procrustes import ALIGNMENTS, Alignment
@@ -77,6 +78,15 @@ def test_joints_that_are_not_scored_take_part_in_the_fit(
     np.testing.assert_allclose(
         found.T, oracles.pose_errors(moved, y, scored & (np.arange(K) != 3)), rtol=1e-9, atol=1e-6
     )
+
+
+@pytest.mark.parametrize(("align", "joints", "least"), [("similarity", 2, 3), ("reflection", 2, 3), ("rigid", 1, 2)])
+def test_an_alignment_of_too_few_joints_is_refused(align: Alignment, joints: int, least: int) -> None:
+    x, y = np.ones((3, 4, joints, 3)), np.zeros((4, joints, 3))
+    message = rf"^align: {align} of poses with {joints} joints, .* expected at least {least} joints, or none\.$"
+    for metric in (posecal.metrics.mpjpe, posecal.metrics.min_mpjpe, posecal.metrics.cps):
+        with pytest.raises(PoseDataError, match=message):
+            metric(x, y, axes="NMKD", unit="mm", align=align)
 
 
 def test_two_fits_do_not_share_a_result(arrays: tuple[Array, Array]) -> None:
