@@ -17,7 +17,7 @@ _LARGEST = 2**31 - 1
 
 @dataclass(frozen=True)
 class Limit:
-    """The range of a setting, written ``views: Annotated[int, Limit(1)]``.
+    """The range of a setting, written ``every: Annotated[int, Limit(1)]``.
 
     Attributes
     ----------
@@ -59,9 +59,9 @@ def check_limits(settings: Any, table: str) -> None:
     Examples
     --------
     >>> from posecal_models.config import DataConfig  # its fields have limits, and it calls this function
-    >>> DataConfig(views=0)
+    >>> DataConfig(every=0)
     Traceback (most recent call last):
-    posecal.errors.PoseDataError: data.views: 0; expected 1 or more.
+    posecal.errors.PoseDataError: data.every: 0; expected 1 or more.
     """
     hints = get_type_hints(type(settings), include_extras=True)
     limits = [
