@@ -11,7 +11,7 @@ import posecal
 from posecal.errors import PoseDataError
 from posecal_models.adversarial import InvertibleLosses
 from posecal_models.config import TrainConfig
-from posecal_models.contract import Context, PoseDistribution, standard_normal
+from posecal_models.contract import Context, standard_normal
 from posecal_models.estimators.amortized_posterior import AmortizedPosterior
 from posecal_models.estimators.cgnf.model import CGNF
 from posecal_models.estimators.cvae import CVAE
@@ -30,7 +30,6 @@ __all__ = [
     "Objective",
     "SquaredError",
     "build_objective",
-    "energy_score",
     "fit_temperature",
     "mode_error",
 ]
@@ -230,31 +229,6 @@ class BestOfN(Objective):
         distribution = self.estimator(context)
         errors = torch.linalg.vector_norm(distribution.mean + distribution.sigma * noise - truth, dim=-1)
         return {"loss": torch.mean(torch.amin(torch.mean(errors, dim=-1), dim=0))}
-
-
-def energy_score(
-    distribution: PoseDistribution, truth: Tensor, generator: torch.Generator, hypotheses: int = 50
-) -> Tensor:
-    """Compute the mean energy score of hypotheses of each pose, see :func:`posecal.metrics.energy_score`.
-
-    Parameters
-    ----------
-    distribution : PoseDistribution
-        Of M poses.
-    truth : Tensor
-        (M, K, 3), mm.
-    generator : torch.Generator
-        The source of randomness, of the CPU.
-    hypotheses : int
-        N.
-
-    Returns
-    -------
-    Tensor
-        Scalar, mm; lower is better.
-    """
-    drawn = distribution.sample(hypotheses, generator=generator).cpu().numpy()
-    return torch.as_tensor(posecal.metrics.energy_score(drawn, truth.cpu().numpy(), axes="NMKD", unit="mm").mean())
 
 
 TEMPERATURES = tuple(hundredths / 100 for hundredths in range(90, 155, 5))

@@ -20,6 +20,7 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from posecal.errors import PoseDataError
 from posecal_models import training_state
+from posecal_models.adversarial import energy_score
 from posecal_models.config import Config
 from posecal_models.contract import Context
 from posecal_models.cuda_graph import RecordedStep
@@ -29,7 +30,7 @@ from posecal_models.data.training_set import TrainingSet, draw_graphs, seeded_ge
 from posecal_models.distributed import ProcessGroup
 from posecal_models.estimators.amortized_posterior import AmortizedPosterior
 from posecal_models.estimators.registry import ReferenceEstimator
-from posecal_models.objectives import build_objective, energy_score, fit_temperature
+from posecal_models.objectives import build_objective, fit_temperature
 from posecal_models.schedule import Schedule
 from posecal_models.training_folder import CHECKPOINT
 from posecal_models.training_state import selection_loss
@@ -37,6 +38,9 @@ from posecal_models.training_state import selection_loss
 __all__ = ["Training", "TrainingProgress"]
 
 _ORDER, _BATCH, _VALIDATION = 1, 2, 3
+
+_HYPOTHESES = 50
+"""Of each validation pose, for its energy score."""
 
 _STEPS_BETWEEN_READS = 50
 """Steps of a GPU after which the losses are read, which needs a synchronisation."""
@@ -343,7 +347,8 @@ class Training:
         if isinstance(estimator, AmortizedPosterior):
             fit_temperature(estimator, context, truth, self.config.train.seed)
         if self.config.train.selection == "energy-score":
-            local_losses = {"loss": energy_score(estimator(context), truth, generator)}
+            drawn = estimator(context).sample(_HYPOTHESES, generator=generator)
+            local_losses = {"loss": energy_score(drawn.flatten(2), truth.flatten(1)).mean()}
         else:
             objective = build_objective(estimator, self.config.train)
             local_losses = objective(context, truth, objective.noise(truth, generator))

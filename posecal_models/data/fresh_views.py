@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
+from torch.nn.functional import normalize
 
 from posecal.data.joint_names import joint_keys
 from posecal.data.skeleton import Skeleton
@@ -181,7 +182,7 @@ class FreshViews:
         ahead = middle - position
         right = torch.linalg.cross(ahead, torch.tensor([0.0, 0.0, 1.0], device=self.device).expand_as(ahead))
         axes = torch.stack([right, torch.linalg.cross(ahead, right), ahead], dim=1)
-        return _normalised(axes), position
+        return normalize(axes, dim=-1), position
 
     def _vary_bones(self, poses: Tensor, generator: torch.Generator) -> Tensor:
         if not self.body_variation:
@@ -213,15 +214,10 @@ class FreshViews:
         return result
 
 
-def _normalised(axes: Tensor) -> Tensor:
-    """Scale vectors (..., 3) to length 1."""
-    return torch.nn.functional.normalize(axes, dim=-1)
-
-
 def _frame(across: Tensor, upwards: Tensor) -> Tensor:
     """Return orthonormal axes as columns (B, 3, 3): across the body, upwards, and their cross product."""
-    x = _normalised(across)
-    y = _normalised(upwards - (upwards * x).sum(-1, keepdim=True) * x)
+    x = normalize(across, dim=-1)
+    y = normalize(upwards - (upwards * x).sum(-1, keepdim=True) * x, dim=-1)
     return torch.stack([x, y, torch.linalg.cross(x, y)], dim=-1)
 
 

@@ -193,6 +193,13 @@ def test_directions_in_which_poses_do_not_vary_are_left_out_when_asked_for():
         model.fit(*images(300))
 
 
+def test_a_keypoint_that_few_images_have_is_named():
+    poses, context = images(300)
+    context.observed[12:, 2] = False
+    with pytest.raises(PoseDataError, match=r"^keypoints: joint 2 is observed in 12 of 300 images; expected 13"):
+        AmortizedPosterior(NAMES, NAMES, width=4).fit(poses, context)
+
+
 def test_keypoints_relative_to_a_root_are_refused():
     with pytest.raises(PoseDataError, match=r"^model\.origin: root of an amortised posterior; expected observed or"):
         AmortizedPosterior(NAMES, NAMES, origin="root")
@@ -242,11 +249,15 @@ def test_a_training_that_was_stopped_goes_on_to_the_same_weights(motion_file, tm
 
 def test_what_is_saved_is_the_moving_average_that_was_validated(motion_file, tmp_path):
     run = training(motion_file, tmp_path / "run")
-    run.run()
+    average = None
+    while not run.finished:
+        run.run(max_steps=run.step + 1)
+        weights = run.estimator.first.weight.detach()
+        average = weights.clone() if average is None else 0.9 * average + 0.1 * weights
+    torch.testing.assert_close(run.estimate.first.weight, average)
+    assert not torch.equal(average, weights)
     saved = load_estimator(tmp_path / "run/weights.safetensors")
     assert round(float(saved.temperature), 6) in TEMPERATURES
-    average, weights = run.estimate.first.weight, run.estimator.first.weight
-    assert not torch.equal(average, weights)
     best = run.best["first.weight"]
     torch.testing.assert_close(saved.first.weight, best, atol=1e-3, rtol=1e-3)
 

@@ -9,9 +9,11 @@ import torch
 from posecal.data.skeleton import Skeleton, joint_set
 from posecal.errors import PoseDataError
 from posecal_models.config import Config
+from posecal_models.contract import Context
 from posecal_models.data.cameras import Camera
 from posecal_models.data.detector import Detector
 from posecal_models.data.fresh_views import FreshViews
+from posecal_models.data.masks import remove_keypoints
 from posecal_models.data.mocap import MocapPoses
 from posecal_models.data.training_set import seeded_generator
 from posecal_models.preparation import split
@@ -124,3 +126,29 @@ def test_limbs_that_are_not_there_are_named(motion_file, tmp_path):
     mocap = MocapPoses(tmp_path / "other.npz")
     with pytest.raises(PoseDataError, match=r"^data\.limb_exchange: the poses have no LWrist; expected the joints"):
         FreshViews(mocap, np.arange(3), JOINTS[:5], JOINTS[:5], detector=EXACT, limb_exchange=0.5)
+
+
+def test_exchanged_limbs_lie_to_the_shoulders_as_they_lay_to_their_own(motion_file):
+    """The upper arm's share along the shoulders is that of one of the poses."""
+    data = views(motion_file, limb_exchange=1.0)
+    names = joint_set("h36m-17")
+    left, right, elbow = (names.index(name) for name in ("LShoulder", "RShoulder", "LElbow"))
+
+    def along(poses: torch.Tensor) -> torch.Tensor:
+        across = torch.nn.functional.normalize(poses[:, left] - poses[:, right], dim=-1)
+        return ((poses[:, elbow] - poses[:, left]) * across).sum(-1)
+
+    poses = data.poses[:160]  # of people who turn to all sides
+    after = along(data._exchange_limbs(poses, seeded_generator(6)))
+    torch.testing.assert_close(after.sort().values, along(poses).sort().values, atol=0.05, rtol=0)
+    assert not torch.allclose(after, along(poses), atol=1.0)
+
+
+def test_of_a_removed_keypoint_nothing_is_left():
+    sigma = torch.full((4000, 16), 25.0)
+    whole = Context(torch.zeros(4000, 16, 2), torch.ones(4000, 16, dtype=torch.bool), sigma)
+    left = remove_keypoints(whole, 0.25, seeded_generator(7))
+    assert torch.equal(left.sigma.isinf(), ~left.observed)
+    assert torch.equal(left.sigma[left.observed], sigma[left.observed])
+    share = float((~left.observed).float().mean())
+    assert abs(share - 0.125) < 0.02
