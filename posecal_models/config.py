@@ -12,9 +12,10 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal
 
 from posecal.errors import PoseDataError, PoseFileError, did_you_mean, raise_all, refuse_unreadable
+from posecal_models.config_tables import from_table
 from posecal_models.data.detector import Detector
 from posecal_models.limits import LARGEST_SEED, Limit, check_limits
 
@@ -303,7 +304,7 @@ class Config:
             Where a name is unknown or a value is invalid; all problems in one error.
         """
         problems: list[str] = []
-        config = _from_table(cls, table, "", problems)
+        config = from_table(cls, table, "", problems)
         raise_all(problems)
         if config is None:
             raise PoseDataError("config: can't be read.")
@@ -384,48 +385,3 @@ class Config:
 def named_configs() -> tuple[str, ...]:
     """Name the configurations that come with the package."""
     return tuple(sorted(path.stem for path in _FOLDER.glob("*.toml")))
-
-
-_T = TypeVar("_T")
-
-
-def _from_table(cls: type[_T], table: dict[str, Any], prefix: str, problems: list[str]) -> _T | None:
-    hints = get_type_hints(cls)
-    values: dict[str, Any] = {}
-    before = len(problems)
-    for name, value in table.items():
-        where = f"{prefix}{name}"
-        if name not in hints:
-            problems.append(f"config: {where} is not known. {did_you_mean(name, hints)}")
-        elif dataclasses.is_dataclass(hints[name]):
-            if isinstance(value, dict):
-                values[name] = _from_table(hints[name], value, f"{where}.", problems)
-            else:
-                problems.append(f"config: {where} is {value!r}; expected a table.")
-        else:
-            values[name] = _value(hints[name], value, where, problems)
-    if len(problems) > before:
-        return None
-    try:
-        return cls(**values)
-    except PoseDataError as problem:
-        problems.append(f"config: {problem}")
-        return None
-
-
-def _value(hint: Any, value: Any, where: str, problems: list[str]) -> Any:
-    if get_origin(hint) is Literal:
-        if value not in get_args(hint):
-            problems.append(f"config: {where} is {value!r}; expected one of {', '.join(get_args(hint))}.")
-        return value
-    if get_origin(hint) is tuple:
-        if not isinstance(value, (list, tuple)) or not all(isinstance(item, str) for item in value):
-            problems.append(f"config: {where} is {value!r}; expected a list of names.")
-            return ()
-        return tuple(value)
-    # integers beyond the range of a float are refused
-    number = isinstance(value, float) or (type(value) is int and abs(value) < 2**1000)
-    fits = number if hint is float else type(value) is hint
-    if not fits:
-        problems.append(f"config: {where} is {value!r}; expected {hint.__name__}.")
-    return float(value) if hint is float and number else value
