@@ -58,9 +58,7 @@ def accuracy_and_calibration(comparison: PairedModels, *, ax: Axes | None = None
         if not math.isnan(interval.low):
             ax.plot([x, x], [interval.low, interval.high], color=ink(), lw=0.8, zorder=1)
         ax.plot(x, y, marker=markers[number % len(markers)], color=ink(), ms=5, ls="", gid=name)
-        behind = {"facecolor": ax.get_facecolor(), "edgecolor": "none", "alpha": 0.8, "pad": 0.5}  # over others' bars
-        at = {"xytext": (6, 3), "textcoords": "offset points"}
-        ax.annotate(printable(name), (x, y), **at, fontsize="small", bbox=behind)
+        ax.annotate(printable(name), (x, y), xytext=(6, 3), textcoords="offset points", fontsize="small")
     most = max(comparison.value("ece", name) for name in comparison.names)
     unit = comparison.metrics["min_mpjpe"].unit
     ax.set(xlabel="ECE (exchangeable)", ylabel=f"minMPJPE [{unit}]" if unit else "minMPJPE")
