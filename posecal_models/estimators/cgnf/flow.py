@@ -168,7 +168,8 @@ class GraphFlow(nn.Module):
     Notes
     -----
     Differs from the published code: none with ``scale="sigmoid"`` and ``backward_weights=False``, without the
-    parameters that are unused there. The defaults are the paper's text; docs/models.md measures all four combinations.
+    parameters that are unused there. The defaults are the paper's text; docs/models-results.md measures all four
+    combinations.
 
     References
     ----------
