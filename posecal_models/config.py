@@ -55,7 +55,7 @@ class ModelConfig:
         an amortised posterior.
     components : int
         Gaussians of a mixture density network or an amortised posterior.
-    dimensions, position
+    dimensions, position, splines
         Options of an amortised posterior, see
         :class:`posecal_models.estimators.amortized_posterior.AmortizedPosterior`.
     variant : str
@@ -83,6 +83,7 @@ class ModelConfig:
     components: _Count = 5
     dimensions: _CountOrNone = 0
     position: bool = True
+    splines: _CountOrNone = 0
     variant: Literal["repaired", "released"] = "repaired"
     start: str = ""
     mean: str = ""
