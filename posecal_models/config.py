@@ -42,7 +42,7 @@ class ModelConfig:
         ``cgnf``, ``simple-baseline``, ``gaussian-noise``, ``mixture-density``, ``cvae``, ``inn`` or
         ``amortized-posterior``.
     size : str
-        Size of a cGNF: ``tiny``, ``small``, ``large``, ``xlarge``.
+        Size of a cGNF: ``tiny``, ``mini``, ``small``, ``large``, ``xlarge``.
     backward_weights, scale
         Options of a cGNF, see :class:`posecal_models.estimators.cgnf.flow.GraphFlow`.
     origin : str
@@ -72,7 +72,7 @@ class ModelConfig:
     kind: Literal[
         "cgnf", "simple-baseline", "gaussian-noise", "mixture-density", "cvae", "inn", "amortized-posterior"
     ] = "cgnf"
-    size: Literal["tiny", "small", "large", "xlarge"] = "small"
+    size: Literal["tiny", "mini", "small", "large", "xlarge"] = "small"
     backward_weights: bool = True
     scale: Literal["sigmoid", "exp"] = "exp"
     origin: Literal["observed", "root", "none"] = "observed"
