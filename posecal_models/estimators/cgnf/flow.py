@@ -37,6 +37,7 @@ class FlowSize:
 
 SIZES = {
     "tiny": FlowSize(blocks=6, hidden=24, context=8, embedding=32),
+    "mini": FlowSize(blocks=8, hidden=50, context=10, embedding=64),
     "small": FlowSize(blocks=10, hidden=100, context=10, embedding=128),
     "large": FlowSize(blocks=10, hidden=200, context=10, embedding=128),
     "xlarge": FlowSize(blocks=14, hidden=262, context=68, embedding=177),
