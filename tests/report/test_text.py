@@ -208,6 +208,13 @@ def test_the_table_of_joints_has_a_row_per_joint_and_no_number_where_none_counts
     assert table.rows[3][column] == f"{report_of().value('ece', joint='RFoot'):.3f}"
 
 
+def test_there_is_no_table_of_joints_without_numbers_of_joints() -> None:
+    report = report_of(metrics="energy_score")
+    text = report.render(joints=True)
+    assert "note: no table of joints: none of these metrics has a number for each." in text.splitlines()
+    assert "RFoot" not in text
+
+
 def test_latex_has_every_table_and_is_ascii_but_for_words() -> None:
     latex = report_of(metrics="all", by=("action",)).render("latex", all=True)
     assert latex.count(r"\begin{tabular}") == latex.count(r"\bottomrule") == 6
