@@ -106,7 +106,8 @@ def printed(command: str, folder: Path) -> str:
     program, *words = shlex.split(command)
     if program != "posecal":
         raise ValueError(f"{command}: expected a command of posecal.")
-    environment = {**os.environ, "COLUMNS": "100", "MPLBACKEND": "Agg", "TERM": "dumb"}
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"  # where the demonstration finds posecal
+    environment = {**os.environ, "PATH": path, "COLUMNS": "100", "MPLBACKEND": "Agg", "TERM": "dumb"}
     call = [sys.executable, "-m", program, *words]
     done = subprocess.run(call, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True, check=True)
     return "\n".join(line.rstrip() for line in done.stdout.splitlines()).strip("\n")
