@@ -18,7 +18,7 @@ def rows_of(text: str) -> list[list[str]]:
             if line.endswith("rule"):
                 continue
             assert line.endswith(r" \\")
-            line = _one_line(line)
+            line = one_line(line)
             cells = re.split(r"(?<!\\)&", line.removesuffix(r" \\"))
             assert len(cells) == len(re.sub(r"\{[^}]*\}", "", columns))
             plain = re.sub(r"\\[%&#_$]", "", line)
@@ -30,7 +30,7 @@ def rows_of(text: str) -> list[list[str]]:
     return found
 
 
-def _one_line(row: str) -> str:
+def one_line(row: str) -> str:
     """Join the lines of headings."""
     return re.sub(r"\\shortstack\[r\]\{((?:[^{}]|\{\})*)\}", lambda stack: stack[1].replace(r"\\{}", " "), row).replace(
         "~", " "
