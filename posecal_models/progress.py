@@ -55,8 +55,10 @@ class TrainingProgressBar(Progress):
             console=console,
             expand=True,
         )
-        rate = run.schedule.learning_rate(run.step)
-        self._steps = self.add_task(self._epoch(), total=run.schedule.total_steps, completed=run.step, rate=rate)
+        schedule = run.schedule
+        self._steps = self.add_task(
+            self._epoch(), total=schedule.total_steps, completed=run.step, rate=schedule.learning_rate
+        )
 
     def show(self, progress: TrainingProgress) -> None:
         """Show the progress of the training."""
