@@ -90,6 +90,7 @@ def train(
         typer.Option("--set", help="Change a setting, e.g. --set train.epochs=20 --set model.scale=exp."),
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Resume from the folder's checkpoint.")] = False,
+    tensorboard: Annotated[Path | None, typer.Option(help="A folder for losses in TensorBoard's format.")] = None,
     device: _Device = "cpu",
     threads: _Threads = 0,
 ) -> None:
@@ -99,12 +100,21 @@ def train(
     from posecal_models.distributed import torchrun_group
     from posecal_models.preparation import prepare
     from posecal_models.progress import training_progress
+    from posecal_models.tensorboard import summary_writer, tensorboard_log
+    from posecal_models.train import TrainingProgress
 
+    if tensorboard is not None:
+        summary_writer()  # before any work
     _set_threads(threads)
     settings = Config.load(config).with_changes(change or [])
     with torchrun_group(resolve_device(device)) as processes:
         run = prepare(settings, data, output, device=processes.device, resume=resume, processes=processes)
-        with training_progress(run) as on_step:
+        with training_progress(run) as show, tensorboard_log(run, tensorboard) as log:
+
+            def on_step(progress: TrainingProgress) -> None:
+                show(progress)
+                log(progress)
+
             run.run(on_step=on_step)
 
 
