@@ -339,18 +339,19 @@ def zero_shot(
     check_outputs(plot=output)
     from posecal.plot import save
     from posecal_models import figures
+    from posecal_models import pendulum as pendulums
     from posecal_models import zero_shot as experiments
     from posecal_models.progress import progress_bar
 
     _set_threads(threads)
     if experiment is Experiment.PENDULUM:
-        with progress_bar("training", steps * len(experiments.PENDULUM_MODELS)) as progress:
-            result = experiments.pendulum(steps=steps, seed=seed, progress=progress)
-        for name, log_density in result.log_density.items():
-            typer.echo(f"{name}: log p(x | c1, c2, c3) = {log_density}")
+        with progress_bar("training", steps * (len(pendulums.MODELS) - 1)) as progress:  # the linear part has no steps
+            result = pendulums.pendulum(steps=steps, seed=seed, progress=progress)
+        typer.echo("log p(x | c1, c2, c3), and the energy score of samples")
+        for line in result.lines.values():
+            typer.echo(line)
         if output is not None:
-            titles = {name: f"{name}: {log_density}" for name, log_density in result.log_density.items()}
-            save(figures.pendulum(result.samples, result.truth, titles), output)
+            save(figures.pendulum(result.samples, result.truth, result.lines), output)
         return
     with progress_bar("training", 2 * steps) as progress:
         rows = experiments.pose_world(steps=steps, seed=seed, progress=progress)
