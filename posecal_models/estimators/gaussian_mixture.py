@@ -121,22 +121,7 @@ class GaussianMixture:
         self.transform = transform
 
     def sample(self, n: int, *, generator: torch.Generator | None = None, temperature: float = 1.0) -> Tensor:
-        """Draw n hypotheses of each pose.
-
-        Parameters
-        ----------
-        n : int
-            N.
-        generator : torch.Generator, optional
-            The source of randomness, of the CPU; torch's own where not given.
-        temperature : float
-            Multiplies the standard deviations of each component.
-
-        Returns
-        -------
-        Tensor
-            (N, M, K, 3), mm.
-        """
+        """Draw n hypotheses of each pose; the temperature multiplies the deviations of each component."""
         poses, components, dimensions = self.means.shape
         normal = standard_normal((n, poses, dimensions + 1), self.means, generator)
         noise, uniform = normal[..., :-1], torch.special.ndtr(normal[..., -1:])
