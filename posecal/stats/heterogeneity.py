@@ -117,14 +117,17 @@ def sequences_differ(totals: Totals, metrics: Mapping[str, Metric]) -> tuple[Seq
 
 
 def remark_on_differences(areas: SequenceAreas, p: float, chance: str = COLUMNS) -> str:
-    """Say that what a calibrated sampler shows is of one whose sequences differ, or that they may; empty where not."""
+    """Say that what a calibrated sampler shows is of one whose sequences differ, or may; empty where not.
+
+    They may where signed areas vary by more than those of a third of their frames would, if these were independent.
+    """
     if p < STRONG:
         shown = "p < 0.001" if p < 0.001 else f"p = {p:.3f}"
         return f"sequences differ ({shown}): {chance} of models whose sequences differ as much."
-    crowded = areas.frames > CROWDED * areas.independent_frames
-    if p >= STRONG or not crowded or areas.areas.min() > -WIDE or areas.areas.max() < WIDE:
+    if len(areas.areas) < 2 or np.ptp(areas.areas) < 2 * WIDE or 12 * areas.areas.var() * areas.frames <= CROWDED:
         return ""
-    return f"{chance} too large if sequences differ, which can't be tested here."
+    shown = "can't be tested here" if np.isnan(p) else f"is not shown (p = {p:.3f})"
+    return f"{chance} too large if sequences differ, which {shown}."
 
 
 def sequences_differ_p(totals: Totals, statistic: Statistic) -> float:

@@ -49,7 +49,7 @@ def test_so_is_a_model_of_any_number_of_hypotheses(n: int, correlation: float, s
 
 
 def test_of_few_hypotheses_that_are_much_too_wide_it_is_not_known() -> None:
-    """The median's noise is 100/20 · π/2 = 8 times as large as the squared errors: their share is 0.11, and 0.06 of ten."""
+    """Of ten the median's noise is 100/10 · π/2 = 16 times as large as the squared errors, whose share is 0.06."""
     ranks = [Ranks(40, 50, 8, 0.95, hypotheses=n) for n in (10, 20, 30)]
     known = [ratio_to_calibrated(each, 10, 2)[1] for each in ranks]
     assert np.isnan(known[0])

@@ -165,15 +165,16 @@ def test_a_spread_that_is_wrong_in_some_sequences_makes_them_differ() -> None:
 
 
 def test_what_a_calibrated_sampler_shows_is_said_to_be_of_sequences_that_differ_where_they_do() -> None:
-    def remark(p: float, low: float = -0.1, high: float = 0.1, frames: float = 30.1) -> str:
-        areas = np.array([low, high])  # as many as 1 / (12 * 0.01) = 8.3 independent frames at most
+    def remark(p: float, low: float = -0.1, high: float = 0.1, frames: float = 25.1) -> str:
+        areas = np.array([low, high])  # of a variance of 0.01, that of 1 / (12 * 0.01) = 8.3 independent frames
         return remark_on_differences(SequenceAreas(("A", "B"), areas, frames), p)
 
     assert remark(0.0099, 0.1) == f"sequences differ (p = 0.010): {COLUMNS} of models whose sequences differ as much."
     assert remark(0.0009).startswith("sequences differ (p < 0.001)")
-    assert remark(0.01) == ""
+    assert remark(0.01) == f"{COLUMNS} too large if sequences differ, which is not shown (p = 0.010)."
     assert remark(math.nan) == f"{COLUMNS} too large if sequences differ, which can't be tested here."
-    assert [remark(math.nan, -0.099), remark(math.nan, high=0.099), remark(math.nan, frames=24.9)] == [""] * 3
+    assert remark(0.5, 0.1, 0.301) != ""
+    assert [remark(0.5, -0.099, frames=99), remark(math.nan, frames=24.9)] == ["", ""]
     assert remark_on_differences(SequenceAreas((), np.zeros(0), math.nan), math.nan) == ""
     chance = "what a calibrated sampler would show is"
     assert f": {chance} of models" in remark_on_differences(SequenceAreas((), np.zeros(0), 9.0), 0.001, chance)
