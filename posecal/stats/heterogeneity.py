@@ -19,7 +19,7 @@ from posecal.data.arrays import FloatArray
 from posecal.engine.metric import Metric, Statistic
 from posecal.engine.sums import Indices, mean_of
 from posecal.engine.totals import Totals
-from posecal.stats.resampling import MIN_SEQUENCES, STRONG
+from posecal.stats.resampling import LEVEL, MIN_SEQUENCES, STRONG
 from posecal.stats.uncertainty import sequence_deviations
 
 MIN_FRAMES = 10
@@ -124,10 +124,15 @@ def remark_on_differences(areas: SequenceAreas, p: float, chance: str = COLUMNS)
     if p < STRONG:
         shown = "p < 0.001" if p < 0.001 else f"p = {p:.3f}"
         return f"sequences differ ({shown}): {chance} of models whose sequences differ as much."
-    if len(areas.areas) < 2 or np.ptp(areas.areas) < 2 * WIDE or 12 * areas.areas.var() * areas.frames <= CROWDED:
+    if (
+        p >= LEVEL
+        or len(areas.areas) < 2
+        or np.ptp(areas.areas) < 2 * WIDE
+        or 12 * areas.areas.var() * areas.frames <= CROWDED
+    ):
         return ""
-    shown = "can't be tested here" if np.isnan(p) else f"is not shown (p = {p:.3f})"
-    return f"{chance} too large if sequences differ, which {shown}."
+    shown = "which can't be tested here" if np.isnan(p) else f"of which there is weak evidence (p = {p:.3f})"
+    return f"{chance} too large if sequences differ, {shown}."
 
 
 def sequences_differ_p(totals: Totals, statistic: Statistic) -> float:

@@ -171,10 +171,11 @@ def test_what_a_calibrated_sampler_shows_is_said_to_be_of_sequences_that_differ_
 
     assert remark(0.0099, 0.1) == f"sequences differ (p = 0.010): {COLUMNS} of models whose sequences differ as much."
     assert remark(0.0009).startswith("sequences differ (p < 0.001)")
-    assert remark(0.01) == f"{COLUMNS} too large if sequences differ, which is not shown (p = 0.010)."
+    assert remark(0.01) == f"{COLUMNS} too large if sequences differ, of which there is weak evidence (p = 0.010)."
+    assert remark(0.05) == ""
     assert remark(math.nan) == f"{COLUMNS} too large if sequences differ, which can't be tested here."
-    assert remark(0.5, 0.1, 0.301) != ""
-    assert [remark(0.5, -0.099, frames=99), remark(math.nan, frames=24.9)] == ["", ""]
+    assert remark(0.049, 0.1, 0.301) != ""
+    assert [remark(0.049, -0.099, frames=99), remark(math.nan, frames=24.9)] == ["", ""]
     assert remark_on_differences(SequenceAreas((), np.zeros(0), math.nan), math.nan) == ""
     chance = "what a calibrated sampler would show is"
     assert f": {chance} of models" in remark_on_differences(SequenceAreas((), np.zeros(0), 9.0), 0.001, chance)
