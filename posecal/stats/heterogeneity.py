@@ -124,12 +124,8 @@ def remark_on_differences(areas: SequenceAreas, p: float, chance: str = COLUMNS)
     if p < STRONG:
         shown = "p < 0.001" if p < 0.001 else f"p = {p:.3f}"
         return f"sequences differ ({shown}): {chance} of models whose sequences differ as much."
-    if (
-        p >= LEVEL
-        or len(areas.areas) < 2
-        or np.ptp(areas.areas) < 2 * WIDE
-        or 12 * areas.areas.var() * areas.frames <= CROWDED
-    ):
+    found = areas.areas
+    if p >= LEVEL or len(found) < 2 or np.ptp(found) < 2 * WIDE or 12 * found.var() * areas.frames <= CROWDED:
         return ""
     shown = "which can't be tested here" if np.isnan(p) else f"of which there is weak evidence (p = {p:.3f})"
     return f"{chance} too large if sequences differ, {shown}."
