@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -231,6 +231,32 @@ class Evidence:
     def excluded(self) -> tuple[Estimate, ...]:
         """The numbers whose intervals exclude what a calibrated model has."""
         return tuple(row for row in (self.area, *self.coverage) if row.excludes)
+
+
+@dataclass(frozen=True)
+class Rule:
+    """One thing that a summary may say.
+
+    Attributes
+    ----------
+    group, name : str
+        Of each group the first rule that holds applies.
+    when : str
+        The condition in words, for the documentation.
+    holds : callable
+        The condition.
+    say : callable
+        The sentence.
+    alone : bool
+        Whether nothing else is said beside it.
+    """
+
+    group: str
+    name: str
+    when: str
+    holds: Callable[[Evidence], bool]
+    say: Callable[[Evidence], str]
+    alone: bool = False
 
 
 def evidence_of(report: Report) -> Evidence:

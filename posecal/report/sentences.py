@@ -7,10 +7,9 @@ shown is not called calibrated, p-values between 0.01 and 0.05 are weak evidence
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 
-from posecal.report.evidence import NEITHER, OVER, UNDER, Evidence, side_of
+from posecal.report.evidence import NEITHER, OVER, UNDER, Evidence, Rule, side_of
 from posecal.report.format import counted, p_value, several, span
 from posecal.stats.heterogeneity import CROWDED, WIDE
 from posecal.stats.resampling import LEVEL, STRONG
@@ -18,32 +17,6 @@ from posecal.stats.resampling import LEVEL, STRONG
 BOTH_SIDES = 0.05
 """Signed areas of at least this size to either side are called over- and underconfident sequences; a spread that is
 wrong by an eighth has such an area in three dimensions."""
-
-
-@dataclass(frozen=True)
-class Rule:
-    """One thing that a summary may say.
-
-    Attributes
-    ----------
-    group, name : str
-        Of each group the first rule that holds applies.
-    when : str
-        The condition in words, for the documentation.
-    holds : callable
-        The condition.
-    say : callable
-        The sentence.
-    alone : bool
-        Whether nothing else is said beside it.
-    """
-
-    group: str
-    name: str
-    when: str
-    holds: Callable[[Evidence], bool]
-    say: Callable[[Evidence], str]
-    alone: bool = False
 
 
 def sentences(evidence: Evidence) -> Iterator[str]:

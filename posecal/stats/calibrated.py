@@ -24,7 +24,7 @@ SMALLEST_SHARE = 0.25
 """Of the mean squared standardized error, what is not noise of the median counts as at least this share."""
 
 LEAST_SHARE = 0.1
-"""Where it is less than this, how much frames depend on each other can't be told: taken as :data:`SMALLEST_SHARE`, it
+"""Where it is less than this, how much frames depend on each other is not known: taken as :data:`SMALLEST_SHARE`, it
 may make deviations 2.5 times too small."""
 
 _INNER = slice(1, LEVELS.size - 1)
