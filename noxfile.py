@@ -66,7 +66,7 @@ def install_all(session: nox.Session) -> None:
 def tests(session: nox.Session) -> None:
     """All tests, newest dependencies, each Python that is found."""
     install_all(session)
-    session.run("python", "-m", "pytest", "-q", *(session.posargs or ["-n", "auto"]))
+    session.run("python", "-m", "pytest", "-q", *(session.posargs or ["-n", "auto", "--dist", "worksteal"]))
 
 
 @nox.session(python=PYTHONS[0])
@@ -76,7 +76,7 @@ def lowest(session: nox.Session) -> None:
     constraints = Path(session.create_tmp(), "constraints-lowest.txt")
     constraints.write_text("\n".join(versions) + "\n", encoding="utf-8")
     session.install("-c", str(constraints), "-e", ".", *versions)
-    quick = ["-n", "auto", "-m", "not slow", "posecal", "--ignore=posecal/torch.py"]
+    quick = ["-n", "auto", "--dist", "worksteal", "-m", "not slow", "posecal", "--ignore=posecal/torch.py"]
     what = session.posargs or [*quick, *(f"tests/{folder}" for folder in WITH_LOWEST)]
     session.run("python", "-m", "pytest", "-q", *OLD_WARNINGS, *what)
 

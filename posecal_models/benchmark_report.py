@@ -102,6 +102,8 @@ def run_benchmark(
         _write(folder / "benchmark.json", json.dumps(about, indent=1) + "\n")
         if reports:
             save(figures.reliability_grid(reports), folder / "reliability.png")
+        if len(reports) > 1:
+            save(figures.model_sizes({row.name: row.values for row in rows if row.report}), folder / "sizes.png")
         for name, report in reports.items():
             report.save(folder / f"{_stem(name)}.npz")
         for name, estimator in estimators.items():

@@ -42,7 +42,7 @@ class ModelConfig:
         ``cgnf``, ``simple-baseline``, ``gaussian-noise``, ``mixture-density``, ``cvae``, ``inn`` or
         ``amortized-posterior``.
     size : str
-        Size of a cGNF: ``tiny``, ``small``, ``large``, ``xlarge``.
+        Size of a cGNF: ``tiny``, ``mini``, ``small``, ``large``, ``xlarge``.
     backward_weights, scale
         Options of a cGNF, see :class:`posecal_models.estimators.cgnf.flow.GraphFlow`.
     origin : str
@@ -55,7 +55,7 @@ class ModelConfig:
         an amortised posterior.
     components : int
         Gaussians of a mixture density network or an amortised posterior.
-    dimensions, position
+    dimensions, position, splines
         Options of an amortised posterior, see
         :class:`posecal_models.estimators.amortized_posterior.AmortizedPosterior`.
     variant : str
@@ -72,7 +72,7 @@ class ModelConfig:
     kind: Literal[
         "cgnf", "simple-baseline", "gaussian-noise", "mixture-density", "cvae", "inn", "amortized-posterior"
     ] = "cgnf"
-    size: Literal["tiny", "small", "large", "xlarge"] = "small"
+    size: Literal["tiny", "mini", "small", "large", "xlarge"] = "small"
     backward_weights: bool = True
     scale: Literal["sigmoid", "exp"] = "exp"
     origin: Literal["observed", "root", "none"] = "observed"
@@ -83,6 +83,7 @@ class ModelConfig:
     components: _Count = 5
     dimensions: _CountOrNone = 0
     position: bool = True
+    splines: _CountOrNone = 0
     variant: Literal["repaired", "released"] = "repaired"
     start: str = ""
     mean: str = ""

@@ -18,11 +18,12 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from posecal.data.skeleton import Skeleton
+from posecal.errors import printable
 from posecal.plot import reliability
 from posecal.plot.style import FAINT, INK, OVER, UNDER
 from posecal.report.report import Report
 
-__all__ = ["hypotheses", "losses", "pendulum", "prior", "reliability_grid"]
+__all__ = ["hypotheses", "losses", "model_sizes", "pendulum", "prior", "reliability_grid"]
 
 Floats = npt.NDArray[np.floating[Any]]
 
@@ -76,6 +77,38 @@ def reliability_grid(reports: Mapping[str, Report], *, columns: int = 4) -> Figu
             ax.set(xlabel="", ylabel="")
         figure.supxlabel("share of hypotheses within the ball, q", fontsize=8)
         figure.supylabel("share of truths within it, ω(q)", fontsize=8)
+    return figure
+
+
+def model_sizes(rows: Mapping[str, Mapping[str, Sequence[float]]]) -> Figure:
+    """Plot ECE and minMPJPE against the number of parameters.
+
+    Parameters
+    ----------
+    rows : mapping of str to mapping
+        For each estimator ``parameters``, one number, and ``ece`` and ``min_mpjpe`` (mm), a number for each sampling
+        seed.
+
+    Returns
+    -------
+    Figure
+        A point for each estimator and seed, and a line through their means.
+    """
+    ordered = sorted(rows.items(), key=lambda row: row[1]["parameters"][0])
+    sizes = [row["parameters"][0] for _, row in ordered]
+    with _style():
+        figure = Figure(figsize=(5.4, 2.4), layout="constrained")
+        for ax, (key, label) in zip(
+            figure.subplots(1, 2), (("ece", "ECE (exchangeable)"), ("min_mpjpe", "minMPJPE [mm]")), strict=True
+        ):
+            for size, (_, row) in zip(sizes, ordered, strict=True):
+                ax.plot([size] * len(row[key]), row[key], ".", color=INK, markersize=4)
+            means = [float(np.mean(row[key])) for _, row in ordered]
+            ax.plot(sizes, means, color=INK, linewidth=0.8)
+            for size, mean, (name, _) in zip(sizes, means, ordered, strict=True):
+                ax.annotate(printable(name), (size, mean), xytext=(5, 4), textcoords="offset points", fontsize=7)
+            ax.set(xscale="log", xlabel="parameters", ylabel=label)
+            ax.margins(x=0.2, y=0.15)
     return figure
 
 

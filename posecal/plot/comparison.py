@@ -13,6 +13,7 @@ from posecal.plot.style import GREEN, given, ink, new_figure
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.transforms import BboxBase
 
     from posecal.stats.comparison import PairedModels
 
@@ -58,12 +59,12 @@ def accuracy_and_calibration(comparison: PairedModels, *, ax: Axes | None = None
         if not math.isnan(interval.low):
             ax.plot([x, x], [interval.low, interval.high], color=ink(), lw=0.8, zorder=1)
         ax.plot(x, y, marker=markers[number % len(markers)], color=ink(), ms=5, ls="", gid=name)
-        ax.annotate(printable(name), (x, y), xytext=(6, 3), textcoords="offset points", fontsize="small")
     most = max(comparison.value("ece", name) for name in comparison.names)
     unit = comparison.metrics["min_mpjpe"].unit
     ax.set(xlabel="ECE (exchangeable)", ylabel=f"minMPJPE [{unit}]" if unit else "minMPJPE")
     right = 1.35 * max(most, 0.03 if math.isnan(limit) else limit)
     ax.set_xlim(0, right)
+    _label(ax, comparison)
     if not math.isnan(limit):
         within = limit > right / 2  # and no place beside it
         words = "calibrated, but for chance " if within else " ◂ calibrated, but for chance"
@@ -71,6 +72,19 @@ def accuracy_and_calibration(comparison: PairedModels, *, ax: Axes | None = None
         at = ax.get_xaxis_transform()
         ax.text(limit, 0.01, words, transform=at, ha=side, va="bottom", fontsize="small", color=GREEN)
     return ax
+
+
+def _label(ax: Axes, comparison: PairedModels) -> None:
+    """Write each model's name beside its point: above it, below it or further down, where no other name stands."""
+    others: list[BboxBase] = []
+    for name in comparison.names:
+        at = comparison.value("ece", name), comparison.value("min_mpjpe", name)
+        text = ax.annotate(printable(name), at, xytext=(6, 3), textcoords="offset points", fontsize="small")
+        for rise in (3, -10, -22, 15):
+            text.set_position((6, rise))
+            if not any(text.get_window_extent().overlaps(other) for other in others):
+                break
+        others.append(text.get_window_extent())
 
 
 def draw_comparison(

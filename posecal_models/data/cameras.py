@@ -14,13 +14,15 @@ import numpy.typing as npt
 from posecal.errors import PoseDataError
 from posecal_models.data.npz import numeric_array, read_npz, text_array
 
-__all__ = ["Camera", "cameras_around", "read_cameras"]
+__all__ = ["Camera", "cameras_around", "read_cameras", "ring_around"]
 
 Array = npt.NDArray[np.float64]
 
 H36M_FOCAL = 1146.0
 H36M_CENTRE = (514.0, 507.0)
 """Round numbers near the intrinsics of Human3.6M's four cameras, pixels of a 1000 x 1000 image."""
+CAMERA_DISTANCE, CAMERA_HEIGHT = 5000.0, 1500.0
+"""Of virtual cameras: distance from the middle of a short path, and height above the floor, mm."""
 
 
 @dataclass(frozen=True)
@@ -120,13 +122,34 @@ class Camera:
         return in_camera[..., :2] / in_camera[..., 2:] * self.focal + self.centre
 
 
+def ring_around(roots: npt.NDArray[np.floating], distance: float = CAMERA_DISTANCE) -> tuple[Array, float]:
+    """Find where cameras stand around a moving person.
+
+    Parameters
+    ----------
+    roots : ndarray
+        (M, 3), mm: positions of the hip in the frames of one clip.
+    distance : float
+        Distance of the cameras from a person who stays in one place, mm.
+
+    Returns
+    -------
+    middle : ndarray
+        (3,), mm, of the path.
+    radius : float
+        Distance of the cameras from it, mm: half of the path's extent is added.
+    """
+    low, high = roots.min(axis=0), roots.max(axis=0)
+    return (low + high) / 2, distance + float(np.hypot(*(high - low)[:2])) / 2
+
+
 def cameras_around(
     roots: npt.NDArray[np.floating],
     generator: np.random.Generator,
     *,
     views: int = 4,
-    distance: float = 5000.0,
-    height: float = 1500.0,
+    distance: float = CAMERA_DISTANCE,
+    height: float = CAMERA_HEIGHT,
 ) -> list[Camera]:
     """Place cameras in a ring around a moving person, similar to the four cameras of Human3.6M.
 
@@ -149,9 +172,7 @@ def cameras_around(
     list of Camera
         Cameras that point at the middle of the path.
     """
-    low, high = roots.min(axis=0), roots.max(axis=0)
-    middle = (low + high) / 2
-    radius = distance + float(np.hypot(*(high - low)[:2])) / 2
+    middle, radius = ring_around(roots, distance)
     offset = generator.uniform(0, 2 * np.pi)
     cameras = []
     for view in range(views):

@@ -15,11 +15,11 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from posecal.data.joint_names import joint_keys
-from posecal.data.skeleton import Skeleton
 from posecal.errors import PoseDataError
 from posecal_models.config import DataConfig
 from posecal_models.contract import Context
-from posecal_models.data.cameras import H36M_CENTRE, H36M_FOCAL
+from posecal_models.data.bones import Bones
+from posecal_models.data.cameras import CAMERA_HEIGHT, H36M_CENTRE, H36M_FOCAL, ring_around
 from posecal_models.data.detector import Detector
 from posecal_models.data.mocap import MocapPoses
 
@@ -78,16 +78,13 @@ class FreshViews:
         device: torch.device | str = "cpu",
     ) -> None:
         names = joint_keys(mocap.joints)
-        skeleton = Skeleton(mocap.joints)
         self.detector, self.body_variation = detector, body_variation
         self.mirror, self.limb_exchange = mirror, limb_exchange
         self._root = names.index("Hip")
         self._joints = [names.index(name) for name in joint_keys(joints)]
         self._keypoints = [names.index(name) for name in joint_keys(keypoint_joints)]
         self._mirrored = [names.index(_other_side(name, names)) for name in names]
-        self._bones = _bones_from_the_root(skeleton.parents)
-        kinds = [name.removeprefix("L").removeprefix("R") for name in names]
-        self._kinds = [sorted(set(kinds)).index(kind) for kind in kinds]
+        self._bones = Bones(mocap.joints)
         self._names = {name: k for k, name in enumerate(names)}
         needed = {*(j for _, limbs in _EXCHANGES for limb in limbs for j in limb), *chain(*_FRAMES.values())}
         if limb_exchange and (missing := sorted(needed - set(names))):
@@ -174,7 +171,7 @@ class FreshViews:
         random = torch.rand((len(rows), 3), generator=generator).to(self.device)
         azimuth = 2 * torch.pi * random[:, 0]
         distance = self._radii[rows] * (0.9 + 0.2 * random[:, 1])
-        height = 1500 * (0.9 + 0.2 * random[:, 2])
+        height = CAMERA_HEIGHT * (0.9 + 0.2 * random[:, 2])
         middle = self._middles[rows]
         position = torch.stack(
             [middle[:, 0] + distance * azimuth.cos(), middle[:, 1] + distance * azimuth.sin(), height], dim=1
@@ -187,13 +184,9 @@ class FreshViews:
     def _vary_bones(self, poses: Tensor, generator: torch.Generator) -> Tensor:
         if not self.body_variation:
             return poses
-        own = torch.randn((len(poses), max(self._kinds) + 1), generator=generator)
+        own = torch.randn((len(poses), self._bones.kinds), generator=generator)
         normal = (own + torch.randn((len(poses), 1), generator=generator)) / 2**0.5
-        factor = (self.body_variation * normal).exp()[:, self._kinds].to(self.device)
-        result = list(poses.unbind(1))
-        for child, parent in self._bones:
-            result[child] = result[parent] + factor[:, child, None] * (poses[:, child] - poses[:, parent])
-        return torch.stack(result, dim=1)
+        return self._bones.stretch(poses, (self.body_variation * normal).exp().to(self.device))
 
     def _exchange_limbs(self, poses: Tensor, generator: torch.Generator) -> Tensor:
         """Give poses both legs, or an arm, of other poses, turned as pelvis or shoulders are."""
@@ -226,23 +219,10 @@ def _other_side(name: str, names: Sequence[str]) -> str:
     return other if other in names else name
 
 
-def _bones_from_the_root(parents: Sequence[int]) -> list[tuple[int, int]]:
-    """List child and parent of every bone, parents first."""
-    bones: list[tuple[int, int]] = []
-    known = {k for k, parent in enumerate(parents) if parent < 0}
-    while len(known) < len(parents):
-        new = [(k, parent) for k, parent in enumerate(parents) if k not in known and parent in known]
-        known |= {k for k, _ in new}
-        bones += new
-    return bones
-
-
 def _paths(roots: npt.NDArray[np.floating], sequence: npt.NDArray[np.str_]) -> tuple[Tensor, Tensor]:
     """Middle (M, 3) of the clip's path, and distance (M,) of its cameras, mm."""
     middles, radii = np.empty_like(roots), np.empty(len(roots))
     for name in dict.fromkeys(sequence.tolist()):
         rows = sequence == name
-        low, high = roots[rows].min(axis=0), roots[rows].max(axis=0)
-        middles[rows] = (low + high) / 2
-        radii[rows] = 5000 + np.hypot(*(high - low)[:2]) / 2
+        middles[rows], radii[rows] = ring_around(roots[rows])
     return torch.from_numpy(middles).float(), torch.from_numpy(radii).float()

@@ -13,11 +13,13 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+import torch
 
 from posecal.data.joint_names import joint_keys
 from posecal.data.skeleton import Skeleton
 from posecal.data.units import millimetres_per
 from posecal.errors import PoseDataError
+from posecal_models.data.bones import Bones
 from posecal_models.data.cameras import cameras_around
 from posecal_models.data.lifting_set import LiftingSet
 from posecal_models.data.npz import joint_names, pose_array, read_npz, text_array, text_value
@@ -212,17 +214,7 @@ def vary_bone_lengths(
     >>> bool(other[0, :, :2].any()), float(other[0, 0, 2])  # straight as before, with the hip in place
     (False, 900.0)
     """
-    skeleton = Skeleton(tuple(joints))
-    kinds = [key.removeprefix("L").removeprefix("R") for key in joint_keys(skeleton.joints)]
-    names = sorted(set(kinds))
-    normal = generator.standard_normal((len(poses), len(names))) + generator.standard_normal((len(poses), 1))
-    factor = np.exp(spread * normal / np.sqrt(2))[:, [names.index(kind) for kind in kinds]]
-    result = poses.copy()
-    visited = {k for k, parent in enumerate(skeleton.parents) if parent < 0}
-    while len(visited) < len(joints):
-        for child, parent in enumerate(skeleton.parents):
-            if child not in visited and parent in visited:
-                bone = poses[:, child] - poses[:, parent]
-                result[:, child] = result[:, parent] + factor[:, child, None] * bone
-                visited.add(child)
-    return result
+    bones = Bones(joints)
+    normal = generator.standard_normal((len(poses), bones.kinds)) + generator.standard_normal((len(poses), 1))
+    factor = np.exp(spread * normal / np.sqrt(2))
+    return bones.stretch(torch.from_numpy(poses), torch.from_numpy(factor)).numpy()

@@ -66,6 +66,13 @@ class AmortizedPosterior(nn.Module):
         Whether the network reads where in the image the person is.
     origin : str
         Origin of the keypoints: ``observed``, their weighted middle, or ``none``, in a world without cameras.
+    splines : int
+        Coupling layers of splines between u and the mixture, conditional on the features of the network, by zuko.
+
+    Raises
+    ------
+    PoseDataError
+        For an origin that is none of these, and for splines without zuko.
 
     Notes
     -----
@@ -89,6 +96,7 @@ class AmortizedPosterior(nn.Module):
         residuals: int = 3,
         position: bool = True,
         origin: Origin = "observed",
+        splines: int = 0,
     ) -> None:
         super().__init__()
         self.joints: tuple[str, ...] = joint_set("h36m-16") if joints is None else joints
@@ -102,6 +110,7 @@ class AmortizedPosterior(nn.Module):
             "residuals": residuals,
             "position": position,
             "origin": origin,
+            "splines": splines,
         }
         self._is_centred = origin == "observed"
         count, d = len(self.keypoints), dimensions or 3 * len(self.joints)
@@ -122,6 +131,7 @@ class AmortizedPosterior(nn.Module):
         nn.init.zeros_(self.last.bias)
         if components > 1:  # different components, near the linear posterior
             nn.init.normal_(self.last.bias, std=0.05)
+        self.splines = _coupling_splines(d, width, splines) if splines else None
 
     def check(self, context: Context) -> None:
         """Raise an error for another number of keypoints than this estimator reads."""
@@ -238,7 +248,8 @@ class AmortizedPosterior(nn.Module):
         )
         for residual in self.residuals:
             features = residual(features)
-        correction = self.last(self.norm(features)).unflatten(1, (self.options["components"], -1))
+        features = self.norm(features)
+        correction = self.last(features).unflatten(1, (self.options["components"], -1))
         log_weight, offset, log_diagonal, off_diagonal = correction.split(self._sizes, dim=-1)
         d = offset.shape[-1]
         triangle = torch.zeros(*offset.shape, d, dtype=c.dtype, device=c.device)
@@ -253,4 +264,18 @@ class AmortizedPosterior(nn.Module):
             log_weights=log_weight.squeeze(-1).log_softmax(-1),
             means=offset,
             factors=(torch.diag_embed(diagonal) + triangle) / self.temperature,
+            transform=None if self.splines is None else self.splines(features),
         )
+
+
+def _coupling_splines(dimensions: int, features: int, count: int) -> nn.Module:
+    """Build conditional couplings of rational-quadratic splines, the identity before training."""
+    try:
+        from zuko.flows import NSF
+    except ImportError:
+        raise PoseDataError("model.splines: zuko is not installed. pip install 'posecal[splines]' brings it.") from None
+    couplings: nn.Module = NSF(dimensions, features, transforms=count, passes=2, hidden_features=(256, 256)).transform
+    for name, parameter in couplings.named_parameters():
+        if name.rpartition(".")[0].endswith("hyper.4"):
+            nn.init.zeros_(parameter)
+    return couplings

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor, nn
@@ -10,6 +11,9 @@ from torch import Tensor, nn
 from posecal.errors import PoseDataError
 from posecal_models.contract import check_truth, standard_normal
 from posecal_models.data.standardizer import Standardizer
+
+if TYPE_CHECKING:
+    from zuko.transforms import ComposedTransform
 
 __all__ = ["GaussianMixture", "PoseCoordinates"]
 
@@ -88,6 +92,8 @@ class GaussianMixture:
         (M, C, D), of u.
     factors : Tensor
         (M, C, D, D), upper triangular T with the precision TᵀT of u.
+    transform : zuko.transforms.ComposedTransform, optional
+        A bijection of u for each of the M poses; the mixture is then over its values.
     """
 
     def __init__(
@@ -100,6 +106,7 @@ class GaussianMixture:
         log_weights: Tensor,
         means: Tensor,
         factors: Tensor,
+        transform: ComposedTransform | None = None,
     ) -> None:
         self.standardizer = standardizer
         self.coordinates = coordinates
@@ -108,6 +115,7 @@ class GaussianMixture:
         self.log_weights = log_weights
         self.means = means
         self.factors = factors
+        self.transform = transform
 
     def sample(self, n: int, *, generator: torch.Generator | None = None, temperature: float = 1.0) -> Tensor:
         """Draw n hypotheses of each pose.
@@ -144,7 +152,8 @@ class GaussianMixture:
         .. math:: \log p(x) = \log \sum_c w_c \, \mathcal N\left(u; \mu_c, (T_c^T T_c)^{-1}\right)
                   + \log \lvert U \rvert - \sum_d \log s_d
 
-        with s_d the standard deviation along direction d, mm.
+        with s_d the standard deviation along direction d, mm; with a transform f, f(u) takes the place of u, and
+        :math:`\log \lvert \partial f / \partial u \rvert` is added.
 
         Parameters
         ----------
@@ -168,10 +177,13 @@ class GaussianMixture:
     def log_prob_of(self, z: Tensor) -> Tensor:
         """Compute the log density (M,) of whitened coordinates (M, D)."""
         u = (self.factor @ (z - self.centre)[..., None])[..., 0]
+        log_change: Tensor | float = 0.0
+        if self.transform is not None:
+            u, log_change = self.transform.call_and_ladj(u)
         standardised = (self.factors @ (u[:, None] - self.means)[..., None])[..., 0]
         constant = 0.5 * z.shape[-1] * math.log(2 * math.pi)
         terms = self.log_weights + _log_determinant(self.factors) - 0.5 * standardised.square().sum(-1) - constant
-        return terms.logsumexp(-1) + _log_determinant(self.factor)
+        return terms.logsumexp(-1) + log_change + _log_determinant(self.factor)
 
     def mode(self) -> Tensor:
         """Return the mean of the component of the highest density at its mean, (M, K, 3), mm."""
@@ -180,6 +192,8 @@ class GaussianMixture:
 
     def _poses(self, u: Tensor) -> Tensor:
         """Turn coordinates u (N, M, D) into poses (N, M, K, 3), mm."""
+        if self.transform is not None:
+            u = self.transform.inv(u)
         z = torch.linalg.solve_triangular(self.factor, u.movedim(0, -1), upper=True).movedim(-1, 0)
         return self.standardizer.millimetres(self.coordinates.inverse(z + self.centre))
 

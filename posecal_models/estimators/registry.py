@@ -38,7 +38,7 @@ _OPTIONS: dict[str, tuple[type[_OptionedEstimator], tuple[str, ...]]] = {
     "inn": (INN, ("width", "variant")),
     "amortized-posterior": (
         AmortizedPosterior,
-        ("dimensions", "components", "width", "residuals", "position", "origin"),
+        ("dimensions", "components", "width", "residuals", "position", "origin", "splines"),
     ),
 }
 """Estimators whose options are settings of the same name."""
@@ -182,7 +182,8 @@ def build(description: dict[str, Any]) -> ReferenceEstimator:
             return SimpleBaseline(tuple(description["joints"]), tuple(description["keypoints"]), **options)
         if kind in _OPTIONS:
             optioned, names = _OPTIONS[kind]
-            options = {name: description[name] for name in names}
+            complete = {"splines": 0, **description}  # of weights that were written before there were any
+            options = {name: complete[name] for name in names}
             return optioned(tuple(description["joints"]), tuple(description["keypoints"]), **options)
         if kind == "gaussian-noise":
             mean = build(description["mean"])

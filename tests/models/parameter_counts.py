@@ -1,4 +1,4 @@
-"""Parameter counts of the published model sizes: used, without gradient, and unused; those of docs/models.md."""
+"""Parameters of the published model sizes: used, without gradient, and unused; those of docs/models-results.md."""
 
 from __future__ import annotations
 

@@ -19,6 +19,7 @@ from posecal_models.estimators.cgnf.flow import SIZES
 from posecal_models.estimators.cgnf.model import CGNF
 from posecal_models.estimators.gaussian_noise import GaussianNoise
 from posecal_models.estimators.simple_baseline import SimpleBaseline
+from posecal_models.figures import model_sizes
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +96,7 @@ def test_table_numbers_and_figures_are_written_to_the_folder(motion_file, baseli
     models = {name: str(tmp_path / f"{name}.safetensors") for name in ("point", "noise", "flow")}
     table = run_benchmark(motion_file, models, ["S4"], tmp_path / "out", n=4, every=5, seeds=2)
     names = ["benchmark.json", "flow-hypotheses.png", "flow-prior.png", "flow.npz", "noise.npz", "reliability.png"]
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [*names, "table.md"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [*names, "sizes.png", "table.md"]
     assert (tmp_path / "out" / "table.md").read_text() == table + "\n"
     about = json.loads((tmp_path / "out" / "benchmark.json").read_text())
     assert len(about["rows"]["flow"]["min_mpjpe"]) == 2
@@ -118,3 +119,15 @@ def test_a_model_that_can_t_read_the_images_is_refused_before_any_is_drawn(motio
     with pytest.raises(PoseDataError, match="no Hip in"):
         run_benchmark(motion_file, models, ["S4"], tmp_path / "out", n=4, every=5)
     assert not (tmp_path / "out").exists()
+
+
+def test_calibration_and_error_stand_over_the_number_of_parameters():
+    rows = {
+        "large": {"parameters": [1000], "ece": [0.04, 0.06], "min_mpjpe": [70.0, 80.0]},
+        "small": {"parameters": [10], "ece": [0.01, 0.03], "min_mpjpe": [90.0, 90.0]},
+    }
+    calibration, error = model_sizes(rows).axes
+    for ax, means in ((calibration, [0.02, 0.05]), (error, [90, 75])):
+        (line,) = (line for line in ax.lines if line.get_linestyle() == "-")
+        np.testing.assert_allclose(line.get_xydata(), np.transpose([[10, 1000], means]))
+        assert [text.get_text() for text in ax.texts] == ["small", "large"]

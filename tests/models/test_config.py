@@ -32,7 +32,7 @@ def test_all_problems_of_a_configuration_are_in_one_message():
     words = str(caught.value)
     assert words.startswith("5 problems:")
     for part in (
-        "model.size is 'medium'; expected one of tiny, small, large, xlarge",
+        "model.size is 'medium'; expected one of tiny, mini, small, large, xlarge",
         "model.sizes is not known. Did you mean size?",
         "train.epochs is 'ten'; expected int",
         "train.batch is True; expected int",

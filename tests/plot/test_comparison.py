@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
@@ -66,3 +68,11 @@ def test_the_region_is_named_beside_it_or_within_where_there_is_no_place(ax: Axe
         accuracy_and_calibration(Comparison(tuple(models), tuple(totals)), ax=ax)
         (words,) = (text for text in ax.texts if "calibrated, but for chance" in text.get_text())
         assert words.get_horizontalalignment() == side
+
+
+def test_names_of_models_at_one_point_do_not_overlap(ax: Axes) -> None:
+    totals = report_of(1.0).totals
+    accuracy_and_calibration(compare_totals([totals] * 4, names := ["first", "second", "third", "fourth"]), ax=ax)
+    extents = [text.get_window_extent() for text in ax.texts if text.get_text() in names]
+    assert len(extents) == 4
+    assert not any(one.overlaps(other) for one, other in combinations(extents, 2))

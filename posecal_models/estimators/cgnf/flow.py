@@ -37,6 +37,7 @@ class FlowSize:
 
 SIZES = {
     "tiny": FlowSize(blocks=6, hidden=24, context=8, embedding=32),
+    "mini": FlowSize(blocks=8, hidden=50, context=10, embedding=64),
     "small": FlowSize(blocks=10, hidden=100, context=10, embedding=128),
     "large": FlowSize(blocks=10, hidden=200, context=10, embedding=128),
     "xlarge": FlowSize(blocks=14, hidden=262, context=68, embedding=177),
@@ -168,7 +169,8 @@ class GraphFlow(nn.Module):
     Notes
     -----
     Differs from the published code: none with ``scale="sigmoid"`` and ``backward_weights=False``, without the
-    parameters that are unused there. The defaults are the paper's text; docs/models.md measures all four combinations.
+    parameters that are unused there. The defaults are the paper's text; docs/models-results.md measures all four
+    combinations.
 
     References
     ----------
