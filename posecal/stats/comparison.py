@@ -24,10 +24,11 @@ from posecal.engine.totals import Totals
 from posecal.errors import PoseDataError, did_you_mean, for_python, printable
 from posecal.metrics.likelihood import LIKELIHOODS
 from posecal.registry import metrics_of, unmeasured
+from posecal.stats.heterogeneity import SHOWN, sequences_differ
 from posecal.stats.jackknife import Interval, jackknife, leave_one_out, sequence_sizes
 from posecal.stats.multiplicity import PRIMARY, adjust, default_primary
 from posecal.stats.pairs import Difference, Pair, pairs
-from posecal.stats.remarks import likelihood_is_unbounded, remarks_on_numbers, remarks_on_sequences
+from posecal.stats.remarks import likelihood_is_unbounded, remarks_on_chance, remarks_on_numbers, remarks_on_sequences
 from posecal.stats.resampling import LEVEL, MIN_SEQUENCES, Null
 from posecal.stats.same_poses import PosesThatCount, not_compared, poses_that_count
 from posecal.stats.uncertainty import effective_hypotheses, measured_spec, null, weights_allow_no_test
@@ -85,6 +86,7 @@ class PairedModels:
                 *totals.remarks,
                 *remarks_on_sequences(totals),
                 *remarks_on_numbers(totals, self.metrics),
+                *self._remarks_on_chance(name, totals),
             ):
                 models.setdefault(words(remark), []).append(name)
         of_data = (
@@ -92,6 +94,15 @@ class PairedModels:
             for remark, some in models.items()
         )
         return (*map(words, self._remarks_on_tests), *of_data)
+
+    def _remarks_on_chance(self, name: str, totals: Totals) -> Iterator[str]:
+        differ = ("sequences differ", name)
+        yield from remarks_on_chance(
+            self.metrics,
+            lambda metric: self.test(metric, name),
+            lambda: self._once(differ, lambda: sequences_differ(totals, self.metrics)),
+            SHOWN,
+        )
 
     @cached_property
     def _remarks_on_tests(self) -> list[str]:
@@ -177,11 +188,17 @@ class PairedModels:
         """Give the largest calibration error that a calibrated sampler would show here: its 95 % quantile.
 
         Each model's own deviations give nearly the same one; this is their median, a guide for the eye. Whether a model
-        is beyond it by chance says :meth:`calibrated`. Models that repeat one hypothesis have none.
+        is beyond it by chance says :meth:`calibrated`. Models that repeat one hypothesis have none, nor models whose
+        hypotheses are so few and so much too wide that it can't be known.
         """
         highs = [high for name in self.names if not math.isnan(high := self.test(metric, name).high)]
         untested = any(map(weights_allow_no_test, self.totals)) or not highs
         return math.nan if untested else float(np.median(highs))
+
+    def has_test(self, metric: str = "ece") -> bool:
+        """Whether some model's calibration error has a p-value, and weights allow one of all models."""
+        tested = any(not math.isnan(self.test(metric, name).p) for name in self.names)
+        return tested and not any(map(weights_allow_no_test, self.totals))
 
     def calibrated(self, metric: str = "ece") -> list[str]:
         """Name the models whose calibration error is not beyond what chance would show them.
@@ -194,7 +211,7 @@ class PairedModels:
             With too few sequences for a test, and for a metric that has none.
         """
         p = {name: self.test(metric, name).p for name in self.names}
-        if math.isnan(self.feasible(metric)):
+        if not self.has_test(metric):
             what = f"{self.totals[0].units()}; expected at least {MIN_SEQUENCES}"
             if any(map(weights_allow_no_test, self.totals)):
                 what = f"weighted hypotheses of so small an effective N; expected at least {FEW_HYPOTHESES}"

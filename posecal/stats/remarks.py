@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 
 from posecal.calibration.error import FEW_HYPOTHESES, unresolved_coverages
 from posecal.calibration.expected import ece_range
@@ -18,6 +18,8 @@ from posecal.engine.weighted import LEAST_SPREAD
 from posecal.errors import first_few
 from posecal.metrics.likelihood import LIKELIHOODS, is_unbounded, likelihood_remarks, moments_statistic
 from posecal.registry import left_out
+from posecal.stats.heterogeneity import COLUMNS, SequenceAreas, remark_on_differences
+from posecal.stats.resampling import Null
 from posecal.stats.uncertainty import effective_hypotheses, measured_spec, weights_allow_no_test
 
 _FEW_BY_WEIGHTS = (
@@ -77,6 +79,37 @@ def remarks_on_numbers(totals: Totals, metrics: Mapping[str, Metric]) -> Iterato
         yield _of_few_hypotheses(totals, metrics)
     elif totals.spec.is_ragged and not totals.spec.has_weights and _unknown_coverage(totals, metrics):
         yield f"poses have {effective:.1f} hypotheses on average{_unknown_coverage(totals, metrics)}."
+
+
+def remarks_on_chance(
+    metrics: Mapping[str, Metric],
+    test: Callable[[str], Null],
+    differences: Callable[[], tuple[SequenceAreas, float]],
+    chance: str = COLUMNS,
+) -> Iterator[str]:
+    """Say where what a calibrated sampler would show is not known, or is of one whose sequences differ.
+
+    Parameters
+    ----------
+    metrics : mapping of Metric
+        Those that are shown, by name.
+    test : callable
+        Gives the test of a metric.
+    differences : callable
+        Gives what :func:`posecal.stats.heterogeneity.sequences_differ` does.
+    chance : str
+        What is said of a calibrated sampler.
+    """
+    tested = next((name for name, metric in metrics.items() if metric.deviation is not None), None)
+    if tested is None or math.isnan((null := test(tested)).p):
+        return
+    if math.isnan(null.mean):
+        yield (
+            "what a calibrated sampler would show is not known: hypotheses are so few, and so much too wide, that "
+            "nothing tells how much frames resemble each other. p-values don't rest on it."
+        )
+    elif remark := remark_on_differences(*differences(), chance):
+        yield remark
 
 
 def _of_poses_without_spread(totals: Totals) -> Iterator[str]:
