@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from posecal.engine.totals import Totals
     from posecal.errors import PosecalError, PoseDataError, PoseFileError
     from posecal.evaluation import Evaluation, Leaderboard, add_entry, compare, evaluate, evaluate_shards, leaderboard
+    from posecal.evaluation.pairs import pair_files
     from posecal.recalibration import fit_radius, fit_spread, judge_spread
     from posecal.registry import register, unregister
     from posecal.report.comparison import Comparison
@@ -67,6 +68,7 @@ _MODULES = {
         "evaluate_shards",
         "leaderboard",
     ),
+    "posecal.evaluation.pairs": ("pair_files",),
     "posecal.recalibration": ("fit_radius", "fit_spread", "judge_spread"),
     "posecal.registry": ("register", "unregister"),
     "posecal.report.explain": ("explain",),
@@ -113,6 +115,7 @@ __all__ = [
     "load_totals",
     "merge_totals",
     "metrics",
+    "pair_files",
     "perfect_sampler",
     "plot",
     "prepare",

@@ -11,6 +11,7 @@ from functools import partial
 
 import numpy as np
 
+from posecal.calibration.modes import two_modes
 from posecal.data.arrays import BoolArray, FloatArray
 from posecal.engine.block import Block
 from posecal.engine.metric import Statistic
@@ -18,6 +19,9 @@ from posecal.engine.scope import Scope
 
 NAME = "standardized_errors"
 """Of the statistic."""
+
+MODES = 4
+"""Its column on modes."""
 
 SMALLEST = -5.0
 """Smaller logarithms are taken as this: a median that equals the truth by chance."""
@@ -38,18 +42,21 @@ def standardized_errors(block: Block, joints: BoolArray) -> FloatArray:
 
     Returns
     -------
-    array (B, K, 4)
-        Whether hypotheses differ, whether ℓ is known, ℓ and ℓ², all 0 where it is not; NaN for joints that don't count.
+    array (B, K, 5)
+        Whether hypotheses differ, whether ℓ is known, ℓ and ℓ², all 0 where it is not, and whether hypotheses have
+        :func:`two_modes`, of which nothing is known of angles and with weights; NaN for joints that don't count.
     """
     n, ordered = block.n_hypotheses, block.sorted
     quarter = (n - 1) // 4
     width = ordered[..., n - 1 - quarter] - ordered[..., quarter]
     spread, error = (np.einsum("bkd,bkd->bk", v, v, dtype=np.float64) for v in (width, block.shortest(block.median)))
+    plain = block.period is None and block.weights is None
+    modes = two_modes(ordered, width.argmax(axis=-1)) if plain else np.zeros(spread.shape, dtype=bool)
     known = (spread > 0) & (error > 0)
     logs = np.zeros(spread.shape)
     logs[known] = np.maximum(np.log(error[known] / spread[known]) / 2, SMALLEST)
     differ = (ordered[..., 0] != ordered[..., -1]).any(axis=-1)
-    values = np.stack([differ, known, logs, logs**2], axis=-1)
+    values = np.stack([differ, known, logs, logs**2, modes], axis=-1)
     values[~(block.where & joints)] = np.nan
     return values
 

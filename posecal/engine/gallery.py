@@ -187,8 +187,18 @@ def join_galleries(galleries: Sequence[Gallery]) -> Gallery:
 
 
 def of_part(gallery: Gallery, number: int) -> Gallery:
-    """Name poses without sequence labels after the part of several that they are in."""
-    return replace(gallery, sequence=np.full(len(gallery), f"part {number}"))
+    """Name poses without sequence labels after the part of several that they are in, where they have no such name."""
+    is_named = (gallery.sequence != "").all()
+    return gallery if is_named else replace(gallery, sequence=np.full(len(gallery), f"part {number}"))
+
+
+def of_parts(galleries: Sequence[Gallery]) -> list[Gallery]:
+    """Name poses without sequence labels after their parts, and parts of parts so that no two have one name."""
+    named = [of_part(gallery, number) for number, gallery in enumerate(galleries, 1)]
+    names = np.concatenate([np.unique(gallery.sequence) for gallery in named])
+    if len(np.unique(names)) == len(names):
+        return named
+    return [replace(g, sequence=np.char.add(f"part {number}, ", g.sequence)) for number, g in enumerate(named, 1)]
 
 
 def _packed(chunk: Chunk, rows: Indices, spec: DataSpec, numbers: FloatArray) -> Gallery:

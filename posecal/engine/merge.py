@@ -11,7 +11,7 @@ import numpy as np
 from posecal.data.remarks import Count, Example, Remark, join_remarks
 from posecal.engine.apart import without_apart, without_own_cuts
 from posecal.engine.cells import RUNS, run_length
-from posecal.engine.gallery import Gallery, join_galleries, of_part
+from posecal.engine.gallery import Gallery, join_galleries, of_part, of_parts
 from posecal.engine.measure import of_plain_poses
 from posecal.engine.pose_hashes import MOST_HASHES, shared_poses, smallest_hashes
 from posecal.engine.totals import Totals
@@ -128,7 +128,7 @@ def _joined_gallery(parts: Sequence[Totals], has_sequences: bool) -> Gallery | N
     if len(galleries) < len(parts):
         return None
     if not has_sequences and len(parts) > 1:
-        galleries = [of_part(gallery, number) for number, gallery in enumerate(galleries, 1)]
+        galleries = of_parts(galleries)
     return join_galleries(galleries)
 
 
@@ -204,8 +204,9 @@ def merge_tree(parts: Iterable[Totals]) -> Totals:
         What one merge of all gives.
     """
     levels: list[list[Totals]] = [[]]
-    for part in parts:
-        levels[0].append(part)
+    for number, part in enumerate(parts, 1):
+        gallery = None if part.gallery is None or part.has_sequences else of_part(part.gallery, number)
+        levels[0].append(part if gallery is None else replace(part, gallery=gallery))
         for level, waiting in enumerate(levels):
             if len(waiting) == FAN_IN:
                 if level + 1 == len(levels):

@@ -17,7 +17,8 @@ NEEDS: dict[Need, str] = {
     "three hypotheses": "at least 3 hypotheses",
     "alike hypotheses": "hypotheses of equal weight",
     "whole poses": "where = all and joints = all, because a log density is of the whole pose",
-    "observed poses": "the last observed pose of each clip (a member observed beside the truth)",
+    "observed poses": "the last observed pose of each clip (a member observed beside the truth; in batches, also "
+    "prepared=posecal.prepare(poses), of all poses)",
     "coordinate range": "one coordinate range; each of the results that were merged has its own",
     "climatology": "one climatology; each of the results that were merged has its own",
     "true clips": "the true clips of one run; each of the results that were merged has its own",

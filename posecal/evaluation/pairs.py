@@ -36,6 +36,17 @@ def pair_files(*patterns: str) -> list[tuple[str, ...]]:
     ------
     PoseDataError
         Where no file fits, a file has no partner, or the patterns have other numbers of stars.
+
+    See Also
+    --------
+    evaluate_shards : which evaluates them as one test set.
+
+    Examples
+    --------
+    Names without stars are one pair.
+
+    >>> pair_files("hyps.npz", "gt.npz")
+    [('hyps.npz', 'gt.npz')]
     """
     found = {pattern: _files(pattern) for pattern in patterns if is_pattern(pattern)}
     if not found:

@@ -103,7 +103,8 @@ def _true_clips(y: FloatArray, observed: FloatArray, parts: list[slice], root: i
         raise PoseDataError(f"clip: {lengths[0]} to {lengths[-1]} frames; expected one length.")
     if observed.shape != (len(parts), *y.shape[1:]):
         expected = (len(parts), *y.shape[1:])
-        raise PoseDataError(f"observed {observed.shape}: expected a pose for each clip, (C, K, D) = {expected}.")
+        alone = "" if len(parts) > 1 else " Without clip=, all poses are one clip."
+        raise PoseDataError(f"observed {observed.shape}: expected a pose for each clip, (C, K, D) = {expected}.{alone}")
     poses, before = (relative_to_root(some, root, np.dtype(np.float64)) for some in (y, observed))
     number = {str(n): n for n in range(len(parts))}
     return TrueClips(number, poses.reshape(len(parts), lengths[0], *y.shape[1:]), before, frozenset(number))

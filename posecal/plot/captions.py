@@ -66,7 +66,8 @@ def _numbers(report: Report, kind: str) -> str:
     name = _error_of(report)
     words = [f"{report.metrics[name].label} {report.value(name):.4f}"] if name in report.metrics else []
     if name == "ece" and words and not math.isnan((null := report.test(name)).p):
-        words[-1] += f" (of a calibrated sampler {null.mean:.4f} on average, p {_written(null.p)})"
+        mean = "" if math.isnan(null.mean) else f"of a calibrated sampler {null.mean:.4f} on average, "
+        words[-1] += f" ({mean}p {_written(null.p)})"
     if "signed_area" in report.metrics:
         words.append(f"signed area {with_sign(report.value('signed_area'), 4)}")
     return ", ".join(words)
@@ -115,7 +116,7 @@ def _of_reliability(report: Report, *, together: bool) -> str:
     if name in report.metrics:
         words = f"{report.metrics[name].label}: {report.metrics[name].definition}."
     words += f"{'' if together else ' Grey: each joint;'} {'D' if together else 'd'}ashed: a calibrated sampler."
-    if name != "ece" or name not in report.metrics or math.isnan((null := report.test(name)).p):
+    if name != "ece" or name not in report.metrics or math.isnan((null := report.test(name)).band):
         return words
     band = f"{words} Band: 95 % of calibrated samplers, by sign-flips of {report.totals.units(null.sequences)}"
     return f"{band}{', the widest of the models' if together else ''}."

@@ -180,7 +180,7 @@ def sentences(comparison: PairedModels) -> list[str]:
         metric = comparison.metrics.get(name)
         if metric is not None and metric.direction != "none" and not (differ and metric.family == "calibration"):
             words.append(f"{metric.label}: {_best(comparison, name)}.")
-    if not differ and "ece" in comparison.metrics and not math.isnan(comparison.feasible()):
+    if not differ and "ece" in comparison.metrics and comparison.has_test():
         models = ", ".join(comparison.calibrated()) or "none"
         words.append(f"No miscalibration shown on average: {models}.")
     return words

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from posecal.calibration.modes import share_with_modes
+from posecal.calibration.standardized import MODES
 from posecal.engine.bounds import UNBOUNDED, Bounds, to_scale
-from posecal.stats.heterogeneity import sequence_areas, sequences_differ_p
-from posecal.stats.resampling import LEVEL
+from posecal.stats.heterogeneity import SequenceAreas, sequences_differ
+from posecal.stats.resampling import LEVEL, STRONG
 from posecal.stats.uncertainty import effective_hypotheses, freedom_of, weights_allow_no_test
 
 if TYPE_CHECKING:
     from posecal.report.report import Report
-
-STRONG = 0.01
-"""What is said without reserve is shown at this level: of several tests of one report some falls below 0.05 by chance
-much more often than in one report of twenty."""
 
 ONE_SIDED = 0.5
 """Share of an ECE above which the signed area names a side: |∫ (ω − q) dq| ≤ ∫ |ω − q| dq, and where it is more than
@@ -186,6 +184,8 @@ class Evidence:
         The mean of the joints' own ECEs; None where it is not needed.
     rank_tests : tuple of tuple
         Label, what a rejection means, and adjusted p-value of each.
+    modes : dict of float
+        Joints at which hypotheses have two modes, beyond chance, and in which share of the poses.
     spreads : bool
         Whether the hypotheses of a pose differ.
     few_by_weights : float
@@ -203,6 +203,7 @@ class Evidence:
     joints: dict[str, Joint] = field(default_factory=dict)
     mean_of_joints: NullComparison | None = None
     rank_tests: tuple[tuple[str, str, float], ...] = ()
+    modes: dict[str, float] = field(default_factory=dict)
     spreads: bool = True
     few_by_weights: float = math.nan
 
@@ -232,6 +233,32 @@ class Evidence:
         return tuple(row for row in (self.area, *self.coverage) if row.excludes)
 
 
+@dataclass(frozen=True)
+class Rule:
+    """One thing that a summary may say.
+
+    Attributes
+    ----------
+    group, name : str
+        Of each group the first rule that holds applies.
+    when : str
+        The condition in words, for the documentation.
+    holds : callable
+        The condition.
+    say : callable
+        The sentence.
+    alone : bool
+        Whether nothing else is said beside it.
+    """
+
+    group: str
+    name: str
+    when: str
+    holds: Callable[[Evidence], bool]
+    say: Callable[[Evidence], str]
+    alone: bool = False
+
+
 def evidence_of(report: Report) -> Evidence:
     """Gather what a report knows about calibration.
 
@@ -259,6 +286,7 @@ def evidence_of(report: Report) -> Evidence:
         balls="intervals" if prefix != "coverage_" else "balls",
         sequences=_sequences(report),
         joints=dict(_joints(report)),
+        modes=_modes(report),
         rank_tests=tuple(
             (report.metrics[name].label, report.metrics[name].rejection, p)
             for name, (_, p) in report.rank_tests().items()
@@ -288,14 +316,16 @@ def _joints(report: Report) -> Iterator[tuple[str, Joint]]:
         yield joint, Joint(report.value("ece", joint=joint), p, estimate)
 
 
+def differences_of(report: Report) -> tuple[SequenceAreas, float]:
+    """Give the signed areas of single sequences, and the p-value of their differences, computed once."""
+    return report.once(("sequences differ",), lambda: sequences_differ(report.totals, report.metrics))
+
+
 def _sequences(report: Report) -> Sequences | None:
-    found = sequence_areas(report.totals, report.metrics["ece"])
+    found, p = differences_of(report)
     if len(found.names) < 2:
         return None
     low, high = int(np.argmin(found.areas)), int(np.argmax(found.areas))
-    kept = report.metrics.get("spread_error_correlation")
-    one_sided = found.areas[low] * found.areas[high] >= 0  # of which nothing is said
-    p = math.nan if kept is None or one_sided else sequences_differ_p(report.totals, kept.statistic)
     return Sequences(
         (found.names[low], float(found.areas[low])),
         (found.names[high], float(found.areas[high])),
@@ -303,3 +333,16 @@ def _sequences(report: Report) -> Sequences | None:
         found.frames,
         p,
     )
+
+
+def _modes(report: Report) -> dict[str, float]:
+    """Give the joints at which two modes are beyond chance, and in which share of their poses they have two."""
+    totals, deviation = report.totals, report.metrics["ece"].deviation
+    statistic = None if deviation is None else deviation.errors
+    if totals.spec.is_ragged or statistic is None or statistic.name not in totals.sums:
+        return {}
+    sums, counts = (part.sum(axis=0) for part in totals.of_cells(statistic, None))
+    if sums.shape[-1] <= MODES:
+        return {}
+    share, limit = share_with_modes(sums[..., MODES], counts, totals.spec.n_hypotheses)
+    return {joint: float(s) for joint, s, most in zip(totals.spec.joints, share, limit, strict=True) if s > most}

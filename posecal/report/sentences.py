@@ -7,48 +7,16 @@ shown is not called calibrated, p-values between 0.01 and 0.05 are weak evidence
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 
-from posecal.report.evidence import NEITHER, OVER, STRONG, UNDER, Evidence, side_of
+from posecal.report.evidence import NEITHER, OVER, UNDER, Evidence, Rule, side_of
 from posecal.report.format import counted, p_value, several, span
-from posecal.stats.resampling import LEVEL
+from posecal.stats.heterogeneity import CROWDED, WIDE
+from posecal.stats.resampling import LEVEL, STRONG
 
 BOTH_SIDES = 0.05
 """Signed areas of at least this size to either side are called over- and underconfident sequences; a spread that is
 wrong by an eighth has such an area in three dimensions."""
-
-WIDE = 0.1
-"""Where sequences are not shown to differ, they are mentioned from this size on, to either side."""
-
-CROWDED = 3.0
-"""And where the frames of a sequence count as fewer independent ones than a share of one in so many."""
-
-
-@dataclass(frozen=True)
-class Rule:
-    """One thing that a summary may say.
-
-    Attributes
-    ----------
-    group, name : str
-        Of each group the first rule that holds applies.
-    when : str
-        The condition in words, for the documentation.
-    holds : callable
-        The condition.
-    say : callable
-        The sentence.
-    alone : bool
-        Whether nothing else is said beside it.
-    """
-
-    group: str
-    name: str
-    when: str
-    holds: Callable[[Evidence], bool]
-    say: Callable[[Evidence], str]
-    alone: bool = False
 
 
 def sentences(evidence: Evidence) -> Iterator[str]:
@@ -118,20 +86,34 @@ def _weak(e: Evidence) -> str:
 
 
 def _against(e: Evidence) -> str:
-    return f"ECE {e.ece.error:.3f}; {_chance(e, f'about {e.ece.mean:.3f}')}.{_share(e)}"
+    return f"ECE {e.ece.error:.3f}; {_chance(e, 'about', e.ece.mean)}.{_share(e)}"
 
 
-def _chance(e: Evidence, how_much: str) -> str:
+def _chance(e: Evidence, words: str, value: float) -> str:
     """Say what a calibrated model shows, or where sequences are shown to differ, one whose sequences do as well."""
+    if math.isnan(value):
+        return f"what chance alone gives a calibrated model is not known ({p_value(e.ece.p)})"
+    differ = e.sequences is not None and e.sequences.p < STRONG
     alike = "a model that is calibrated on average, with sequences that differ as much,"
-    return f"chance alone gives {alike if _differ(e) else 'a calibrated model'} {how_much} ({p_value(e.ece.p)})"
+    model = alike if differ else "a calibrated model"
+    return f"chance alone gives {model} {words} {value:.3f} ({p_value(e.ece.p)})"
 
 
 def _nothing_shown(e: Evidence) -> str:
     error, high = e.ece.error, e.ece.high
-    chance = _chance(e, f"up to {high:.3f}")
-    excluded = f"A true ECE of up to {error + high:.3f} can't be excluded."
-    return f"No miscalibration shown on average: ECE {error:.3f}; {chance}. {excluded}{_share(e)}"
+    excluded = "" if math.isnan(high) else f" A true ECE of up to {error + high:.3f} can't be excluded."
+    return f"No miscalibration shown on average: ECE {error:.3f}; {_chance(e, 'up to', high)}.{excluded}{_share(e)}"
+
+
+# --- modes --------------------------------------------------------------------------------------------------------
+
+
+def _two_modes(e: Evidence) -> str:
+    joints, least = sorted(e.modes, key=lambda joint: -e.modes[joint]), min(e.modes.values())
+    return (
+        f"Hypotheses have two modes at {several(joints)}, in {100 * least:.0f}\u00a0% of poses or more: {e.balls} are "
+        "about their common median, and don't say whether each mode is too narrow or too wide."
+    )
 
 
 # --- intervals ----------------------------------------------------------------------------------------------------
@@ -209,9 +191,8 @@ def _joint_by_joint(e: Evidence) -> str:
 def _mean_of_joints(e: Evidence) -> str:
     mean = e.mean_of_joints
     assert mean is not None
-    return (
-        f"the joints' own ECEs average {mean.error:.3f}, a calibrated model's about {mean.mean:.3f} ({p_value(mean.p)})"
-    )
+    expected = "" if math.isnan(mean.mean) else f", a calibrated model's about {mean.mean:.3f}"
+    return f"the joints' own ECEs average {mean.error:.3f}{expected} ({p_value(mean.p)})"
 
 
 # --- rank tests ---------------------------------------------------------------------------------------------------
@@ -295,6 +276,13 @@ RULES = (
     ),
     Rule("verdict", "weak evidence", "p < 0.05 of the ECE", lambda e: e.ece.p < LEVEL, _weak),
     Rule("verdict", "not shown", "p ≥ 0.05 of the ECE", lambda e: e.ece.p >= LEVEL, _nothing_shown),
+    Rule(
+        "modes",
+        "two modes",
+        "at a joint hypotheses have two modes in more poses than those of a distribution without modes would by chance",
+        lambda e: bool(e.modes),
+        _two_modes,
+    ),
     Rule(
         "intervals",
         "interval excludes",

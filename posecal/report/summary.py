@@ -13,10 +13,10 @@ from posecal.data.frames import DIFFERENT_FRAMES
 from posecal.engine.totals import Totals
 from posecal.errors import first_few, for_python
 from posecal.metrics.occlusion import occlusion_words
-from posecal.report.evidence import STRONG, evidence_of
+from posecal.report.evidence import differences_of, evidence_of
 from posecal.report.sentences import sentences
-from posecal.stats.remarks import remarks_on_numbers, remarks_on_sequences
-from posecal.stats.resampling import MIN_SEQUENCES
+from posecal.stats.remarks import remarks_on_chance, remarks_on_numbers, remarks_on_sequences
+from posecal.stats.resampling import MIN_SEQUENCES, STRONG
 from posecal.stats.uncertainty import (
     are_points,
     p_without_each,
@@ -59,6 +59,7 @@ def _of_statistics(report: Report) -> Iterator[str]:
     if "occlusion" in report.by:
         yield occlusion_words(totals.protocol, totals.spec)
     yield from remarks_on_numbers(totals, report.metrics)
+    yield from remarks_on_chance(report.metrics, report.test, lambda: differences_of(report))
     yield from _of_what_is_unknown(report)
 
 

@@ -144,7 +144,7 @@ def _metrics(report: Report, title: str, metrics: list[Metric], *, what: bool, p
                 expected = (f"{metric.calibrated:.3g}", "", "")
         else:
             test, expected = report.test(metric.name), (MISSING, MISSING, "no test")
-            p, shown = adjusted.get(metric.name, test.p), (0.0, min(test.high, 0.09))  # three digits or more
+            p, shown = adjusted.get(metric.name, test.p), (0.0, min(0.09, test.high))  # three digits or more
             if not math.isnan(p):
                 expected = (number(test.mean, "", shown), number(test.high, "", shown), short_p(p))
             if f"{metric.name}_floor" in report.auxiliary and len(report.totals.spec.joints) <= MESH:

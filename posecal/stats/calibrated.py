@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from posecal.calibration.ranks import LEVELS, rank_weights
@@ -20,6 +22,10 @@ quartiles, the unit of standardized errors."""
 
 SMALLEST_SHARE = 0.25
 """Of the mean squared standardized error, what is not noise of the median counts as at least this share."""
+
+LEAST_SHARE = 0.1
+"""Where it is less than this, how much frames depend on each other is not known: taken as :data:`SMALLEST_SHARE`, it
+may make deviations 2.5 times too small."""
 
 _INNER = slice(1, LEVELS.size - 1)
 
@@ -54,14 +60,16 @@ def calibrated_deviations(
     -------
     array (S, J, Q)
         Sums, as the deviations; with random signs of sequences their mean has the mean 0, and the variance that a
-        calibrated sampler's curve would have.
+        calibrated sampler's curve would have. NaN at levels where nothing tells that variance.
 
     Notes
     -----
     Between two of the levels, standardized deviations are interpolated, with the correlation √(odds ratio) that a
     Brownian bridge has between them. Where the truths lie nearly all inside the smallest ball, or outside the largest,
     the ranks don't say how much frames depend on each other; the logarithms of the standardized errors do, and a
-    factor of the spread leaves their differences as they are. Without those, frames count as independent there.
+    factor of the spread leaves their differences as they are. Without those, frames count as independent there. Of few
+    hypotheses that are much too wide, errors are those of their median; where less than :data:`LEAST_SHARE` of the mean
+    squared one is not, they don't say either.
     Ranks say something at levels from 1/(N + 1) to N/(N + 1) alone: beyond, the weight of a truth outside all balls
     rises from 0 to 1 whatever the truth. There a calibrated sampler's W vary by less than q (1 - q), by as much as
     those of uniform ranks.
@@ -155,9 +163,12 @@ def _without_noise(
 
     Noise is independent from frame to frame. A share r of the mean ``squares`` that is none makes the squared errors
     of two frames correlate by r² of what they would, and so the design effect e of a sequence's frames exceed 1 by r²
-    as much.
+    as much. NaN where r is below :data:`LEAST_SHARE`.
     """
-    share = np.clip(1 - NOISE / n / squares[is_known].mean(), SMALLEST_SHARE, 1)
+    share = 1 - NOISE / n / squares[is_known].mean()
+    if share < LEAST_SHARE:
+        return math.nan
+    share = max(share, SMALLEST_SHARE)
     total = number.sum(axis=0)
     lost = 1 - (number**2).sum(axis=0) / np.maximum(total, 1) ** 2
     effects = (deviations**2).sum(axis=0)[is_known] / np.maximum(total * lost, 1e-300)[is_known]

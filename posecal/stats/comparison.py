@@ -22,11 +22,13 @@ from posecal.data.texts import frame_of
 from posecal.engine.metric import Metric
 from posecal.engine.totals import Totals
 from posecal.errors import PoseDataError, did_you_mean, for_python, printable
+from posecal.metrics.likelihood import LIKELIHOODS
 from posecal.registry import metrics_of, unmeasured
+from posecal.stats.heterogeneity import SHOWN, sequences_differ
 from posecal.stats.jackknife import Interval, jackknife, leave_one_out, sequence_sizes
 from posecal.stats.multiplicity import PRIMARY, adjust, default_primary
 from posecal.stats.pairs import Difference, Pair, pairs
-from posecal.stats.remarks import remarks_on_numbers, remarks_on_sequences
+from posecal.stats.remarks import likelihood_is_unbounded, remarks_on_chance, remarks_on_numbers, remarks_on_sequences
 from posecal.stats.resampling import LEVEL, MIN_SEQUENCES, Null
 from posecal.stats.same_poses import PosesThatCount, not_compared, poses_that_count
 from posecal.stats.uncertainty import effective_hypotheses, measured_spec, null, weights_allow_no_test
@@ -84,6 +86,7 @@ class PairedModels:
                 *totals.remarks,
                 *remarks_on_sequences(totals),
                 *remarks_on_numbers(totals, self.metrics),
+                *self._remarks_on_chance(name, totals),
             ):
                 models.setdefault(words(remark), []).append(name)
         of_data = (
@@ -91,6 +94,15 @@ class PairedModels:
             for remark, some in models.items()
         )
         return (*map(words, self._remarks_on_tests), *of_data)
+
+    def _remarks_on_chance(self, name: str, totals: Totals) -> Iterator[str]:
+        differ = ("sequences differ", name)
+        yield from remarks_on_chance(
+            self.metrics,
+            lambda metric: self.test(metric, name),
+            lambda: self._once(differ, lambda: sequences_differ(totals, self.metrics)),
+            SHOWN,
+        )
 
     @cached_property
     def _remarks_on_tests(self) -> list[str]:
@@ -109,6 +121,10 @@ class PairedModels:
                 f"is {numbers}, and weights move these numbers by more, the smaller it is; expected at least "
                 f"{FEW_HYPOTHESES} of weighted hypotheses, and alike within {_ALIKE - 1:.0%}."
             )
+        if {*LIKELIHOODS} & self.metrics.keys() and self._likelihood_is_unbounded:
+            remarks.append(
+                "no p-values of likelihoods, and no model is called better in them: they have no bound here."
+            )
         lack = "" if self.chosen else unmeasured(PRIMARY[0], first.protocol, first.spec)
         if lack and PRIMARY[0] not in self.metrics:
             remarks.append(f"primary metrics: {', '.join(self.primary)}; {PRIMARY[0]} {lack}")
@@ -121,6 +137,10 @@ class PairedModels:
             return False
         numbers = [effective_hypotheses(totals) for totals in self.totals]
         return any(map(weights_allow_no_test, self.totals)) or max(numbers) > _ALIKE * min(numbers)
+
+    @cached_property
+    def _likelihood_is_unbounded(self) -> bool:
+        return any(map(likelihood_is_unbounded, self.totals))
 
     @cached_property
     def metrics(self) -> dict[str, Metric]:
@@ -168,11 +188,17 @@ class PairedModels:
         """Give the largest calibration error that a calibrated sampler would show here: its 95 % quantile.
 
         Each model's own deviations give nearly the same one; this is their median, a guide for the eye. Whether a model
-        is beyond it by chance says :meth:`calibrated`. Models that repeat one hypothesis have none.
+        is beyond it by chance says :meth:`calibrated`. Models that repeat one hypothesis have none, nor models whose
+        hypotheses are so few and so much too wide that it can't be known.
         """
         highs = [high for name in self.names if not math.isnan(high := self.test(metric, name).high)]
         untested = any(map(weights_allow_no_test, self.totals)) or not highs
         return math.nan if untested else float(np.median(highs))
+
+    def has_test(self, metric: str = "ece") -> bool:
+        """Whether some model's calibration error has a p-value, and weights allow one of all models."""
+        tested = any(not math.isnan(self.test(metric, name).p) for name in self.names)
+        return tested and not any(map(weights_allow_no_test, self.totals))
 
     def calibrated(self, metric: str = "ece") -> list[str]:
         """Name the models whose calibration error is not beyond what chance would show them.
@@ -185,7 +211,7 @@ class PairedModels:
             With too few sequences for a test, and for a metric that has none.
         """
         p = {name: self.test(metric, name).p for name in self.names}
-        if math.isnan(self.feasible(metric)):
+        if not self.has_test(metric):
             what = f"{self.totals[0].units()}; expected at least {MIN_SEQUENCES}"
             if any(map(weights_allow_no_test, self.totals)):
                 what = f"weighted hypotheses of so small an effective N; expected at least {FEW_HYPOTHESES}"
@@ -262,6 +288,8 @@ class PairedModels:
         values = {name: self.value(metric, name) for name in self.names}
         without = {name: self._without(metric, name) for name in self.names}
         one = self._find(metric, self.names[0])[0]
-        untested = self._weights_differ and one.family in _DEPEND_ON_NUMBER
+        untested = (self._weights_differ and one.family in _DEPEND_ON_NUMBER) or (
+            metric in LIKELIHOODS and self._likelihood_is_unbounded
+        )
         for pair in pairs(one.direction, values, without, sizes):
             yield replace(pair, p=math.nan) if untested else pair

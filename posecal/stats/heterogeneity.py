@@ -8,6 +8,7 @@ its deviation; and, from values of single poses, whether the beginning and the e
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +19,7 @@ from posecal.data.arrays import FloatArray
 from posecal.engine.metric import Metric, Statistic
 from posecal.engine.sums import Indices, mean_of
 from posecal.engine.totals import Totals
-from posecal.stats.resampling import MIN_SEQUENCES
+from posecal.stats.resampling import LEVEL, MIN_SEQUENCES, STRONG
 from posecal.stats.uncertainty import sequence_deviations
 
 MIN_FRAMES = 10
@@ -27,9 +28,19 @@ MIN_FRAMES = 10
 DRAWS = 999
 """Random pairings of beginnings and ends."""
 
+WIDE = 0.1
+"""Where sequences are not shown to differ, they are mentioned from signed areas of this size on, to either side."""
+
+CROWDED = 3.0
+"""And where the frames of a sequence count as fewer independent ones than a share of one in so many."""
+
 RISING = 1.25
 """Where the variogram within sequences at a third of their length is more than so many times that at a sixth, the
 correlation of frames reaches from end to end."""
+
+
+COLUMNS, SHOWN = '"if calibrated" and "up to" (…_null) are', "what a calibrated sampler would show is"
+"""What is said of a calibrated sampler in reports, and in comparisons."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +74,10 @@ class SequenceAreas:
         return 1 / (12 * square) if square > 0 else np.inf
 
 
+NO_AREAS = SequenceAreas((), np.zeros(0), float("nan"))
+"""Of no sequence."""
+
+
 def sequence_areas(totals: Totals, metric: Metric) -> SequenceAreas:
     """Signed area of the calibration curve of each sequence.
 
@@ -85,10 +100,35 @@ def sequence_areas(totals: Totals, metric: Metric) -> SequenceAreas:
     frames = counts.max(axis=1, initial=0)
     long = (frames >= MIN_FRAMES) & totals.has_sequences
     if not long.any():
-        return SequenceAreas((), np.zeros(0), np.nan)
+        return NO_AREAS
     curves = joint_median(mean_of(deviations[long], counts[long])) + LEVELS
     names = np.unique(totals.cells["sequence"])[long]
     return SequenceAreas(tuple(map(str, names)), np.asarray(signed_area(curves)), float(frames[long].mean()))
+
+
+def sequences_differ(totals: Totals, metrics: Mapping[str, Metric]) -> tuple[SequenceAreas, float]:
+    """Give the signed areas of single sequences, and :func:`sequences_differ_p`; no sequence and NaN without an ECE."""
+    if "ece" not in metrics:
+        return NO_AREAS, float("nan")
+    kept = metrics.get("spread_error_correlation")
+    areas = sequence_areas(totals, metrics["ece"])
+    p = sequences_differ_p(totals, kept.statistic) if kept is not None and len(areas.names) > 1 else float("nan")
+    return areas, p
+
+
+def remark_on_differences(areas: SequenceAreas, p: float, chance: str = COLUMNS) -> str:
+    """Say that what a calibrated sampler shows is of one whose sequences differ, or may; empty where not.
+
+    They may where signed areas vary by more than those of a third of their frames would, if these were independent.
+    """
+    if p < STRONG:
+        shown = "p < 0.001" if p < 0.001 else f"p = {p:.3f}"
+        return f"sequences differ ({shown}): {chance} of models whose sequences differ as much."
+    found = areas.areas
+    if p >= LEVEL or len(found) < 2 or np.ptp(found) < 2 * WIDE or 12 * found.var() * areas.frames <= CROWDED:
+        return ""
+    shown = "which can't be tested here" if np.isnan(p) else f"of which there is weak evidence (p = {p:.3f})"
+    return f"{chance} too large if sequences differ, {shown}."
 
 
 def sequences_differ_p(totals: Totals, statistic: Statistic) -> float:

@@ -33,6 +33,10 @@ MIN_SEQUENCES = 6
 LEVEL = 0.05
 """p-values below this are called significant."""
 
+STRONG = 0.01
+"""What is said without reserve is shown at this level: of several tests of one report some falls below 0.05 by chance
+much more often than in one report of twenty."""
+
 DRAWS = 2000
 """Random sign patterns; with so few sequences that there are fewer patterns, all of them."""
 
@@ -69,7 +73,7 @@ class Null:
     observed : float
         The statistic.
     mean, high : float
-        The mean and 95 % quantile of a calibrated sampler's.
+        The mean and 95 % quantile of a calibrated sampler's; NaN, like the band, where they can't be known.
     p : float
         Share of sign patterns of the model's own deviations at which it is at least as large, the observed one
         included.
@@ -211,7 +215,8 @@ def sign_flips(
     Returns
     -------
     Null
-        With NaN p, quantile and band where there are fewer than :data:`MIN_SEQUENCES` sequences.
+        With NaN p, mean, quantile and band where there are fewer than :data:`MIN_SEQUENCES` sequences; with NaN mean,
+        quantile and band where nothing tells how much frames depend on each other.
 
     Notes
     -----
@@ -269,8 +274,11 @@ def sign_flips(
         return Null(float(own[0]), np.nan, np.nan, np.nan, np.nan, sequences)
     signs = _signs(sequences, n_draws(min(draws, NULL_DRAWS), D[0].size), seed)
     calibrated = calibrated_deviations(D, counts, offset, errors, n)
+    observed, p = float(own[0]), float(_share_as_large(own))
+    if np.isnan(calibrated).any():
+        return Null(observed, np.nan, np.nan, p, np.nan, sequences)
     null, sup = np.concatenate(_reduce_flips(error_and_sup, calibrated, counts, signs, offset), axis=1)
-    observed, high, p = float(own[0]), float(np.quantile(null, 0.95)), float(_share_as_large(own))
+    high = float(np.quantile(null, 0.95))
     return Null(
         observed=observed,
         mean=float(null.mean(dtype=np.float64)),

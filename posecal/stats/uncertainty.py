@@ -123,7 +123,7 @@ def _errors_of(totals: Totals, metric: Metric, cells: Cells, curves: Indices) ->
     statistic = None if metric.deviation is None else metric.deviation.errors
     if statistic is None or statistic.name not in totals.sums:
         return None
-    errors = totals.by_sequence(statistic, cells)[0][..., 1:]
+    errors = totals.by_sequence(statistic, cells)[0][..., 1:4]
     rows, *inner, _ = totals.sums[metric.statistic.name].shape[1:]
     joints = curves // int(np.prod(inner, dtype=int))
     is_per_joint = rows == errors.shape[1] + (not inner)  # with the pooled curve, or of each axis

@@ -7,6 +7,7 @@ import pytest
 
 from posecal.calibration import joint_modes
 from posecal.calibration.modes import LEAST, Modes, centres_of_modes, chance_limit, split_modes
+from posecal.calibration.modes import two_modes as along_one_axis
 from posecal.engine.block import Block
 from posecal.errors import PoseDataError
 from tests.helpers.flips import depth_flips
@@ -122,3 +123,23 @@ def test_of_distributions_without_modes_the_share_stays_below_the_limit(law: str
 def test_modes_six_deviations_apart_are_beyond_the_limit(N: int) -> None:
     x = two_modes(np.random.default_rng(4), 400, N, 6) + np.random.default_rng(5).normal(size=(400, 3, N))
     assert split_modes(x[:, None]).several.mean() > chance_limit(N) + 0.1
+
+
+@pytest.mark.parametrize("N", [10, 23, 24, 47, 48, 100, 200])
+@pytest.mark.parametrize("law", UNIMODAL)
+def test_some_ordered_hypotheses_of_one_coordinate_show_modes_as_seldom(law: str, N: int) -> None:
+    x = np.sort(UNIMODAL[law](np.random.default_rng(N), 600, N).reshape(600, 1, 3, N))
+    quarter = (N - 1) // 4
+    widest = (x[..., N - 1 - quarter] - x[..., quarter]).argmax(axis=-1)
+    assert along_one_axis(x, widest).mean() < chance_limit(N)
+
+
+@pytest.mark.parametrize("N", [10, 20, 50, 200])
+def test_and_modes_eight_deviations_apart_on_the_coordinate_that_is_asked_for(N: int) -> None:
+    random = np.random.default_rng(N)
+    x = random.normal(size=(1, 300, 3, N))
+    x[:, :, 2] += 8 * (np.arange(N) % 2)
+    x.sort(axis=-1)
+    assert along_one_axis(x, np.full((1, 300), 2)).mean() > 0.9
+    assert along_one_axis(x, np.zeros((1, 300), dtype=int)).mean() < chance_limit(N)
+    assert not along_one_axis(x[..., :9], np.full((1, 300), 2)).any()

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import posecal
 from posecal.calibration.rank_tests import NEEDS_COORDINATE_RANGE
 from posecal.engine import merge
 from posecal.engine.merge import in_order_of_sequences, merge_totals, merge_tree
@@ -231,6 +232,27 @@ def test_a_tree_of_merges_is_one_merge(monkeypatch: pytest.MonkeyPatch) -> None:
         for name, values in one.per_pose.items():
             np.testing.assert_array_equal(tree.per_pose[name], values)
         np.testing.assert_array_equal(tree.cell_of, one.cell_of)
+
+
+def test_a_tree_of_merges_keeps_the_poses_of_one_merge(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Poses without sequence labels are told apart by their shard, which no merge of merges may forget."""
+    parts = [
+        posecal.evaluate(part.pairs.replace(labels={}), metrics="ece").totals
+        for part in cut(world(6, M=69), *range(3, 69, 3))
+    ]
+    one = merge_totals(parts)
+    monkeypatch.setattr(merge, "FAN_IN", 3)
+    tree = merge_tree(iter(parts))
+    assert one.gallery is not None
+    assert tree.gallery is not None
+    assert len({*one.gallery.sequence}) > 6
+    for name, values in vars(one.gallery).items():
+        np.testing.assert_array_equal(getattr(tree.gallery, name), values, err_msg=name)
+    halves = [merge_totals(parts[:11]), merge_totals(parts[11:])]
+    of_halves = merge_totals(halves).gallery
+    assert of_halves is not None
+    assert {name.split(",")[0] for name in of_halves.sequence.tolist()} == {"part 1", "part 2"}
+    np.testing.assert_array_equal(np.sort(of_halves.numbers[:, 2]), np.sort(one.gallery.numbers[:, 2]))
 
 
 def test_there_are_at_most_a_hundred_runs_however_many_shards() -> None:

@@ -239,10 +239,12 @@ def judge(sentence: str, world: World, law: Law, report: Report) -> str:
         reserve = "beyond chance" not in sentence
         return CAUTIOUS if reserve and law.error == 0 else side
     if sentence.startswith("No miscalibration shown"):
-        most = float(re.findall(r"up to ([\d.]+)", sentence)[-1])
+        most = float(re.findall(r"up to ([\d.]+)", sentence)[-1]) if "up to" in sentence else np.inf
         return RIGHT if not off else CAUTIOUS if law.error <= most else WRONG
     if sentence.startswith("Not tested"):
         return CAUTIOUS
+    if sentence.startswith("Hypotheses have two modes"):
+        return RIGHT if world.modes == "both" else WRONG
     if sentence.startswith("Yet"):
         return RIGHT if off else CAUTIOUS
     if sentence.startswith("Some sequences"):

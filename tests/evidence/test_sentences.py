@@ -36,6 +36,7 @@ OVER = Law(0.1, -0.1, {"Head": (0.1, -0.1), "LWrist": (0.0, 0.0), "RKnee": (0.1,
         ("Joint by joint: overconfident at RKnee (adjusted", WRONG, WRONG),
         ("The median over joints hides that some are miscalibrated: x.", WRONG, RIGHT),
         ("Weak evidence that some joints are off, which the median over joints hides: x.", CAUTIOUS, RIGHT),
+        ("Hypotheses have two modes at Head.", WRONG, WRONG),
         ("Rank tests reject as well: x.", WRONG, RIGHT),
         ("Weak evidence from rank tests: x.", CAUTIOUS, RIGHT),
         ("No rank test rejects.", RIGHT, CAUTIOUS),
@@ -54,6 +55,7 @@ def test_a_range_of_sequences_is_wrong_where_frames_count_as_more() -> None:
     assert judge(sentence, World(frames=5), NONE, nothing) == CAUTIOUS
     assert judge(sentence, World(frames=20, likeness=0.95), NONE, nothing) == CAUTIOUS
     assert judge(sentence, World(of_sequences=(0.5, 2)), OVER, nothing) == RIGHT
+    assert judge("Hypotheses have two modes at Head.", World(modes="both"), OVER, nothing) == RIGHT
 
 
 def test_a_row_that_the_summary_does_not_mention_contradicts_it() -> None:

@@ -149,3 +149,11 @@ def test_functions_refuse_clips_of_other_lengths_and_other_observed_poses() -> N
         mmade(x, y, WORLD.observed[:2], clip=np.repeat([0, 1], [12, 20]), unit="mm")
     with pytest.raises(PoseDataError, match=r"^observed \(7, 4, 3\): expected a pose for each clip"):
         mmfde(WORLD.x, WORLD.y, WORLD.observed[:7], axes="NMTKD", unit="mm")
+    with pytest.raises(PoseDataError, match=r"\(1, 4, 3\)\. Without clip=, all poses are one clip\.$"):
+        mmade(x, y, WORLD.observed, axes="NMKD", unit="mm")
+
+
+def test_batches_with_observed_poses_are_told_to_be_prepared() -> None:
+    evaluation = posecal.Evaluation(metrics="mmade", unit="mm", axes="NMTKD", truth_axes="MTKD")
+    with pytest.raises(PoseDataError, match=r"in batches, also prepared=posecal\.prepare\(poses\)"):
+        evaluation.update(WORLD.x, WORLD.y)

@@ -127,7 +127,7 @@ def test_hypotheses_that_are_all_the_same_have_no_spread() -> None:
     assert evidence_of(report(one, y, "ece,signed_area", S=12)).spreads  # not known
 
 
-def test_sequences_are_tested_where_they_lie_on_both_sides() -> None:
+def test_sequences_are_tested_whichever_side_they_lie_on() -> None:
     S, F = 9, 12
     x, y = gaussian(4, N, S * F, K)
     centre = x.mean(axis=0)
@@ -137,4 +137,4 @@ def test_sequences_are_tested_where_they_lie_on_both_sides() -> None:
         assert found is not None
         assert found.lowest[1] < found.highest[1]
         assert (found.highest[1] > 0) is both
-        assert math.isnan(found.p) is not both
+        assert found.p < 0.2

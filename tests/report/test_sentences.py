@@ -161,6 +161,33 @@ def test_coordinates_have_intervals() -> None:
     )
 
 
+def test_what_a_calibrated_sampler_would_show_is_not_said_where_it_is_not_known() -> None:
+    unknown = NullComparison(0.45, NAN, NAN, 0.0005)
+    sentence = "ECE 0.450; what chance alone gives a calibrated model is not known (p < 0.001)."
+    assert first(Evidence(unknown, area_of(0.45))) == f"Underconfident, beyond chance: {sentence}"
+    assert first(Evidence(replace(unknown, p=0.05), area_of(0.45))) == (
+        f"No miscalibration shown on average: {sentence.replace('p < 0.001', 'p = 0.050')}"
+    )
+    of_joints = replace(mean_of_joints(0.009), mean=NAN)
+    assert list(sentences(evidence(mean_of_joints=of_joints)))[1].endswith(
+        ": the joints' own ECEs average 0.060 (p = 0.009)."
+    )
+
+
+# --- modes --------------------------------------------------------------------------------------------------------
+
+
+def test_two_modes_are_said_right_after_the_verdict_with_the_joint_where_most_poses_have_them_first() -> None:
+    found = evidence(0.001, modes={"Head": 0.314, "Hip": 0.99}, joints=TWO)
+    assert spoken(found) == ["beyond chance", "two modes", "joints"]
+    assert list(sentences(found))[1] == (
+        "Hypotheses have two modes at Hip and Head, in 31\u00a0% of poses or more: balls are about their common "
+        "median, and don't say whether each mode is too narrow or too wide."
+    )
+    assert "or more: intervals are about" in list(sentences(replace(found, balls="intervals")))[1]
+    assert spoken(replace(found, modes={})) == ["beyond chance", "joints"]
+
+
 # --- intervals that exclude what is best -----------------------------------------------------------------------
 
 
@@ -209,6 +236,8 @@ def test_sequences_differ_where_both_sides_and_a_test_show_it() -> None:
     assert spoken(replace(shown, sequences=of_sequences(-0.05, 0.049, 0.009))) == ["not shown"]
     for p, verdict in ((0.001, "beyond chance"), (0.049, "weak evidence"), (NAN, "no test")):
         assert spoken(replace(shown, ece=replace(shown.ece, p=p))) == [verdict, "sequences differ"]
+    one_sided = replace(shown, sequences=of_sequences(0.01, 0.2, 0.009))
+    assert "a model that is calibrated on average, with sequences that differ as much, up to 0.020" in first(one_sided)
     weak = replace(shown, ece=replace(shown.ece, p=0.049))
     assert first(weak).endswith(
         "chance alone gives a model that is calibrated on average, with sequences that differ as much, about 0.010 "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from functools import cache
 from pathlib import Path
@@ -126,6 +127,43 @@ def test_the_range_of_an_ece_stands_beside_it_where_hypotheses_are_few() -> None
     x, y = world(20)
     assert report(x[:5], y, "ece").metrics["ece"].definition.endswith("; can be 0 to 0.4 at N=5")
     assert "can be" not in report(x, y, "ece").metrics["ece"].definition
+
+
+@cache
+def much_too_wide() -> Report:
+    """Ten hypotheses that are ten times as wide as they should be."""
+    random = np.random.default_rng(3)
+    truth = random.normal(0, 300, (96, 4, 3))
+    labels = {"sequence": np.arange(96) // 8}
+    return report(
+        truth + random.normal(0, 400, (10, 96, 4, 3)) + random.normal(0, 40, (96, 4, 3)), truth, labels=labels
+    )
+
+
+def test_what_a_calibrated_sampler_would_show_is_not_known_of_few_hypotheses_that_are_much_too_wide() -> None:
+    found = much_too_wide()
+    assert found["ece_p"] < 0.001
+    assert [math.isnan(found[name]) for name in ("ece_null", "ece_null_95")] == [True] * 2
+    assert math.isnan(found.test("ece").band)
+    assert "; what chance alone gives a calibrated model is not known (p < 0.001)." in found.summary[0]
+    (said,) = (remark for remark in found.remarks if remark.startswith("what a calibrated sampler would show"))
+    assert "is not known" in said
+    assert said in found.render("markdown").replace("&lt;", "<")
+    row = next(line for line in found.render().splitlines() if line.startswith("ECE "))
+    assert row.split()[-4:] == ["–", "–", "<", "0.001"]
+    numbers = {row["metric"]: row["value"] for row in json.loads(found.render("json"))["rows"] if row["group"] is None}
+    assert numbers["ece_null"] is None
+    assert numbers["ece_p"] < 0.001
+
+
+def test_no_picture_has_a_region_that_is_not_known() -> None:
+    found = much_too_wide()
+    both = posecal.compare({"one": found, "other": found})
+    assert math.isnan(both.feasible())
+    assert both.calibrated() == []
+    assert any(text.startswith("No miscalibration shown on average: none") for text in both.render().splitlines())
+    for ax in (posecal.plot.accuracy_and_calibration(both), posecal.plot.reliability(found)):
+        assert not {"feasible", "band"} & {part.get_gid() for part in ax.get_children()}
 
 
 def test_two_models_on_the_same_sequences_have_nearly_one_null() -> None:

@@ -106,21 +106,35 @@ def test_noise_of_the_median_makes_sequences_seem_more_alike() -> None:
     random, number = np.random.default_rng(8), np.full((9, 2), 40.0)
     sums_of_logs = 40 * random.normal(-1, 0.3, (9, 1)) + 4 * random.normal(size=(9, 2))
     D, counts = np.full((9, 2, Q), -40.0) * LEVELS, np.full((9, 2), 40)  # all truths lie outside
-    for mean, share in ((0.0, None), (-1.0, None), (-2.5, 0.25)):
+    for mean, smallest in ((0.0, None), (-1.0, None), (-2.17, 0.25)):
         logs = sums_of_logs + 40 * (1 + mean)
         squares = logs**2 / 40 + 40 * 0.5
         errors = np.stack([number, logs, squares], axis=-1)
         variance = squares.sum(axis=0) / 360 - (logs.sum(axis=0) / 360) ** 2
         size = np.exp(2 * logs.sum(axis=0) / 360 + 1.5 * variance).mean()
         noise = math.pi / 2 / 1.3489795**2 / 50  # of the median of 50, in squared distances between quartiles
-        share = share or 1 - noise / size
-        assert share >= 0.25
+        share = 1 - noise / size
+        assert 0.1 < share < 0.25 if smallest else share > 0.25
+        share = smallest or share
         plain = calibrated_deviations(D, counts, None, errors)[..., 10]
         effect = (plain**2).sum(axis=0).mean() / 360 / 0.25
         found = calibrated_deviations(D, counts, None, errors, 50)[..., 10]
         ratio = math.sqrt((1 + (effect - 1) / share**2) / effect) * np.std(np.clip(51 / 2 - np.arange(51), 0, 1)) / 0.5
         assert effect > 1.5
         np.testing.assert_allclose(found, ratio * plain, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("share", "known"), [(0.101, True), (0.099, False)])
+def test_errors_that_are_nearly_all_noise_of_the_median_say_nothing(share: float, known: bool) -> None:
+    D, counts, errors = sums(20.0)  # all truths lie inside the smallest ball
+    number, logs, squares = np.moveaxis(errors, -1, 0)
+    mean, total = logs.sum(axis=0) / number.sum(axis=0), number.sum(axis=0)
+    size = np.exp(2 * mean + 1.5 * (squares.sum(axis=0) / total - mean**2)).mean()
+    n = math.pi / 2 / 1.3489795**2 / ((1 - share) * size)
+    assert np.isfinite(calibrated_deviations(D, counts, None, errors, n)).all() == known
+    null = sign_flips(D, counts, Deviation(over="median"), errors=errors, n=n)
+    assert null.p == 2 / 2**7
+    assert [math.isnan(number) for number in (null.mean, null.high, null.band)] == [not known] * 3
 
 
 @pytest.mark.parametrize("spread", [0.3, 1.0, 4.0])

@@ -9,13 +9,16 @@ import numpy as np
 import pytest
 from scipy import signal
 
+import posecal
 from posecal.calibration import LEVELS
 from posecal.calibration.curve import signed_area
 from posecal.report.report import Report
 from posecal.stats.heterogeneity import (
+    COLUMNS,
     MIN_FRAMES,
     SequenceAreas,
     persistence_p,
+    remark_on_differences,
     sequence_areas,
     sequences_differ_p,
 )
@@ -159,3 +162,34 @@ def test_a_spread_that_is_wrong_in_some_sequences_makes_them_differ() -> None:
     assert sequences_differ_p(report.totals, report.metrics["spread_error_correlation"].statistic) < 0.01
     same = made(0.5)
     assert sequences_differ_p(same.totals, same.metrics["spread_error_correlation"].statistic) > 0.05
+
+
+def test_what_a_calibrated_sampler_shows_is_said_to_be_of_sequences_that_differ_where_they_do() -> None:
+    def remark(p: float, low: float = -0.1, high: float = 0.1, frames: float = 25.1) -> str:
+        areas = np.array([low, high])  # of a variance of 0.01, that of 1 / (12 * 0.01) = 8.3 independent frames
+        return remark_on_differences(SequenceAreas(("A", "B"), areas, frames), p)
+
+    assert remark(0.0099, 0.1) == f"sequences differ (p = 0.010): {COLUMNS} of models whose sequences differ as much."
+    assert remark(0.0009).startswith("sequences differ (p < 0.001)")
+    assert remark(0.01) == f"{COLUMNS} too large if sequences differ, of which there is weak evidence (p = 0.010)."
+    assert remark(0.05) == ""
+    assert remark(math.nan) == f"{COLUMNS} too large if sequences differ, which can't be tested here."
+    assert remark(0.049, 0.1, 0.301) != ""
+    assert [remark(0.049, -0.099, frames=99), remark(math.nan, frames=24.9)] == ["", ""]
+    assert remark_on_differences(SequenceAreas((), np.zeros(0), math.nan), math.nan) == ""
+    chance = "what a calibrated sampler would show is"
+    assert f": {chance} of models" in remark_on_differences(SequenceAreas((), np.zeros(0), 9.0), 0.001, chance)
+
+
+def test_a_report_and_a_comparison_say_so_whichever_side_sequences_lie_on() -> None:
+    report = made(np.resize([0.1, 0.6], 20).repeat(F)[:, None, None], S=20)
+    assert (sequence_areas(report.totals, report.metrics["ece"]).areas < 0).all()
+    (said,) = (remark for remark in report.remarks if "sequences differ" in remark)
+    assert COLUMNS in said
+    assert "a model that is calibrated on average, with sequences that differ as much, about" in report.summary[0]
+    alike = made(0.3, S=20)
+    assert not any("sequences differ" in remark for remark in alike.remarks)
+    both = posecal.compare({"mixed": report, "alike": alike})
+    (said,) = (remark for remark in both.remarks if "sequences differ" in remark)
+    assert said.startswith("mixed: sequences differ (p")
+    assert said.endswith("): what a calibrated sampler would show is of models whose sequences differ as much.")
