@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
-import subprocess
 import sys
 import tempfile
 from collections.abc import Iterable
+from contextlib import chdir
 from dataclasses import fields
 from pathlib import Path
 from typing import cast
 
+from typer.testing import CliRunner
+
 import posecal
+import posecal.cli
 from posecal.data.skeleton import JOINT_SET_TABLE, Skeleton
 from posecal.engine.metric import Family
 from posecal.engine.protocol import CHOICES, Protocol
@@ -101,24 +103,23 @@ def generated(text: str) -> str:
     )
 
 
-def printed(command: str, folder: Path) -> str:
-    """Run a command of posecal in a folder, at 100 columns, and return what it prints."""
+def printed(command: str) -> str:
+    """Run a command of posecal in the current folder, at 100 columns, and return what it prints."""
     program, *words = shlex.split(command)
     if program != "posecal":
         raise ValueError(f"{command}: expected a command of posecal.")
-    environment = {**os.environ, "COLUMNS": "100", "MPLBACKEND": "Agg", "TERM": "dumb"}
-    call = [sys.executable, "-m", program, *words]
-    done = subprocess.run(call, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True, check=True)
+    environment = {"COLUMNS": "100", "MPLBACKEND": "Agg", "TERM": "dumb"}
+    done = CliRunner().invoke(posecal.cli.app, words, prog_name=program, env=environment)
+    if done.exit_code:
+        raise ValueError(f"{command}: exit {done.exit_code}\n{done.output}") from done.exception
     return "\n".join(line.rstrip() for line in done.stdout.splitlines()).strip("\n")
 
 
 def with_output(text: str) -> str:
     """Run the commands of a page in their order, each followed by what it prints."""
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, chdir(folder):
         return re.sub(
-            r"(```console\n\$ (.*)\n)(?:.*\n)*?(```)",
-            lambda block: f"{block[1]}{printed(block[2], Path(folder))}\n{block[3]}",
-            text,
+            r"(```console\n\$ (.*)\n)(?:.*\n)*?(```)", lambda block: f"{block[1]}{printed(block[2])}\n{block[3]}", text
         )
 
 

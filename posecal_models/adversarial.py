@@ -13,6 +13,7 @@ from posecal.data.skeleton import Skeleton
 from posecal.errors import PoseDataError
 from posecal_models.contract import Context, standard_normal
 from posecal_models.estimators.inn import INN, PoseUnits
+from posecal_models.moments import load_moments, moments
 from posecal_models.objective import Objective
 from posecal_models.published_losses import best_error
 
@@ -142,20 +143,14 @@ class InvertibleLosses(Objective):
         if self.critic is None:
             return {}
         tensors = {f"weights.{name}": tensor for name, tensor in self.critic.state_dict().items()}
-        for name, parameter in self.critic.named_parameters():
-            for moment, tensor in self._optimizer.state.get(parameter, {}).items():
-                tensors[f"adam.{moment}.{name}"] = tensor
-        return tensors
+        return tensors | moments(self._optimizer, dict(self.critic.named_parameters()))
 
     def load_state(self, tensors: Mapping[str, Tensor]) -> None:
         """Load what :meth:`state` returned."""
         if self.critic is None:
             return
         self.critic.load_state_dict({name: tensors[f"weights.{name}"] for name in self.critic.state_dict()})
-        for name, parameter in self.critic.named_parameters():
-            if f"adam.step.{name}" in tensors:
-                moments = ("step", "exp_avg", "exp_avg_sq")
-                self._optimizer.state[parameter] = {moment: tensors[f"adam.{moment}.{name}"] for moment in moments}
+        load_moments(self._optimizer, dict(self.critic.named_parameters()), tensors)
 
     def forward(self, context: Context, truth: Tensor, noise: Tensor) -> dict[str, Tensor]:
         """Compute the losses of a batch, or of the part of it that is not the critic's."""

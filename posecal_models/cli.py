@@ -90,6 +90,7 @@ def train(
         typer.Option("--set", help="Change a setting, e.g. --set train.epochs=20 --set model.scale=exp."),
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Resume from the folder's checkpoint.")] = False,
+    tensorboard: Annotated[Path | None, typer.Option(help="A folder for losses in TensorBoard's format.")] = None,
     device: _Device = "cpu",
     threads: _Threads = 0,
 ) -> None:
@@ -99,12 +100,21 @@ def train(
     from posecal_models.distributed import torchrun_group
     from posecal_models.preparation import prepare
     from posecal_models.progress import training_progress
+    from posecal_models.tensorboard import summary_writer, tensorboard_log
+    from posecal_models.train import TrainingProgress
 
+    if tensorboard is not None:
+        summary_writer()  # before any work
     _set_threads(threads)
     settings = Config.load(config).with_changes(change or [])
     with torchrun_group(resolve_device(device)) as processes:
         run = prepare(settings, data, output, device=processes.device, resume=resume, processes=processes)
-        with training_progress(run) as on_step:
+        with training_progress(run) as show, tensorboard_log(run, tensorboard) as log:
+
+            def on_step(progress: TrainingProgress) -> None:
+                show(progress)
+                log(progress)
+
             run.run(on_step=on_step)
 
 
@@ -329,18 +339,19 @@ def zero_shot(
     check_outputs(plot=output)
     from posecal.plot import save
     from posecal_models import figures
+    from posecal_models import pendulum as pendulums
     from posecal_models import zero_shot as experiments
     from posecal_models.progress import progress_bar
 
     _set_threads(threads)
     if experiment is Experiment.PENDULUM:
-        with progress_bar("training", steps * len(experiments.PENDULUM_MODELS)) as progress:
-            result = experiments.pendulum(steps=steps, seed=seed, progress=progress)
-        for name, log_density in result.log_density.items():
-            typer.echo(f"{name}: log p(x | c1, c2, c3) = {log_density}")
+        with progress_bar("training", steps * (len(pendulums.MODELS) - 1)) as progress:  # the linear part has no steps
+            result = pendulums.pendulum(steps=steps, seed=seed, progress=progress)
+        typer.echo("log p(x | c1, c2, c3), and the energy score of samples")
+        for line in result.lines.values():
+            typer.echo(line)
         if output is not None:
-            titles = {name: f"{name}: {log_density}" for name, log_density in result.log_density.items()}
-            save(figures.pendulum(result.samples, result.truth, titles), output)
+            save(figures.pendulum(result.samples, result.truth, result.lines), output)
         return
     with progress_bar("training", 2 * steps) as progress:
         rows = experiments.pose_world(steps=steps, seed=seed, progress=progress)

@@ -173,11 +173,40 @@ class PoseDistribution(Protocol):
     """Distributions of the M poses of a context."""
 
     def sample(self, n: int, *, generator: torch.Generator | None = None) -> Tensor:
-        """Draw n hypotheses of each pose: (n, M, K, 3), mm; the generator is one of the CPU."""
+        """Draw n hypotheses of each pose.
+
+        Parameters
+        ----------
+        n : int
+            N.
+        generator : torch.Generator, optional
+            The source of randomness, of the CPU; torch's own where not given.
+
+        Returns
+        -------
+        Tensor
+            (N, M, K, 3), mm. Reference estimators have a ``temperature``, the scale of the noise, too.
+        """
         ...
 
     def log_prob(self, truth: Tensor) -> Tensor:
-        """Compute the log density at ``truth`` (M, K, 3) in mm: (M,), nats per pose in mm."""
+        """Compute the log density of poses.
+
+        Parameters
+        ----------
+        truth : Tensor
+            (M, K, 3), mm.
+
+        Returns
+        -------
+        Tensor
+            (M,), nats per pose in mm; higher is better.
+
+        Raises
+        ------
+        PoseDataError
+            Where the truth has another shape, or there is no density.
+        """
         ...
 
 

@@ -10,15 +10,17 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+import torch
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Column
 from rich.text import Text
 
 from posecal.errors import PoseFileError, refuse_unreadable
+from posecal.metrics.likelihood import SMALLEST_DEVIATION
 from posecal_models.train import Training, TrainingProgress
 
-__all__ = ["TrainingProgressBar", "progress_bar", "read_losses", "training_progress"]
+__all__ = ["TrainingProgressBar", "note_on_selection", "progress_bar", "read_losses", "training_progress"]
 
 
 def _losses(progress: TrainingProgress) -> str:
@@ -55,8 +57,10 @@ class TrainingProgressBar(Progress):
             console=console,
             expand=True,
         )
-        rate = run.schedule.learning_rate(run.step)
-        self._steps = self.add_task(self._epoch(), total=run.schedule.total_steps, completed=run.step, rate=rate)
+        schedule = run.schedule
+        self._steps = self.add_task(
+            self._epoch(), total=schedule.total_steps, completed=run.step, rate=schedule.learning_rate
+        )
 
     def show(self, progress: TrainingProgress) -> None:
         """Show the progress of the training."""
@@ -91,6 +95,8 @@ def training_progress(run: Training) -> Iterator[Callable[[TrainingProgress], No
     if not run.processes.is_main:
         yield lambda _: None
         return
+    if note := note_on_selection(run):
+        print(note, file=sys.stderr, flush=True)  # noqa: T201
     if sys.stderr.isatty():
         with TrainingProgressBar(run, Console(stderr=True)) as bar:
             yield bar.show
@@ -106,6 +112,33 @@ def training_progress(run: Training) -> Iterator[Callable[[TrainingProgress], No
             print(line, file=sys.stderr, flush=True)  # noqa: T201
 
     yield print_epoch
+
+
+def note_on_selection(run: Training) -> str:
+    """Say where the weights are selected by a likelihood that has no bound.
+
+    Parameters
+    ----------
+    run : Training
+        The training.
+
+    Returns
+    -------
+    str
+        A note, where a cGNF's weights are selected by its loss on poses that don't vary in every direction; else empty.
+    """
+    if run.validation is None or run.config.model.kind != "cgnf" or run.config.train.selection != "loss":
+        return ""
+    poses = run.validation.poses.flatten(1).double()
+    variances = torch.linalg.eigvalsh(poses.T.cov())
+    fixed = int((variances < SMALLEST_DEVIATION**2).sum())
+    if not fixed or len(poses) <= len(variances):
+        return ""
+    return (
+        f"note: the validation poses don't vary in {fixed} of {len(variances)} directions (standard deviation below "
+        f"{SMALLEST_DEVIATION} mm), so that the likelihood that selects the weights has no bound. train.selection = "
+        "energy-score selects them by samples."
+    )
 
 
 @contextmanager

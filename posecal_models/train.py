@@ -152,6 +152,7 @@ class Training:
         self.step_losses: list[float] = []
         self._unread: list[Tensor] = []
         self._last_losses: dict[str, float] = {}
+        self._last_rate = config.train.learning_rate
         self.epoch_losses: list[tuple[float, ...]] = []
         self._order: tuple[int, Tensor] | None = None
 
@@ -242,9 +243,9 @@ class Training:
         context, truth = context[rows], truth[rows]
         noise = self.objective.noise(truth, generator)
         self.estimator.train()
-        rate = self.schedule.learning_rate(self.step)
-        self._learning_rate.fill_(rate)
-        self.objective.before_step(context, truth, noise, rate)
+        self._last_rate = self.schedule.learning_rate
+        self._learning_rate.fill_(self._last_rate)
+        self.objective.before_step(context, truth, noise, self._last_rate)
         device = self.data.device
         with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
             torch.manual_seed(generator.initial_seed() ^ self.processes.rank)  # of dropout
@@ -253,6 +254,7 @@ class Training:
         if self.average is not None:
             self.average.update_parameters(self.estimator)
         self.step += 1
+        self.schedule.after_step()
         if device.type == "cpu" or len(self._unread) >= _STEPS_BETWEEN_READS:
             self.read_losses()
 
@@ -315,12 +317,12 @@ class Training:
             + ", ".join(f"{name} is {value:.6g}" for name, value in losses.items())
             + f", the gradient's norm {norm:.6g}, not finite in {len(broken)} of {len(self.parameters)} tensors"
             + (f" (first: {broken[0]})" if broken else "")
-            + f". {self._advice(step)} or check the poses of this batch."
+            + f". {self._advice()} or check the poses of this batch."
         )
 
-    def _advice(self, step: int) -> str:
+    def _advice(self) -> str:
         checkpoint = f"The checkpoint in {self.folder} is from before. " if (self.folder / CHECKPOINT).exists() else ""
-        return f"{checkpoint}Lower train.learning_rate ({self.schedule.learning_rate(step):.3g})"
+        return f"{checkpoint}Lower train.learning_rate ({self._last_rate:.3g})"
 
     def _end_epoch(self) -> None:
         self.read_losses()
@@ -328,13 +330,17 @@ class Training:
         recent = self.step_losses[-self.steps_per_epoch :]
         train = sum(recent) / len(recent)
         validation = self._validate()
-        rate = self.schedule.learning_rate(self.step - 1)
-        validation_loss = math.nan if validation is None else validation
-        self.epoch_losses.append((float(self.epoch), float(self.step), rate, train, validation_loss))
-        loss = selection_loss(self.epoch_losses[-1])
-        if loss < self.schedule.best:
+        last = (
+            float(self.epoch),
+            float(self.step),
+            self._last_rate,
+            train,
+            math.nan if validation is None else validation,
+        )
+        self.epoch_losses.append(last)
+        if min(self.epoch_losses, key=selection_loss) is last:
             self.best = {name: t.detach().clone() for name, t in self.estimate.state_dict().items()}
-        self.schedule.after_epoch(loss)
+        self.schedule.after_epoch(selection_loss(last))
 
     @torch.no_grad()
     def _validate(self) -> float | None:
@@ -357,7 +363,7 @@ class Training:
             raise PoseDataError(
                 f"validation: after step {self.step:,} (epoch {self.epoch}) "
                 + ", ".join(f"{name} is {value:.6g}" for name, value in losses.items())
-                + f". {self._advice(self.step - 1)} or check the poses of data.validation_subjects."
+                + f". {self._advice()} or check the poses of data.validation_subjects."
             )
         return losses.get("selection", losses["loss"])
 
@@ -366,7 +372,7 @@ class Training:
             self.epoch,
             self.step,
             self.schedule.total_steps,
-            self.schedule.learning_rate(self.step - 1),
+            self._last_rate,
             self._last_losses,
             self.epoch_losses[-1][-1] if self.epoch_losses and self.validation is not None else None,
         )

@@ -11,6 +11,7 @@ from torch import Tensor
 from posecal.data.write import written_together
 from posecal.errors import PoseFileError, refuse_unreadable
 from posecal_models.checkpoint import read_tensors, save_estimator, write_tensors
+from posecal_models.moments import load_moments, moments
 from posecal_models.training_folder import CHECKPOINT, WEIGHTS, check_same, write_losses
 
 if TYPE_CHECKING:
@@ -36,9 +37,7 @@ def save(training: Training) -> None:
     tensors |= {f"best.{name}": tensor for name, tensor in training.best.items()}
     if training.average is not None:
         tensors |= {f"average.{name}": tensor for name, tensor in training.average.state_dict().items()}
-    for name, parameter in training.parameters.items():
-        for moment, tensor in training.optimizer.state.get(parameter, {}).items():
-            tensors[f"adam.{moment}.{name}"] = tensor
+    tensors |= moments(training.optimizer, training.parameters)
     tensors |= {f"objective.{name}": tensor for name, tensor in training.objective.state().items()}
     tensors["losses.steps"] = torch.tensor(training.step_losses, dtype=torch.float64)
     tensors["losses.epochs"] = torch.tensor(training.epoch_losses, dtype=torch.float64).view(-1, 5)
@@ -60,7 +59,6 @@ def save(training: Training) -> None:
 
 
 def _state(training: Training) -> dict[str, Any]:
-    schedule = training.schedule
     return {
         "training": {
             "config": training.config.table(),
@@ -68,7 +66,7 @@ def _state(training: Training) -> dict[str, Any]:
             "epoch": training.epoch,
             "data": training.digests,
         },
-        "schedule": {"best": schedule.best, "waited": schedule.bad_epochs, "drops": schedule.drops},
+        "schedule": training.schedule.state_dict(),
     }
 
 
@@ -96,21 +94,12 @@ def resume(training: Training) -> None:
     with refuse_unreadable(path, "holds no complete training ({}). Give another folder."):
         check_same(path, about["training"], training.config, training.digests)
         training.step, training.epoch = about["training"]["step"], about["training"]["epoch"]
-        schedule = about["schedule"]
-        training.schedule.best, training.schedule.bad_epochs = schedule["best"], schedule["waited"]
-        training.schedule.drops = schedule["drops"]
+        training.schedule.load_state_dict(about["schedule"], training.step)
         training.estimator.load_state_dict(_with_prefix("weights.", tensors))
         training.best = _with_prefix("best.", tensors)
         if training.average is not None:
             training.average.load_state_dict(_with_prefix("average.", tensors))
-        for name, parameter in training.parameters.items():
-            moments = {
-                moment: tensors[f"adam.{moment}.{name}"]
-                for moment in ("step", "exp_avg", "exp_avg_sq")
-                if f"adam.{moment}.{name}" in tensors
-            }
-            if moments:
-                training.optimizer.state[parameter] = moments
+        load_moments(training.optimizer, training.parameters, tensors)
         training.objective.load_state(_with_prefix("objective.", tensors))
         training.step_losses = tensors["losses.steps"].tolist()
         training.epoch_losses = [tuple(row) for row in tensors["losses.epochs"].tolist()]

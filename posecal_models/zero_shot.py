@@ -1,8 +1,7 @@
 """Zero-shot experiments: densities given sets of observed nodes that are not in the training set.
 
-The paper's experiment (supplement B.2): three models of the triple pendulum, evaluated on p(x | c1, c2, c3); the cGNF
-is trained with at most two observed nodes. And the same in the toy world of jointly Gaussian poses, where the true
-posterior is known: by how many nats an estimator's negative log density exceeds that of the true posterior.
+Here in the toy world of jointly Gaussian poses, where the true posterior is known: by how many nats an estimator's
+negative log density exceeds that of the true posterior. The paper's own experiment is :mod:`posecal_models.pendulum`.
 
 The data come from the folder ``toy`` of a checkout, which is not installed with the package.
 """
@@ -12,14 +11,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
+from torch.optim.lr_scheduler import LambdaLR
 
 from posecal.errors import PoseDataError
+from posecal_models.adversarial import energy_score
 from posecal_models.contract import Context
 from posecal_models.data.training_set import seeded_generator
 from posecal_models.estimators.amortized_posterior import AmortizedPosterior
@@ -27,22 +26,15 @@ from posecal_models.estimators.cgnf.flow import FlowSize
 from posecal_models.estimators.cgnf.graph import PoseGraph
 from posecal_models.estimators.cgnf.model import CGNF
 
-__all__ = ["PENDULUM_MODELS", "LogDensity", "Pendulum", "PoseWorldRow", "fit", "pendulum", "pose_world"]
+__all__ = ["PoseWorldRow", "fit", "import_toy", "mean_energy_score", "pose_world", "with_offset"]
 
-Batch = tuple[Tensor, Tensor, Tensor]
-"""Poses (M, K, D), keypoints (M, K, 2) and which are observed (M, K)."""
+Batch = tuple[Tensor, Context]
+"""Poses (M, K, D) and their keypoints."""
 
-_CHAIN = PoseGraph(("x1", "x2", "x3"), (-1, 0, 1), root="x0")
+_SELECTIONS = 10
+"""How often weights are selected, where they are."""
+
 _SIZE = FlowSize(blocks=8, hidden=48, context=10, embedding=32)
-
-PENDULUM_MODELS: dict[str, tuple[tuple[int, ...], ...]] = {
-    "CNF, trained on p(x | c1, c2, c3)": ((0, 1, 2),),
-    "CNF, trained on p(x | c1)": ((0,),),
-    "cGNF, trained with at most two observed": tuple(
-        nodes for count in range(3) for nodes in combinations(range(3), count)
-    ),
-}
-"""The three models, with the sets of nodes that are observed in their training."""
 
 
 def fit(
@@ -52,6 +44,7 @@ def fit(
     steps: int,
     seed: int = 0,
     learning_rate: float = 2e-3,
+    validation: Batch | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> None:
     """Train an estimator on newly drawn batches.
@@ -69,6 +62,9 @@ def fit(
         Seed of the batches.
     learning_rate : float
         Initial learning rate.
+    validation : tuple of Tensor and Context, optional
+        The weights are those of the lowest energy score on these poses, before training and after each tenth of the
+        steps; those after the last step where not given.
     progress : callable, optional
         Called with the number of steps done.
 
@@ -78,21 +74,26 @@ def fit(
         Where the loss is no longer finite.
     """
     if isinstance(estimator, AmortizedPosterior):
-        batches = zip(*(draw(seeded_generator(seed, steps, part)) for part in range(100)), strict=True)
-        poses, keypoints, observed = map(torch.cat, batches)
-        estimator.fit(poses, Context(keypoints, observed))
+        parts = [draw(seeded_generator(seed, steps, part)) for part in range(100)]
+        estimator.fit(torch.cat([poses for poses, _ in parts]), _joined([context for _, context in parts]))
     else:
-        poses, keypoints, observed = draw(seeded_generator(seed, steps))
-        estimator.standardizer.fit(poses, keypoints, observed)
+        poses, context = draw(seeded_generator(seed, steps))
+        estimator.standardizer.fit(poses, context.keypoints, context.observed)
         flow, standardizer = estimator.flow, estimator.standardizer
-        flow.initialise_actnorm(standardizer.poses(poses)[:, None], estimator.embed(Context(keypoints, observed)))
+        flow.initialise_actnorm(standardizer.poses(poses)[:, None], estimator.embed(context))
+    best, weights = math.inf, estimator.state_dict()
     optimizer = torch.optim.Adam(estimator.parameters(), learning_rate, fused=True)
-    for step in range(steps):
-        for group in optimizer.param_groups:
-            group["lr"] = learning_rate * 0.5 * (1 + math.cos(math.pi * step / steps))
-        poses, keypoints, observed = draw(seeded_generator(seed, step))
+    scheduler = LambdaLR(optimizer, lambda step: 0.5 * (1 + math.cos(math.pi * step / max(1, steps))))
+    for step in range(steps + 1):
+        if validation is not None and (step == steps or step % max(1, steps // _SELECTIONS) == 0):
+            score = _validation_score(estimator, validation)
+            if score < best:
+                best, weights = score, {name: tensor.clone() for name, tensor in estimator.state_dict().items()}
+        if step == steps:
+            break
+        poses, context = draw(seeded_generator(seed, step))
         optimizer.zero_grad(set_to_none=False)
-        loss = -estimator(Context(keypoints, observed)).log_prob(poses).mean()
+        loss = -estimator(context).log_prob(poses).mean()
         if not loss.isfinite():
             raise PoseDataError(
                 f"zero-shot: the loss is {float(loss.detach()):.4g} at step {step}. Lower the learning rate."
@@ -100,147 +101,32 @@ def fit(
         torch.autograd.backward(loss)
         torch.nn.utils.clip_grad_norm_(estimator.parameters(), 1.0)
         optimizer.step()
+        scheduler.step()
         if progress is not None:
             progress(step + 1)
+    estimator.load_state_dict(weights)
     estimator.eval()
 
 
-def _observed(sets: Sequence[tuple[int, ...]], rows: int, nodes: int, generator: torch.Generator) -> Tensor:
-    """Draw the observed nodes: one of the sets for each row."""
-    masks = torch.zeros(len(sets), nodes, dtype=torch.bool)
-    for index, members in enumerate(sets):
-        masks[index, list(members)] = True
-    return masks[torch.randint(len(sets), (rows,), generator=generator)]
+@torch.no_grad()
+def _validation_score(estimator: CGNF | AmortizedPosterior, validation: Batch) -> float:
+    poses, context = validation
+    return mean_energy_score(estimator(context).sample(50, generator=seeded_generator(0)), poses)
 
 
-@dataclass(frozen=True)
-class LogDensity:
-    """Held-out log densities log p(x | c1, c2, c3), nats, x in m, of M poses.
-
-    Attributes
-    ----------
-    mean, standard_error : float
-        Over held-out pendulums; not finite where that of a single pose is not.
-    median : float
-        Over poses.
-    overflows : int
-        Poses so improbable that their latents overflow double precision; their log density counts as minus infinity.
-    poses : int
-        M.
-    """
-
-    mean: float
-    standard_error: float
-    median: float
-    overflows: int
-    poses: int
-
-    @classmethod
-    def of(cls, nats: Tensor) -> LogDensity:
-        """Summarise the log densities (pendulums, timesteps) of held-out poses, NaN where a latent overflowed."""
-        log_density = torch.where(nats.isfinite(), nats, -math.inf)
-        pendulum_means = log_density.mean(1)
-        return cls(
-            mean=float(pendulum_means.mean()),
-            standard_error=float(pendulum_means.std()) / math.sqrt(len(pendulum_means)),
-            median=float(np.median(log_density.numpy())),
-            overflows=int((~nats.isfinite()).sum()),
-            poses=nats.numel(),
-        )
-
-    def __str__(self) -> str:
-        if not self.overflows:
-            return f"{self.mean:.2f} ± {self.standard_error:.2f} nats"
-        median = f"median {self.median:.3g} nats, " if math.isfinite(self.median) else ""
-        return f"{median}{self.overflows:,} of {self.poses:,} poses below the range of double precision"
+def _joined(contexts: Sequence[Context]) -> Context:
+    sigma = [context.sigma for context in contexts if context.sigma is not None]
+    return Context(
+        torch.cat([context.keypoints for context in contexts]),
+        torch.cat([context.observed for context in contexts]),
+        torch.cat(sigma) if sigma else None,
+    )
 
 
-@dataclass(frozen=True)
-class Pendulum:
-    """The zero-shot experiment on the pendulum.
-
-    Attributes
-    ----------
-    log_density : dict of str to LogDensity
-        Log densities of each model.
-    truth, keypoints : ndarray
-        Held-out poses (M, 3, 2) and their observations, m.
-    samples : dict of str to ndarray
-        Samples of each model for these poses, (n, M, 3, 2), m.
-    """
-
-    log_density: dict[str, LogDensity]
-    truth: npt.NDArray[np.float32]
-    keypoints: npt.NDArray[np.float32]
-    samples: dict[str, npt.NDArray[np.float32]]
-
-
-def pendulum(
-    *,
-    steps: int = 3000,
-    batch: int = 250,
-    seed: int = 0,
-    examples: int = 4,
-    samples: int = 200,
-    progress: Callable[[int], None] | None = None,
-) -> Pendulum:
-    """Train the paper's three models of the triple pendulum and evaluate them with all nodes observed.
-
-    Parameters
-    ----------
-    steps, batch : int
-        Training steps and batch size of each model, on 50 pendulums of 25 timesteps; the observation noise is drawn
-        anew for every batch.
-    seed : int
-        Random seed.
-    examples, samples : int
-        Number of held-out poses that are sampled, and of samples of each.
-    progress : callable, optional
-        Called with the number of steps done, over all models.
-
-    Returns
-    -------
-    Pendulum
-        Log densities on 50 other pendulums.
-
-    Raises
-    ------
-    PoseDataError
-        Where the package ``toy`` can't be imported.
-
-    References
-    ----------
-    Pierzchlewicz et al. 2022, arXiv:2210.11179, supplement B.2.
-    """
-    simulate = _import_toy("toy.pendulum", "simulate")
-    training, held_out = (simulate(np.random.default_rng([seed, part])) for part in range(2))
-    poses = torch.from_numpy(training.positions[:, :, 1:].reshape(-1, 3, 2)).float()
-    truth = torch.from_numpy(held_out.positions[:, :, 1:].reshape(-1, 3, 2)).float()
-    keypoints = torch.from_numpy(held_out.observed.reshape(-1, 3, 2)).float()
-    all_observed = torch.ones(len(truth), 3, dtype=torch.bool)
-    pendulums, timesteps = held_out.positions.shape[:2]
-    rows = slice(len(truth) // (2 * examples), len(truth), len(truth) // examples)
-    log_density, drawn = {}, {}
-    for index, (name, sets) in enumerate(PENDULUM_MODELS.items()):
-
-        def draw(generator: torch.Generator, sets: tuple[tuple[int, ...], ...] = sets) -> Batch:
-            rows = torch.randint(len(poses), (batch,), generator=generator)
-            noise = 5e-2 * torch.randn((batch, 3, 2), generator=generator)
-            return poses[rows], poses[rows] + noise, _observed(sets, batch, 3, generator)
-
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
-            estimator = CGNF(_SIZE, _CHAIN, origin="none", dimensions=2)
-        model_progress = None if progress is None else _with_offset(progress, index * steps)
-        fit(estimator, draw, steps=steps, seed=seed, progress=model_progress)
-        with torch.inference_mode():
-            double = estimator.double()
-            context = Context(keypoints.double(), all_observed)
-            nats = double(context).log_prob(truth.double()).view(pendulums, timesteps)
-            generator = torch.Generator().manual_seed(seed)
-            drawn[name] = double(context[rows]).sample(samples, generator=generator).float().numpy()
-        log_density[name] = LogDensity.of(nats)
-    return Pendulum(log_density, truth[rows].numpy(), keypoints[rows].numpy(), drawn)
+def mean_energy_score(samples: Tensor, truth: Tensor) -> float:
+    """Compute the mean energy score of samples (n, M, K, D) for poses (M, K, D), some poses at a time."""
+    parts = zip(torch.split(samples.flatten(2), 100, dim=1), torch.split(truth.flatten(1), 100), strict=True)
+    return float(torch.cat([energy_score(drawn, poses) for drawn, poses in parts]).mean())
 
 
 @dataclass(frozen=True)
@@ -301,7 +187,7 @@ def pose_world(
     PoseDataError
         Where the package ``toy`` can't be imported.
     """
-    world = _import_toy("toy.pose_world", "PoseWorld").person("h36m-16")
+    world = import_toy("toy.pose_world", "PoseWorld").person("h36m-16")
     mean = torch.from_numpy(world.mean)
     factor = torch.from_numpy(np.linalg.cholesky(world.covariance))
 
@@ -318,7 +204,7 @@ def pose_world(
     def draw(generator: torch.Generator) -> Batch:
         x, c = draw_poses(batch, generator)
         counts = torch.randint(max_observed + 1, (batch,), generator=generator)
-        return x.float(), c.float(), draw_observed(counts, generator)
+        return x.float(), Context(c.float(), draw_observed(counts, generator))
 
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
@@ -329,7 +215,7 @@ def pose_world(
             ),
         }
     for index, estimator in enumerate(estimators.values()):
-        model_progress = None if progress is None else _with_offset(progress, index * steps)
+        model_progress = None if progress is None else with_offset(progress, index * steps)
         fit(estimator, draw, steps=steps, seed=seed, progress=model_progress)
     rows = []
     for count in (0, 4, 8, 12, 16):
@@ -348,11 +234,13 @@ def pose_world(
     return rows
 
 
-def _with_offset(progress: Callable[[int], None], offset: int) -> Callable[[int], None]:
+def with_offset(progress: Callable[[int], None], offset: int) -> Callable[[int], None]:
+    """Add the steps of earlier models to those of this one."""
     return lambda steps: progress(offset + steps)
 
 
-def _import_toy(module: str, name: str):  # type: ignore[no-untyped-def]
+def import_toy(module: str, name: str):  # type: ignore[no-untyped-def]
+    """Import a function or class of the folder ``toy``, or raise a PoseDataError that names it."""
     from importlib import import_module
 
     try:

@@ -291,6 +291,14 @@ def lack_of_likelihood(spec: DataSpec) -> str:
     return f"needs poses of at most {MOST_DIMENSIONS} coordinates, and no angles."
 
 
+def is_unbounded(scope: Scope, sums: FloatArray, counts: Counts, sequence: Indices) -> bool:
+    """Whether the true poses obey constraints, so that a density has no bound; see :func:`likelihood_remarks`."""
+    spec = scope.spec
+    _, of_poses, lengths = _split(sums, spec)
+    found = constraints(of_poses, lengths, counts, sequence, _coordinates(spec), _smallest_deviation(spec))
+    return found is not None and found.directions + found.bones > 0
+
+
 def likelihood_remarks(
     scope: Scope, sums: FloatArray | None, counts: Counts, sequence: Indices, of_others: float = math.nan
 ) -> Iterator[str]:

@@ -22,12 +22,13 @@ from posecal.data.texts import frame_of
 from posecal.engine.metric import Metric
 from posecal.engine.totals import Totals
 from posecal.errors import PoseDataError, did_you_mean, for_python, printable
+from posecal.metrics.likelihood import LIKELIHOODS
 from posecal.registry import metrics_of, unmeasured
 from posecal.stats.heterogeneity import SHOWN, sequences_differ
 from posecal.stats.jackknife import Interval, jackknife, leave_one_out, sequence_sizes
 from posecal.stats.multiplicity import PRIMARY, adjust, default_primary
 from posecal.stats.pairs import Difference, Pair, pairs
-from posecal.stats.remarks import remarks_on_chance, remarks_on_numbers, remarks_on_sequences
+from posecal.stats.remarks import likelihood_is_unbounded, remarks_on_chance, remarks_on_numbers, remarks_on_sequences
 from posecal.stats.resampling import LEVEL, MIN_SEQUENCES, Null
 from posecal.stats.same_poses import PosesThatCount, not_compared, poses_that_count
 from posecal.stats.uncertainty import effective_hypotheses, measured_spec, null, weights_allow_no_test
@@ -120,6 +121,10 @@ class PairedModels:
                 f"is {numbers}, and weights move these numbers by more, the smaller it is; expected at least "
                 f"{FEW_HYPOTHESES} of weighted hypotheses, and alike within {_ALIKE - 1:.0%}."
             )
+        if {*LIKELIHOODS} & self.metrics.keys() and self._likelihood_is_unbounded:
+            remarks.append(
+                "no p-values of likelihoods, and no model is called better in them: they have no bound here."
+            )
         lack = "" if self.chosen else unmeasured(PRIMARY[0], first.protocol, first.spec)
         if lack and PRIMARY[0] not in self.metrics:
             remarks.append(f"primary metrics: {', '.join(self.primary)}; {PRIMARY[0]} {lack}")
@@ -132,6 +137,10 @@ class PairedModels:
             return False
         numbers = [effective_hypotheses(totals) for totals in self.totals]
         return any(map(weights_allow_no_test, self.totals)) or max(numbers) > _ALIKE * min(numbers)
+
+    @cached_property
+    def _likelihood_is_unbounded(self) -> bool:
+        return any(map(likelihood_is_unbounded, self.totals))
 
     @cached_property
     def metrics(self) -> dict[str, Metric]:
@@ -279,6 +288,8 @@ class PairedModels:
         values = {name: self.value(metric, name) for name in self.names}
         without = {name: self._without(metric, name) for name in self.names}
         one = self._find(metric, self.names[0])[0]
-        untested = self._weights_differ and one.family in _DEPEND_ON_NUMBER
+        untested = (self._weights_differ and one.family in _DEPEND_ON_NUMBER) or (
+            metric in LIKELIHOODS and self._likelihood_is_unbounded
+        )
         for pair in pairs(one.direction, values, without, sizes):
             yield replace(pair, p=math.nan) if untested else pair

@@ -7,14 +7,16 @@ from collections.abc import Callable, Iterator, Mapping
 
 from posecal.calibration.error import FEW_HYPOTHESES, unresolved_coverages
 from posecal.calibration.expected import ece_range
+from posecal.data.arrays import FloatArray
 from posecal.data.remarks import Count
 from posecal.engine.measure import HAS_SPREAD
-from posecal.engine.metric import Metric
+from posecal.engine.metric import Metric, Statistic
 from posecal.engine.scope import Scope
+from posecal.engine.sums import Counts
 from posecal.engine.totals import Totals
 from posecal.engine.weighted import LEAST_SPREAD
 from posecal.errors import first_few
-from posecal.metrics.likelihood import LIKELIHOODS, likelihood_remarks, moments_statistic
+from posecal.metrics.likelihood import LIKELIHOODS, is_unbounded, likelihood_remarks, moments_statistic
 from posecal.registry import left_out
 from posecal.stats.heterogeneity import COLUMNS, SequenceAreas, remark_on_differences
 from posecal.stats.resampling import Null
@@ -143,9 +145,20 @@ def _unknown_coverage(totals: Totals, metrics: Mapping[str, Metric]) -> str:
 
 
 def _of_likelihood(totals: Totals) -> Iterator[str]:
+    scope, moments, sums, counts = _moments(totals)
+    of_others = math.nan if sums is None or moments is None else float(totals.mean(moments)[1])
+    yield from likelihood_remarks(scope, sums, counts, totals.sequence_of, of_others)
+
+
+def likelihood_is_unbounded(totals: Totals) -> bool:
+    """Whether the true poses obey constraints, so that a likelihood ranks no models."""
+    scope, _, sums, counts = _moments(totals)
+    return sums is not None and is_unbounded(scope, sums, counts, totals.sequence_of)
+
+
+def _moments(totals: Totals) -> tuple[Scope, Statistic | None, FloatArray | None, Counts]:
+    """Give the sums of the true poses' moments, and how many poses they are of."""
     scope = Scope(totals.protocol, totals.spec)
     moments = moments_statistic(scope)
     name = "" if moments is None else moments.name
-    sums, counts = totals.sums.get(name), totals.counts.get(name, totals.poses)
-    of_others = math.nan if sums is None or moments is None else float(totals.mean(moments)[1])
-    yield from likelihood_remarks(scope, sums, counts, totals.sequence_of, of_others)
+    return scope, moments, totals.sums.get(name), totals.counts.get(name, totals.poses)

@@ -57,7 +57,7 @@ class AmortizedPosterior(nn.Module):
     joints, keypoints : tuple of str
         K joints of the pose, without the root, and J keypoints. Human3.6M's 16 where not given.
     dimensions : int
-        D, see :class:`posecal_models.estimators.gaussian_mixture.PoseCoordinates`; 0: 3K.
+        D, see :class:`posecal_models.estimators.gaussian_mixture.PoseCoordinates`; 0: all, 3K of poses.
     components : int
         C of the mixture.
     width, residuals : int
@@ -68,6 +68,8 @@ class AmortizedPosterior(nn.Module):
         Origin of the keypoints: ``observed``, their weighted middle, or ``none``, in a world without cameras.
     splines : int
         Coupling layers of splines between u and the mixture, conditional on the features of the network, by zuko.
+    joint_dimensions : int
+        Coordinates of a joint: 3, or 2 of a pendulum's nodes.
 
     Raises
     ------
@@ -97,6 +99,7 @@ class AmortizedPosterior(nn.Module):
         position: bool = True,
         origin: Origin = "observed",
         splines: int = 0,
+        joint_dimensions: int = 3,
     ) -> None:
         super().__init__()
         self.joints: tuple[str, ...] = joint_set("h36m-16") if joints is None else joints
@@ -111,11 +114,12 @@ class AmortizedPosterior(nn.Module):
             "position": position,
             "origin": origin,
             "splines": splines,
+            "joint_dimensions": joint_dimensions,
         }
         self._is_centred = origin == "observed"
-        count, d = len(self.keypoints), dimensions or 3 * len(self.joints)
-        self.standardizer = Standardizer(len(self.joints), origin=origin)
-        self.coordinates = PoseCoordinates(len(self.joints), d)
+        count, d = len(self.keypoints), dimensions or joint_dimensions * len(self.joints)
+        self.standardizer = Standardizer(len(self.joints), dimensions=joint_dimensions, origin=origin)
+        self.coordinates = PoseCoordinates(len(self.joints), d, joint_dimensions)
         self.register_buffer("position_mean", torch.zeros(2))
         self.register_buffer("position_scale", torch.ones(()))
         self.register_buffer("temperature", torch.ones(()))

@@ -31,14 +31,17 @@ class PoseCoordinates(nn.Module):
     dimensions : int
         D, at most 3K. The directions in which poses vary least are left out: with both hips about their middle, poses
         have no more than 3K - 3.
+    joint_dimensions : int
+        Coordinates of a joint, 3 of poses.
     """
 
     basis: Tensor
     scale: Tensor
 
-    def __init__(self, joints: int, dimensions: int) -> None:
+    def __init__(self, joints: int, dimensions: int, joint_dimensions: int = 3) -> None:
         super().__init__()
-        self.register_buffer("basis", torch.eye(dimensions, 3 * joints))
+        self.joint_dimensions = joint_dimensions
+        self.register_buffer("basis", torch.eye(dimensions, joint_dimensions * joints))
         self.register_buffer("scale", torch.ones(dimensions))
 
     def fit(self, poses: Tensor) -> None:
@@ -68,7 +71,7 @@ class PoseCoordinates(nn.Module):
     def inverse(self, coordinates: Tensor) -> Tensor:
         """Turn coordinates (..., D) into standardised poses (..., K, 3)."""
         flat = (coordinates * self.scale) @ self.basis
-        return flat.view(*flat.shape[:-1], -1, 3)
+        return flat.view(*flat.shape[:-1], -1, self.joint_dimensions)
 
 
 class GaussianMixture:
@@ -118,22 +121,7 @@ class GaussianMixture:
         self.transform = transform
 
     def sample(self, n: int, *, generator: torch.Generator | None = None, temperature: float = 1.0) -> Tensor:
-        """Draw n hypotheses of each pose.
-
-        Parameters
-        ----------
-        n : int
-            N.
-        generator : torch.Generator, optional
-            The source of randomness, of the CPU; torch's own where not given.
-        temperature : float
-            Multiplies the standard deviations of each component.
-
-        Returns
-        -------
-        Tensor
-            (N, M, K, 3), mm.
-        """
+        """Draw n hypotheses of each pose; the temperature multiplies the deviations of each component."""
         poses, components, dimensions = self.means.shape
         normal = standard_normal((n, poses, dimensions + 1), self.means, generator)
         noise, uniform = normal[..., :-1], torch.special.ndtr(normal[..., -1:])

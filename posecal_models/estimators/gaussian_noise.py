@@ -37,22 +37,7 @@ class GaussianDistribution:
         self.sigma = sigma
 
     def sample(self, n: int, *, generator: torch.Generator | None = None, temperature: float = 1.0) -> Tensor:
-        """Draw n hypotheses of each pose.
-
-        Parameters
-        ----------
-        n : int
-            N.
-        generator : torch.Generator, optional
-            The source of randomness, of the CPU; torch's own where not given.
-        temperature : float
-            Multiplies σ.
-
-        Returns
-        -------
-        Tensor
-            (N, M, K, 3), mm.
-        """
+        """Draw n hypotheses of each pose; the temperature multiplies σ."""
         noise = standard_normal((n, *self.mean.shape), self.mean, generator)
         return self.mean + temperature * self.sigma * noise
 
@@ -61,16 +46,6 @@ class GaussianDistribution:
 
         .. math:: \log p(x) = -\tfrac12 \sum_{k, d} \left(
                   \frac{(x_{kd} - \mu_{kd})^2}{\sigma_{kd}^2} + \log 2 \pi \sigma_{kd}^2 \right)
-
-        Parameters
-        ----------
-        truth : Tensor
-            (M, K, 3), mm.
-
-        Returns
-        -------
-        Tensor
-            (M,), nats per pose in mm; higher is better.
 
         Raises
         ------

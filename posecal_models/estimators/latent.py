@@ -38,22 +38,7 @@ class LatentPoses:
         self._no_density = no_density
 
     def sample(self, n: int, *, generator: torch.Generator | None = None, temperature: float = 1.0) -> Tensor:
-        """Draw n hypotheses of each pose.
-
-        Parameters
-        ----------
-        n : int
-            N.
-        generator : torch.Generator, optional
-            The source of randomness, of the CPU; torch's own where not given.
-        temperature : float
-            Multiplies the latents.
-
-        Returns
-        -------
-        Tensor
-            (N, M, K, 3), mm.
-        """
+        """Draw n hypotheses of each pose; the temperature multiplies the latents."""
         poses = len(self._like)
         latents = temperature * standard_normal((n, poses, self._latents), self._like, generator)
         return torch.cat([self._decode(part) for part in torch.split(latents, max(1, _ROWS // max(1, poses)))])

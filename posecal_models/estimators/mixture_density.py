@@ -61,22 +61,7 @@ class PoseMixture:
         return self.standardised_means[torch.arange(index.shape[1], device=index.device), index]
 
     def sample(self, n: int, *, generator: torch.Generator | None = None, temperature: float = 1.0) -> Tensor:
-        """Draw n hypotheses of each pose: a component by its weight, then a pose.
-
-        Parameters
-        ----------
-        n : int
-            N.
-        generator : torch.Generator, optional
-            The source of randomness, of the CPU; torch's own where not given.
-        temperature : float
-            Multiplies σ.
-
-        Returns
-        -------
-        Tensor
-            (N, M, K, 3), mm.
-        """
+        """Draw n hypotheses of each pose, a component by its weight each; the temperature multiplies σ."""
         poses, components, *shape = self.standardised_means.shape
         uniform = torch.rand((n, poses, 1), generator=generator, dtype=self.sigma.dtype).to(self.sigma.device)
         index = (uniform > self.log_weights.exp().cumsum(-1)).sum(-1).clamp(max=components - 1)

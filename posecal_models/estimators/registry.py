@@ -183,7 +183,7 @@ def build(description: dict[str, Any]) -> ReferenceEstimator:
         if kind in _OPTIONS:
             optioned, names = _OPTIONS[kind]
             complete = {"splines": 0, **description}  # of weights that were written before there were any
-            options = {name: complete[name] for name in names}
+            options = {name: complete[name] for name in (*names, *({"joint_dimensions"} & description.keys()))}
             return optioned(tuple(description["joints"]), tuple(description["keypoints"]), **options)
         if kind == "gaussian-noise":
             mean = build(description["mean"])

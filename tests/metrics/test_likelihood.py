@@ -255,6 +255,30 @@ def test_rigid_bones_are_found() -> None:
     assert np.isfinite(report(y=truth)["log_likelihood_skill"])
 
 
+@pytest.mark.parametrize("is_planar", [True, False])
+def test_models_are_ranked_by_a_likelihood_only_where_it_has_a_bound(is_planar: bool) -> None:
+    """Two models that differ by a nat in each pose; of planar poses that says nothing."""
+    truth = WORLD["y"] * [1, 1, 0 if is_planar else 1]
+    models = {
+        name: posecal.PoseData(
+            WORLD["x"],
+            truth,
+            unit="mm",
+            joints=JOINTS,
+            labels={"sequence": SEQUENCE},
+            log_prob=WORLD["log_prob"] + nats,
+        )
+        for name, nats in (("low", np.zeros(M)), ("high", 1 + 0.1 * np.cos(np.arange(M))))
+    }
+    comparison = posecal.compare(models, metrics=["nll", "energy_score"])
+    (difference,) = comparison.differences_of("nll")
+    assert difference.value == pytest.approx(1, abs=0.02)
+    assert [comparison.rank("nll", name) for name in models] == ([1, 1] if is_planar else [2, 1])
+    assert difference.better == (None if is_planar else "high")
+    assert math.isnan(difference.p) == is_planar
+    assert any(remark.startswith("no p-values of likelihoods") for remark in comparison.remarks) == is_planar
+
+
 def test_another_number_of_coordinates_has_no_climatology() -> None:
     declared, skill = remarks(dimensions=9)
     assert declared.startswith("NLL: dimensions = 9 is declared, and the poses have 12 coordinates without the root")

@@ -74,3 +74,9 @@ def test_a_baseline_can_t_be_trained_by_likelihood():
 
     with pytest.raises(PoseDataError, match=r"train\.objective: likelihood of a SimpleBaseline"):
         build_objective(SimpleBaseline(width=4), Config().train)
+
+
+def test_a_number_of_thousands_of_digits_is_no_setting(tmp_path):
+    (tmp_path / "a.toml").write_text("[train]\nepochs = 0x" + "f" * 4000)
+    with pytest.raises(PoseFileError, match=r"a\.toml: not valid TOML \(Exceeds the limit"):
+        Config.load(str(tmp_path / "a.toml"))

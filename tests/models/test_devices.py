@@ -241,3 +241,17 @@ def test_losses_of_a_gpu_are_read_every_fifty_steps(monkeypatch, motion_file, tm
     assert read == [*[0] * 49, 50, 50]
     run.read_losses()
     assert len(run.step_losses) == 51
+
+
+def test_a_gpu_that_is_not_there_is_refused():
+    if torch.cuda.is_available():
+        pytest.skip("there is one")
+    with pytest.raises(PoseDataError, match=r"device: cuda, but PyTorch .* sees no such GPU"):
+        resolve_device("cuda")
+    assert resolve_device("auto").type == "cpu"
+
+
+@pytest.mark.parametrize("name", ["gpu", "meta", "cuda:x"])
+def test_an_unknown_device_is_refused(name):
+    with pytest.raises(PoseDataError, match="expected cpu, cuda, xpu, mps or auto"):
+        resolve_device(name)

@@ -15,7 +15,6 @@ from posecal_models.contract import Context
 from posecal_models.distributed import ProcessGroup
 from posecal_models.estimators.inn import INN, PoseUnits
 from posecal_models.preparation import prepare
-from posecal_models.schedule import Schedule
 
 JOINTS = ("RHip", "RKnee", "LHip", "Neck/Nose", "Thorax", "Head")
 SETTINGS = ["model.width=16", "data.views=1", "train.batch=44", "train.hypotheses=6", "train.learning_rate=0.003"]
@@ -225,12 +224,6 @@ def test_a_batch_that_has_no_eleven_parts_is_refused():
     objective = InvertibleLosses(small(), 2)
     with pytest.raises(PoseDataError, match=r"train\.batch: 20 of an INN with a critic; expected a multiple of 11"):
         objective.before_step(context, truth, objective.noise(truth, torch.Generator()), 1e-4)
-
-
-def test_the_learning_rate_halves_for_the_last_five_of_155_epochs():
-    config = Config.load("wehrbein-inn").train
-    schedule = Schedule(config, total_steps=1550)
-    assert [schedule.learning_rate(step) for step in (0, 1499, 1500)] == [1e-4, 1e-4, 5e-5]
 
 
 @pytest.mark.usefixtures("_small_critic")

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import io
 
+import numpy as np
 import pytest
 from rich.console import Console
 
 from posecal_models.config import Config
 from posecal_models.preparation import prepare
-from posecal_models.progress import TrainingProgressBar
+from posecal_models.progress import TrainingProgressBar, note_on_selection
 
 
 def bar_of(motion_file, folder, width: int) -> tuple[TrainingProgressBar, Console]:
@@ -20,6 +21,25 @@ def bar_of(motion_file, folder, width: int) -> tuple[TrainingProgressBar, Consol
     }
     console = Console(width=width, file=io.StringIO(), force_terminal=True, color_system=None)
     return TrainingProgressBar(prepare(Config.from_table(table), motion_file, folder), console), console
+
+
+@pytest.mark.parametrize("selection", ["loss", "energy-score"])
+@pytest.mark.parametrize("mirrors_hips", [True, False])
+def test_a_likelihood_without_bound_that_selects_the_weights_is_named(motion_file, tmp_path, selection, mirrors_hips):
+    with np.load(motion_file) as file:
+        members = dict(file)
+    hip, right, left = (members["joints"].tolist().index(name) for name in ("Hip", "RHip", "LHip"))
+    if mirrors_hips:
+        members["poses"][:, left] = 2 * members["poses"][:, hip] - members["poses"][:, right]
+    np.savez(tmp_path / "motion.npz", **members)
+    table = {
+        "model": {"kind": "cgnf", "size": "tiny"},
+        "data": {"validation_subjects": ["S3"], "views": 2},
+        "train": {"selection": selection},
+    }
+    note = note_on_selection(prepare(Config.from_table(table), tmp_path / "motion.npz", tmp_path / "run"))
+    assert ("don't vary in 3 of 48 directions" in note) == (mirrors_hips and selection == "loss")
+    assert bool(note) == (mirrors_hips and selection == "loss")
 
 
 def lines(bar: TrainingProgressBar, console: Console) -> list[str]:

@@ -1,4 +1,4 @@
-"""Training: exact resuming, schedules, held-out subjects, and numbers that are not finite."""
+"""Training: exact resuming, held-out subjects, and numbers that are not finite."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from posecal.errors import PoseDataError, PoseFileError
 from posecal_models.checkpoint import load_estimator, read_tensors
 from posecal_models.config import Config
 from posecal_models.preparation import prepare
-from posecal_models.schedule import Schedule
 
 ROOT = Path(__file__).parents[2]
 
@@ -162,32 +161,6 @@ def test_test_and_validation_subjects_are_not_trained_on(motion_file, tmp_path):
     assert len(run.validation) == 2 * 20 * 2
 
 
-def test_the_learning_rate_falls_on_a_plateau_and_the_training_stops_at_the_third():
-    schedule = Schedule(Config.from_table({"train": {"patience": 2}}).train, total_steps=1000)
-    rates = []
-    for loss in (5.0, 4.0, *[4.0] * 9):
-        schedule.after_epoch(loss)
-        rates.append(round(math.log10(schedule.learning_rate(0))))
-        if schedule.finished:
-            break
-    assert rates == [-3, -3, -3, -3, -4, -4, -4, -5, -5, -5, -6]
-    assert schedule.finished
-
-
-@pytest.mark.parametrize(
-    ("schedule", "step", "rate"),
-    [
-        ("exponential", 250_000, 1e-3 * 0.96**2),
-        ("continuous", 250_000, 1e-3 * 0.96**2.5),
-        ("cosine", 500, 5e-4),
-        ("cosine", 0, 1e-3),
-    ],
-)
-def test_the_other_schedules_follow_their_formulas(schedule, step, rate):
-    config = Config.from_table({"train": {"schedule": schedule}}).train
-    np.testing.assert_allclose(Schedule(config, total_steps=1000).learning_rate(step), rate, rtol=1e-12)
-
-
 def test_a_folder_with_a_training_is_not_overwritten(motion_file, tmp_path):
     training(CGNF, motion_file, tmp_path / "a").run(max_steps=1)
     with pytest.raises(PoseFileError, match=r"holds a training already\. Pass --resume"):
@@ -212,7 +185,8 @@ def test_a_training_can_be_made_longer(motion_file, tmp_path):
 def test_a_longer_cosine_falls_to_zero_at_its_new_end(motion_file, tmp_path):
     training(BASELINE, motion_file, tmp_path / "a", epochs=1).run()
     run = training(BASELINE, motion_file, tmp_path / "a", epochs=4, resume=True)
-    assert run.schedule.learning_rate(2 * run.steps_per_epoch) == pytest.approx(0.5e-3)
+    run.run(max_steps=2 * run.steps_per_epoch)
+    assert run.schedule.learning_rate == pytest.approx(0.5e-3)
 
 
 @pytest.mark.slow

@@ -35,22 +35,7 @@ class FlowDistribution:
         self._poses = poses
 
     def sample(self, n: int, *, generator: torch.Generator | None = None, temperature: float = 1.0) -> Tensor:
-        """Draw n hypotheses of each pose.
-
-        Parameters
-        ----------
-        n : int
-            N.
-        generator : torch.Generator, optional
-            The source of randomness, of the CPU; torch's own where not given.
-        temperature : float
-            Standard deviation of the latents: below 1 for hypotheses nearer to the mode, 0 for the mode.
-
-        Returns
-        -------
-        Tensor
-            (N, M, K, 3), mm.
-        """
+        """Draw n hypotheses of each pose; the temperature multiplies the latents, and 0 gives the mode."""
         mean = self._standardizer.pose_mean
         latents = standard_normal((self._poses, n, *mean.shape), mean, generator)
         return self._standardizer.millimetres(self._flow.inverse(latents * temperature)).transpose(0, 1)
@@ -59,16 +44,6 @@ class FlowDistribution:
         r"""Compute the log density of poses.
 
         .. math:: \log p(x \mid c) = \sum_v \log \mathcal N(f(x, c)_v; 0, I) + \log |\det \nabla_x f| - K D \log s
-
-        Parameters
-        ----------
-        truth : Tensor
-            (M, K, 3), mm.
-
-        Returns
-        -------
-        Tensor
-            (M,), nats per pose in mm; higher is better.
 
         Raises
         ------

@@ -10,12 +10,15 @@ import torch
 
 import posecal
 from posecal_models import cli
-from posecal_models.checkpoint import load_estimator, notes_of
+from posecal_models.checkpoint import load_estimator, named_weights, notes_of
 from posecal_models.contract import Context
 from posecal_models.data.detector import Detector
 from posecal_models.data.lifting_set import LiftingSet
 from posecal_models.data.mocap import MocapPoses
+from posecal_models.estimators.cgnf.model import CGNF
 from posecal_models.sample import sample_to_file
+
+WEIGHTS = Path(__file__).parents[2] / "posecal_models" / "weights"
 
 
 @pytest.fixture(scope="module")
@@ -61,3 +64,31 @@ def test_the_captured_motion_is_of_people_that_are_held_out():
     assert set(mocap.subject.tolist()) <= held_out
     assert len(mocap.poses) == 320
     assert "mocap.cs.cmu.edu" in str(np.load(cli._CAPTURED_MOTION)["licence"])
+
+
+@pytest.mark.parametrize(("name", "size"), [("cgnf-small", 5e6), ("reference", 10e6)])
+def test_named_weights_are_small_and_have_their_card(name, size):
+    assert named_weights() == ("cgnf-small", "reference")
+    assert (WEIGHTS / f"{name}.safetensors").stat().st_size < size
+    card = " ".join((WEIGHTS / f"{name}.md").read_text(encoding="utf-8").split())
+    for words in (
+        "The data used in this project was obtained from mocap.cs.cmu.edu.",
+        "The database was created with funding from NSF EIA-0196217.",
+        ", ".join(load_estimator(name).joints),
+        "Cameras",
+        "Limits",
+    ):
+        assert words in card
+
+
+def test_the_small_cgnf_s_prior_stands_upright_and_varies():
+    estimator = load_estimator("cgnf-small")
+    assert isinstance(estimator, CGNF)
+    assert notes_of("cgnf-small")["config"]["data"]["test_subjects"] == ["S3", "S6", "S49"]
+    poses = estimator.prior(3).sample(20, generator=torch.Generator().manual_seed(0))
+    assert poses.isfinite().all()
+    # y points down: the head of a grown person is half a metre and more above the hip, the feet as much below it
+    heights = dict(zip(estimator.joints, poses[..., 1].flatten(0, 1).median(0).values.tolist(), strict=True))
+    assert -900 < heights["Head"] < -300
+    assert 500 < heights["RFoot"] < 1100
+    assert poses.std(0).mean() > 10
