@@ -179,6 +179,8 @@ class Evaluation:
             data = self._new_frames(data, frame_id)
         elif self._has_frames:
             raise PoseDataError("frame_id: missing in this batch; expected one in every batch, or in none.")
+        elif not data.has_frame_id:
+            data = data.replace(frame_id=(self._n_frames + np.arange(n_given)).astype(np.str_))
         if len(data.truth):
             self.add(data, hold_back=frame_id is not None, n_given=n_given)
         self._remarks = join_remarks([*self._remarks, *dropped_remarks(n_given - len(data.truth))])
