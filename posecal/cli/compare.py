@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Any
 from zipfile import is_zipfile
@@ -9,7 +10,7 @@ from zipfile import is_zipfile
 import typer
 
 from posecal.cli import options as opt
-from posecal.cli.running import check_outputs, progress, terminal
+from posecal.cli.running import check_outputs, of_results, progress, terminal
 from posecal.errors import PoseFileError, for_command_line
 
 
@@ -57,15 +58,16 @@ def compare(
         several = all(source.shape[0] > 1 for source in sources.values())
         if protocol and not scoring.metrics and "default" in protocol.wanted and several:
             protocol = as_protocol(protocol, [*protocol.wanted, "scores"])
-    with progress() as bar:
-        comparison = posecal.compare(
-            sources,
-            primary=primary,
-            protocol=protocol,
-            threads=threads,
-            progress=lambda name: bar(name, len(sources[name].truth)),
-        )
-    text = comparison.render(form, **terminal(), words=for_command_line)
-    if plot is not None:
-        posecal.plot.save(posecal.plot.draw_comparison(comparison), plot)
+    with of_results(*models) if saved else nullcontext():
+        with progress() as bar:
+            comparison = posecal.compare(
+                sources,
+                primary=primary,
+                protocol=protocol,
+                threads=threads,
+                progress=lambda name: bar(name, len(sources[name].truth)),
+            )
+        text = comparison.render(form, **terminal(), words=for_command_line)
+        if plot is not None:
+            posecal.plot.save(posecal.plot.draw_comparison(comparison), plot)
     typer.echo(text)

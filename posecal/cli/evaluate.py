@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from posecal.cli import options as opt
-from posecal.cli.running import check_outputs, progress, say, show, terminal
+from posecal.cli.running import check_outputs, of_results, progress, say, show, terminal
 from posecal.cli.shards import ShardOptions
 
 
@@ -64,7 +64,8 @@ def report(result: opt.Result, *, by: opt.By = None, metric: opt.OwnMetrics = No
     import posecal
 
     opt.register_all(metric)
-    written.write(posecal.Report(posecal.load_totals(result), by or ()), result.name)
+    with of_results(result):
+        written.write(posecal.Report(posecal.load_totals(result), by or ()), result.name)
 
 
 def merge(
@@ -78,8 +79,9 @@ def merge(
     import posecal
     from posecal.report.format import counted
 
-    total = posecal.merge_totals([posecal.load_totals(path) for path in results], [path.name for path in results])
-    posecal.Report(total).save(output, gallery=gallery)
+    with of_results(*results):
+        total = posecal.merge_totals([posecal.load_totals(path) for path in results], [path.name for path in results])
+        posecal.Report(total).save(output, gallery=gallery)
     say(f"{output}: {total.poses.sum():,} poses of {counted(len(results), 'result')}.")
 
 

@@ -9,7 +9,7 @@ import typer
 from typer.core import TyperGroup
 
 from posecal.cli import options as opt
-from posecal.cli.running import check_outputs, command, say, terminal
+from posecal.cli.running import check_outputs, command, of_results, say, terminal
 from posecal.errors import for_command_line
 
 SHOW = "show"
@@ -42,10 +42,11 @@ def show_leaderboard(
     check_outputs(plot=plot)
     import posecal
 
-    board = posecal.leaderboard(folder)
-    text = board.render(form, **terminal(), words=for_command_line)
-    if plot is not None:
-        posecal.plot.save(posecal.plot.draw_comparison(board.comparisons), plot)
+    with of_results(folder):
+        board = posecal.leaderboard(folder)
+        text = board.render(form, **terminal(), words=for_command_line)
+        if plot is not None:
+            posecal.plot.save(posecal.plot.draw_comparison(board.comparisons), plot)
     typer.echo(text)
 
 
@@ -69,5 +70,6 @@ def add(
     import posecal
 
     about = {"name": name, "test_set": test_set, "source": source, "commit": commit, "data": data, "preset": preset}
-    written = posecal.add_entry(folder, result, hypotheses=hypotheses, command=made_by, **about)
+    with of_results(result):
+        written = posecal.add_entry(folder, result, hypotheses=hypotheses, command=made_by, **about)
     say(f"{written} and {written.with_suffix('.npz').name}.")

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from posecal.cli import options as opt
-from posecal.cli.running import check_outputs, command
+from posecal.cli.running import check_outputs, command, of_results
 
 app = typer.Typer(no_args_is_help=True, help="Draw saved results, or some poses.", rich_markup_mode="rich")
 
@@ -43,9 +43,10 @@ def _add(kind: str, about: str) -> None:
         import posecal
 
         how, files = figure.given(), opt.named(results, labels)
-        reports = {name: posecal.Report(posecal.load_totals(path)) for name, path in files.items()}
-        one = reports if len(reports) > 1 or labels else next(iter(reports.values()))
-        posecal.plot.save(posecal.plot.draw(one, kind.replace("-", "_"), panels=panels, **how), output)
+        with of_results(*results):
+            reports = {name: posecal.Report(posecal.load_totals(path)) for name, path in files.items()}
+            one = reports if len(reports) > 1 or labels else next(iter(reports.values()))
+            posecal.plot.save(posecal.plot.draw(one, kind.replace("-", "_"), panels=panels, **how), output)
 
 
 for _kind, _about in KINDS.items():
@@ -61,8 +62,9 @@ def comparison(results: Results, output: opt.Output, *, labels: opt.Labels = Non
     how, files = figure.given(), opt.named(results, labels)
     if len(files) < 2:
         raise typer.BadParameter("expected saved results of two or more models.")
-    compared = posecal.compare({name: posecal.load_totals(path) for name, path in files.items()})
-    posecal.plot.save(posecal.plot.draw_comparison(compared, **how), output)
+    with of_results(*results):
+        compared = posecal.compare({name: posecal.load_totals(path) for name, path in files.items()})
+        posecal.plot.save(posecal.plot.draw_comparison(compared, **how), output)
 
 
 @command(app)

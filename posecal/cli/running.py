@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, TextIO, get_type_hints
 
 import typer
 
-from posecal.errors import PosecalError, for_command_line, printable
+from posecal.errors import PosecalError, PoseFileError, for_command_line, printable, reason
 
 if TYPE_CHECKING:
     from posecal.report.sheet import Sheet
@@ -82,6 +82,24 @@ def exit_codes() -> Iterator[None]:
         with suppress(OSError, AttributeError):  # Python would fail once more on what stdout could not take
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise typer.Exit(3) from None
+
+
+@contextmanager
+def of_results(*paths: Path) -> Iterator[None]:
+    """Refuse saved results whose members don't fit each other: edited and given a digest anew, for posecal writes none.
+
+    Raises
+    ------
+    PoseFileError
+        For what can be raised by numbers that are none.
+    """
+    try:
+        yield
+    except (PosecalError, UnicodeError):
+        raise
+    except (ArithmeticError, AttributeError, LookupError, MemoryError, TypeError, ValueError) as error:
+        names = ", ".join(path.name for path in paths)
+        raise PoseFileError(f"{names}: its members don't fit each other ({reason(error)}). Evaluate again.") from error
 
 
 @contextmanager

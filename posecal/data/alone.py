@@ -42,8 +42,8 @@ def resolve_hypotheses(
     Raises
     ------
     PoseDataError
-        For a layout, a unit or names that don't fit, an undeclared layout where N is not below M and nothing of the
-        file has the length M, columns that are no coordinates, and undeclared units that look like metres.
+        For a layout, a unit or names that don't fit, an undeclared layout where N = M or nothing of the file has the
+        length M, columns that are no coordinates, and undeclared units that look like metres.
     """
     declared = declarations or Declarations()
     axes = resolve(poses, "axes", poses.axes, declared.axes)
@@ -59,11 +59,11 @@ def resolve_hypotheses(
     raise_all(problems)
     is_told = any(poses.labels[name].ndim for name in labels) or bool(poses.marks)
     is_told = is_told or frames is not None or poses.valid is not None
-    if axes is None and (n == m or (n > m and not is_told)):
+    if axes is None and (n == m or not is_told):
         options = " or ".join(option("axes", text) for text in (HYPOTHESES, "MNKD"))
         raise PoseDataError(
-            f"{poses.name} {poses.array.shape}: expected (N, M, K, D), of which N = {n} would not be below M = {m}. "
-            f"Without a truth the shape does not tell the two apart. Pass {options}."
+            f"{poses.name} {poses.array.shape}: expected (N, M, K, D) or (M, N, K, D), which its shape does not tell "
+            f"apart without a truth. Pass {options}."
         )
     hypotheses = ArrayHypotheses(poses.array, layout, np.arange(m), np.arange(k), factor, n)
     rows = sample_rows(m, _FRAMES)

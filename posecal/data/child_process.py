@@ -7,11 +7,13 @@ child process that costs no more than the file.
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import pickle
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,14 +25,17 @@ from posecal.errors import PosecalError, PoseFileError, refuse_unreadable
 T = TypeVar("T")
 
 SECONDS, BYTES_PER_SECOND = 7.0, 1 << 20
-"""How long the reading of a file may take: so many seconds, and one more for each so many of its bytes."""
+"""How long the reading of a file may take: so many seconds of a processor, and one more for each so many bytes."""
+
+_BUSY = 10
+"""How many times as long a busy machine may take."""
 
 _MEMORY, _TIMES = 1 << 30, 64
 """How many bytes the child may take: so many, and so many times those of the file."""
 
 
 def seconds_for(path: Path) -> float:
-    """Give how long the reading of a file may take."""
+    """Give how many seconds of a processor the reading of a file may take."""
     return SECONDS + path.stat().st_size / BYTES_PER_SECOND
 
 
@@ -60,13 +65,17 @@ def run_in_child(path: Path, function: Callable[..., T], *arguments: Any) -> T:
     """
     with refuse_unreadable(path):
         seconds, size = seconds_for(path), path.stat().st_size
-    request = pickle.dumps((path, size, function, arguments))
+    request = pickle.dumps((path, seconds, size, function, arguments))
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     command = [sys.executable, "-c", f"from {__name__} import _serve; _serve()"]
+    most = seconds * _BUSY if hasattr(signal, "SIGXCPU") else seconds  # where processor time is not limited
+    too_long = PoseFileError(f"{path.name}: reading it takes more than {seconds:.0f} s. Is it damaged?")
     try:
-        child = subprocess.run(command, input=request, capture_output=True, env=environment, timeout=seconds)
+        child = subprocess.run(command, input=request, capture_output=True, env=environment, timeout=most)
     except subprocess.TimeoutExpired:
-        raise PoseFileError(f"{path.name}: reading it takes more than {seconds:.0f} s. Is it damaged?") from None
+        raise too_long from None
+    if hasattr(signal, "SIGXCPU") and child.returncode == -signal.SIGXCPU:
+        raise too_long
     try:
         result = pickle.loads(child.stdout)  # noqa: S301 (of our own child)
     except (EOFError, pickle.UnpicklingError):
@@ -80,8 +89,9 @@ def _serve() -> None:
     """Answer one request: read a function and its arguments, write what it gives or how it refuses."""
     answer = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints is no answer
-    path, size, function, arguments = pickle.loads(sys.stdin.buffer.read())  # noqa: S301 (of our own parent)
-    _limit_memory(_MEMORY + _TIMES * size)
+    path, seconds, size, function, arguments = pickle.loads(sys.stdin.buffer.read())  # noqa: S301 (of our own parent)
+    _limit("RLIMIT_DATA", _MEMORY + _TIMES * size)
+    _limit("RLIMIT_CPU", math.ceil(time.process_time() + seconds))
     try:
         with refuse_unreadable(path):
             result = function(*arguments)
@@ -93,34 +103,35 @@ def _serve() -> None:
     os._exit(0)  # without the clean-up of a library that a damaged file may have confused
 
 
-def _limit_memory(size: int) -> None:
-    with contextlib.suppress(ImportError, ValueError, OSError):  # not on every system
+def _limit(name: str, most: int) -> None:
+    with contextlib.suppress(ImportError, AttributeError, ValueError, OSError):  # not on every system
         import resource
 
-        resource.setrlimit(resource.RLIMIT_DATA, (size, resource.getrlimit(resource.RLIMIT_DATA)[1]))
+        kind = getattr(resource, name)
+        resource.setrlimit(kind, (most, resource.getrlimit(kind)[1]))
 
 
 @contextmanager
 def time_limit(seconds: float) -> Iterator[None]:
-    """Interrupt Python code that takes too long, where signals reach it: in the main thread, on Unix.
+    """Interrupt Python code that computes too long, where signals reach it: in the main thread, on Unix.
 
     Raises
     ------
     TimeoutError
-        After so many seconds.
+        After so many seconds of a processor.
     """
 
     def interrupt(_number: int, _frame: FrameType | None) -> None:
         raise TimeoutError(f"it takes more than {seconds:.0f} s")
 
     try:
-        before = signal.signal(signal.SIGALRM, interrupt)
+        before = signal.signal(signal.SIGPROF, interrupt)
     except (AttributeError, ValueError):
         yield
         return
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, before)

@@ -196,7 +196,8 @@ class GaussianPrediction:
             for one in range(len(self.weights)):
                 drawn = mean[one, part][:, None] + times(factor[one, part], z, self.kind, (k, d))
                 chosen = True if component is None else (component == one)[..., None, None]
-                np.copyto(found[:, part].swapaxes(0, 1), drawn, where=chosen, casting="same_kind")
+                with np.errstate(over="ignore"):  # what is too large is refused where it counts
+                    np.copyto(found[:, part].swapaxes(0, 1), drawn, where=chosen, casting="same_kind")
         return found
 
     def _components(self, rows: Rows, n: int, seed: int) -> Rows | None:

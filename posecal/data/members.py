@@ -14,6 +14,9 @@ from posecal.data.remarks import Example, Remark
 from posecal.data.stored_poses import Labels, Rows, StoredPoses
 from posecal.errors import PosecalError, attempt, first_few
 
+_MARKS = re.compile("mask|valid|missing|annotated|ignore", re.IGNORECASE)
+"""Names that labels of two values may have where they stand for poses that do not count."""
+
 _LOOKED_AT = 10_000
 """Names of frames whose order is looked at."""
 
@@ -54,11 +57,16 @@ def read_members(
 
 
 def unread_remarks(poses: StoredPoses, shape: tuple[int, ...]) -> list[str]:
-    """Remark on members with a value for each of (M, K) joints whose names say nothing to posecal."""
+    """Remark on members of unknown names with a value for each of (M, K) joints, or that mark some of M poses."""
     names = [key for key, size in poses.unread.items() if math.prod(size) == math.prod(shape)]
     which, first = Example(poses.name), Example(first_few(names))
     known = " (M, K); of that shape, valid, occluded and visible are. Rename what is meant."
-    return [Remark(which, ": not read: ", first, known)] if names else []
+    remarks: list[str] = [Remark(which, ": not read: ", first, known)] if names else []
+    marks = [k for k, v in poses.labels.items() if _MARKS.search(k) and v.shape == shape[:1] and len(np.unique(v)) == 2]
+    if marks:
+        label = " (M,) is a label; the poses that count are marked by valid (M,). Rename what is meant."
+        remarks.append(Remark(which, ": ", Example(first_few(marks)), label))
+    return remarks
 
 
 def frame_id_remarks(hypotheses: StoredPoses, truth: StoredPoses) -> list[str]:

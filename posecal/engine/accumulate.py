@@ -29,7 +29,7 @@ from posecal.engine.pose_remarks import PoseRemarks
 from posecal.engine.prepare import Prepared, refuse_non_finite
 from posecal.engine.protocol import Protocol
 from posecal.engine.ragged import lay_out, with_weights
-from posecal.engine.scope import DataSpec
+from posecal.engine.scope import DataSpec, Scope
 from posecal.engine.segments import SegmentsAndClips
 from posecal.engine.sums import joined_rows, padded
 from posecal.engine.threads import run_in_order
@@ -89,7 +89,7 @@ class Accumulator:
         clips = None if prepared is None else prepared.clips
         self._segments = SegmentsAndClips(self.statistics, protocol.segment_length, spec, clips)
         self._last: tuple[str, str, int] | None = None  # of the last pose, as _place; None where it was dropped
-        self._remarks = PoseRemarks()
+        self._remarks = PoseRemarks(Scope(protocol, spec), self.statistics)
         self._prepared_hashes = {} if prepared is None else prepared.hashes
         self._first = 0 if prepared is None else prepared.first or 0
         self._failure = ""  # what stopped a batch when some of it was counted

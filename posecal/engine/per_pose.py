@@ -41,7 +41,7 @@ def per_pose(
     hypotheses, truth, where, axes, unit
         As for :func:`posecal.data.arguments.checked`.
     root : int, optional
-        The joint to subtract from every pose; poses in which it does not count don't count.
+        The joint to subtract from every pose; poses in which it does not count, or it alone, don't count.
     follows : bool array (M,), optional
         Whether each pose comes right after the one before it.
     earlier : int
@@ -67,6 +67,8 @@ def per_pose(
         if mask.any() and not mask[:, root].any():
             raise PoseDataError(f"where: the root {root} counts in no pose; expected some.")
         mask = mask & mask[:, [root]]  # relative to a root that does not count, no joint does
+        if mask.shape[1] > 1:  # nor does a root alone, which is right whatever the hypotheses are
+            mask &= np.delete(mask, root, axis=1).any(axis=1, keepdims=True)
     period = period_of(unit)
     if weights is not None:
         given = poses_last(as_weights(weights, "weights"), x.shape[:2], axes or "NMKD", "weights")

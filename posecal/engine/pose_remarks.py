@@ -14,8 +14,9 @@ from posecal.data.joint_names import joint_keys
 from posecal.data.remarks import Count, Example, Remark
 from posecal.data.root import root_joints
 from posecal.engine.chunks import Chunk
+from posecal.engine.metric import Statistic
 from posecal.engine.ragged import present
-from posecal.engine.scope import DataSpec
+from posecal.engine.scope import DataSpec, Scope
 
 _SHOWN = 3
 """How many frames a remark names."""
@@ -37,6 +38,7 @@ _OF_FRAMES = {
     "same": "all hypotheses are the same. A sampler gives different ones.",
     "size": f"hypotheses are over {_FACTOR:g} times larger or smaller than the truth. Are all in one unit?",
     "truth": "a hypothesis equals the truth. Is the truth among the samples?",
+    "few": "so few joints count that any pose fits them after alignment: aligned numbers (PA-, CPS) are of the others.",
 }
 _OF_HYPOTHESES = {
     "some points": "are one point, and count. If they stand for absent ones, store NaN.",
@@ -51,9 +53,19 @@ _EQUAL = "equal another of their frame, which leaves "
 
 
 class PoseRemarks:
-    """Hypotheses that look like none, or like no samples, and joints that look like none."""
+    """Hypotheses that look like none, or like no samples, and joints that look like none, or are too few to align.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    scope : Scope, optional
+        Which joints are scored, and how they are aligned.
+    statistics : sequence of Statistic
+        What is measured of them.
+    """
+
+    def __init__(self, scope: Scope | None = None, statistics: Sequence[Statistic] = ()) -> None:
+        self._scope = scope
+        self._least = max((scope.fewest_to_align(each.name) for each in statistics), default=0) if scope else 0
         self._frames, self._hypotheses = Counter[str](), Counter[str]()
         self._first: dict[str, list[str]] = {}
         self._looks = (Fills(), Repeats()), (Fills(), Repeats())  # at hypotheses, at truth
@@ -83,9 +95,15 @@ class PoseRemarks:
     def _look(self, chunk: Chunk, frames: npt.NDArray[np.str_], spec: DataSpec) -> None:
         x, y, where = chunk.hypotheses, chunk.truth, chunk.where
         there = present(x, chunk.scores, chunk.weights) if spec.is_ragged else np.ones(x.shape[:2], dtype=bool)
+        if where is not None:
+            there &= where.any(axis=1)
+            if self._scope is not None:
+                usable = where if chunk.usable is None else chunk.usable
+                few = np.count_nonzero(usable[:, self._scope.fit], axis=1) < self._least
+                self._note("few", few & where[:, self._scope.body].any(axis=1), frames)
         with np.errstate(invalid="ignore", over="ignore"):  # joints that don't count may hold anything
             points = is_one_point(x, where) & there
-            empty = (points == there).all(axis=0)
+            empty = (points == there).all(axis=0) & there.any(axis=0)
             self._note("points", empty, frames)
             self._note("some points", points & ~empty, frames)
             self._note("score 0", _without_weight(chunk.scores, there), frames)
@@ -111,7 +129,8 @@ class PoseRemarks:
                 number = Count(self._hypotheses[kind], "hypothesis", "hypotheses")
                 frames = Count(self._frames[kind], "frame", of=self._poses)
                 first = Example(", ".join(self._first[kind]))
-                start = [f"{self._names[0]}: in "] if kind in _OF_FRAMES else [f"{self._names[0]}: ", number, " in "]
+                name = self._names[kind == "few"]
+                start = [f"{name}: in "] if kind in _OF_FRAMES else [f"{name}: ", number, " in "]
                 end = (
                     [words]
                     if kind != "equal"

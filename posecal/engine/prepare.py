@@ -13,7 +13,7 @@ from posecal.data.arrays import BoolArray, FloatArray
 from posecal.data.degenerate import LARGEST, LARGEST_ANGLE, is_outside, refuse_one_point
 from posecal.data.pose_data import PoseData
 from posecal.data.remarks import Count, Example, Remark
-from posecal.data.root import root_joints, root_name
+from posecal.data.root import resting_joints, root_joints, root_name
 from posecal.engine.block import Block
 from posecal.engine.cells import RUNS, SPREAD, label_name, spread_cuts, spread_labels
 from posecal.engine.chunks import map_blocks, read_chunks
@@ -189,6 +189,7 @@ def select_scored(data: PoseData, protocol: Protocol) -> PoseData:
         scored = data.occluded if protocol.where == "occluded" else ~data.occluded
         usable = np.ones_like(scored) if where is None else where
         where = scored if where is None else scored & where
+    data, where = _without_lone_roots(data, where)
     bad = is_outside(data.truth, _limit(data)).any(axis=2)
     refuse_non_finite(data, name, np.argwhere(bad if where is None else bad & where))
     refuse_one_point(data.truth, where, data.frame_id, name)
@@ -236,6 +237,24 @@ def _with_counting_root(data: PoseData, *, is_masked: bool) -> PoseData:
         "): left out, since their positions are relative to it.",
     )
     return data.select(~lost).replace(remarks=(*data.remarks, remark))
+
+
+def _without_lone_roots(data: PoseData, where: BoolArray | None) -> tuple[PoseData, BoolArray | None]:
+    """Mask poses of which only the root counts: relative to itself it is right whatever the hypotheses are."""
+    resting = resting_joints(data.root)
+    if where is None or not resting or len(resting) == where.shape[1]:
+        return data, where
+    alone: BoolArray = np.asarray(where.any(axis=1) & ~np.delete(where, resting, axis=1).any(axis=1))
+    if not alone.any():
+        return data, where
+    remark = Remark(
+        f"only the root {root_name(data.root, data.joints)} counts in ",
+        Count(int(alone.sum()), "frame", of=len(alone)),
+        " (first: ",
+        Example(first_few(data.frame_id[alone].tolist())),
+        "): left out, since its error is 0 relative to itself.",
+    )
+    return data.replace(remarks=(*data.remarks, remark)), where & ~alone[:, None]
 
 
 def lack_of_scored(data: PoseData, protocol: Protocol) -> str:

@@ -235,12 +235,15 @@ class Scope:
         """The joints of CPS."""
         return self._mask("cps_joints", self.protocol.cps_joints) & self.body
 
-    def lack(self, name: str) -> str:
-        """Say which joints a metric lacks: those of PCK and AUC, of CPS, or of an alignment; nothing for others."""
+    def fewest_to_align(self, name: str) -> int:
+        """Give how many joints a metric needs at least, by its name; of fewer all aligned poses are perfect."""
         p = self.protocol
         align = p.align if name.startswith("pa_") else p.cps_align if "cps" in name else "none"
-        least = FEWEST_JOINTS.get(align, 1)
-        if self.fit.sum() < least:
+        return FEWEST_JOINTS.get(align, 0)
+
+    def lack(self, name: str) -> str:
+        """Say which joints a metric lacks: those of PCK and AUC, of CPS, or of an alignment; nothing for others."""
+        if self.fit.sum() < (least := self.fewest_to_align(name)):
             return f"at least {least} joints to align"
         kind = "pck" if "pck" in name or "auc" in name else "cps" if "cps" in name else ""
         if not kind or getattr(self, kind).any():

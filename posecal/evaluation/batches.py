@@ -168,17 +168,18 @@ class Evaluation:
         if not labels.keys() <= self._label_names:
             check_label_names(labels, inspect.signature(self.update), inspect.signature(Evaluation))
             self._label_names = self._label_names | labels.keys()
-        given: dict[str, Any] = {"where": where, "occluded": occluded, "scores": scores, "weights": weights}
         is_stored = isinstance(hypotheses, str | os.PathLike)  # a file may declare its own layout
-        given |= {**self._options, "labels": labels or None, "log_prob": log_prob}
-        if self._axes is not None and not is_stored:
-            given["axes"] = self._axes
+        given = {**self._options, "where": where, "occluded": occluded, "scores": scores, "weights": weights}
+        given |= {"labels": labels or None, "log_prob": log_prob}
+        given |= {} if self._axes is None or is_stored else {"axes": self._axes}
         data = as_pose_data(starting_at(hypotheses, self._n_frames), truth, given)
         n_given = len(data.truth)
         if frame_id is not None:
             data = self._new_frames(data, frame_id)
         elif self._has_frames:
             raise PoseDataError("frame_id: missing in this batch; expected one in every batch, or in none.")
+        elif not data.has_frame_id:
+            data = data.replace(frame_id=(self._n_frames + np.arange(n_given)).astype(np.str_))
         if len(data.truth):
             self.add(data, hold_back=frame_id is not None, n_given=n_given)
         self._remarks = join_remarks([*self._remarks, *dropped_remarks(n_given - len(data.truth))])
@@ -340,10 +341,9 @@ class Evaluation:
         """
         if not isinstance(other, Evaluation):
             raise PoseDataError(f"merge: {type(other).__name__}; expected an Evaluation.")
-        other = copy.copy(other)
+        other, kept = copy.copy(other), copy.copy(self)
         frames = {*other._frames, *other._frames_of_others}
         common = sorted(frames.intersection([*self._frames, *self._frames_of_others]))
-        kept = copy.copy(self)
         for side in (other, kept):
             common = side._drop_pending(common)
         if common:

@@ -61,7 +61,7 @@ def aligned_errors(offsets: FloatArray, truth: FloatArray, weights: FloatArray, 
     Returns
     -------
     array (B, K, n)
-        Errors, mm; lower is better, 0 at best.
+        Errors, mm; lower is better, 0 at best; NaN for poses of so few joints that every pose fits.
 
     Raises
     ------
@@ -76,6 +76,7 @@ def aligned_errors(offsets: FloatArray, truth: FloatArray, weights: FloatArray, 
             "Ask for metrics that don't align, such as min_mpjpe."
         )
     squares = squared_norms(offsets if how == "none" else _residuals(offsets, truth, weights, how))
+    squares[np.count_nonzero(weights, axis=1) < FEWEST_JOINTS.get(how, 0)] = np.nan
     return np.sqrt(squares, out=squares)
 
 

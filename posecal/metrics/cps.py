@@ -21,7 +21,7 @@ from posecal.engine.scope import Scope
 from posecal.geometry.procrustes import ALIGNMENTS, Alignment
 from posecal.metrics.mpjpe import aligned_words
 from posecal.metrics.pck import SELECTED, THRESHOLDS, correct_share
-from posecal.metrics.position import joint_errors, linked
+from posecal.metrics.position import joint_errors, linked, scored_weights
 from posecal.metrics.selection import SELECTIONS, Score, Selection
 
 CPS_MOST = 300.0
@@ -53,9 +53,10 @@ def pose_score(
     Returns
     -------
     array (B, ...)
-        Scores; NaN for poses without a joint that counts.
+        Scores; NaN for poses without a joint that counts, or with too few to align.
     """
-    weights, fit = block.joint_weights(joints), body if fit is None else fit
+    fit = body if fit is None else fit
+    weights = scored_weights(block, align, joints, fit)
 
     def largest() -> FloatArray:
         errors, counted = joint_errors(block, align, None, fit), weights > 0
@@ -107,7 +108,7 @@ def cps(
     Returns
     -------
     array (M,)
-        Areas, 0 to 299 mm; higher is better.
+        Areas, 0 to 299 mm; higher is better; NaN for a pose without a joint that counts, or with too few to align.
 
     Raises
     ------

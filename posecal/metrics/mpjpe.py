@@ -92,7 +92,7 @@ def mpjpe(
     Returns
     -------
     array (M,)
-        Errors, mm; lower is better, 0 at best; NaN for a pose without a joint that counts.
+        Errors, mm; lower is better, 0 at best; NaN for a pose without a joint that counts, or with too few to align.
 
     Raises
     ------
@@ -166,7 +166,7 @@ def min_mpjpe(
     Returns
     -------
     array (M,)
-        Errors, mm; lower is better, 0 at best; NaN for a pose without a joint that counts.
+        Errors, mm; lower is better, 0 at best; NaN for a pose without a joint that counts, or with too few to align.
 
     Raises
     ------

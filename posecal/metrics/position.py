@@ -84,7 +84,7 @@ def joint_errors(
     Returns
     -------
     array (B, K, n)
-        Errors, mm; n is N, or 1 for one pose.
+        Errors, mm; n is N, or 1 for one pose; NaN for poses with too few joints to align.
 
     Raises
     ------
@@ -111,6 +111,14 @@ def joint_errors(
     return block.share(key, compute)
 
 
+def scored_weights(
+    block: Block, align: Alignment = "none", joints: BoolArray | None = None, fit: BoolArray | None = None
+) -> FloatArray:
+    """Give each joint's share in a mean of aligned errors, (B, K); 0 where a pose has too few joints to align."""
+    weights = block.joint_weights(joints)
+    return weights if align == "none" else weights * ~np.isnan(joint_errors(block, align, None, fit)[:, :1, 0])
+
+
 def pose_errors(
     block: Block,
     align: Alignment = "none",
@@ -133,7 +141,7 @@ def pose_errors(
     Returns
     -------
     array (B, n)
-        Errors, mm; NaN for poses without a joint that counts.
+        Errors, mm; NaN for poses without a joint that counts, or with too few to align.
     """
     fit = body if fit is None else fit
 

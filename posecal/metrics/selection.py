@@ -16,7 +16,7 @@ import numpy as np
 from posecal.data.arrays import BoolArray, FloatArray
 from posecal.engine.block import Block
 from posecal.geometry.procrustes import Alignment
-from posecal.metrics.position import joint_errors, linked
+from posecal.metrics.position import joint_errors, linked, scored_weights
 
 Selection = Literal["own", "linked", "mean"]
 SELECTIONS: tuple[Selection, ...] = get_args(Selection)
@@ -58,10 +58,11 @@ def joint_score(
     Returns
     -------
     array (B, ...)
-        Scores, with the trailing axes that the score adds; NaN for poses without a joint that counts.
+        Scores, with the trailing axes that the score adds; NaN for poses without a joint that counts, or with too
+        few to align.
     """
-    weights = block.joint_weights(joints).astype(np.float64)
     fit = body if fit is None else fit
+    weights = scored_weights(block, align, joints, fit).astype(np.float64)
     scores: FloatArray
     if length is not None:
         lengths = length(block)

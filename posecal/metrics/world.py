@@ -66,7 +66,8 @@ def world_mpjpe(
     Returns
     -------
     array (M,)
-        Errors, mm; lower is better, 0 at best; NaN for a pose without a joint that counts.
+        Errors, mm; lower is better, 0 at best; NaN for a pose without a joint that counts, and for a segment with
+        fewer than three joints to align.
 
     Raises
     ------
@@ -120,7 +121,7 @@ def world_mpjpe(
             ]
         )
         known = counted[poses].any(axis=1)
-        best = int(np.argmin(errors[known].sum(axis=0)))
+        best = int(np.argmin(np.nansum(errors[known], axis=0)))
         found[poses] = np.where(known, errors[:, best] if of == "min" else errors.mean(axis=1), np.nan)
     return found
 

@@ -112,6 +112,21 @@ def refuse_weights(weights: FloatArray | None, name: str) -> None:
         )
 
 
+def refuse_absent(weights: FloatArray, name: str) -> None:
+    """Refuse hypotheses of weight 0, (N, M), beside others: medians and spreads would be those of absent ones too.
+
+    Raises
+    ------
+    PoseDataError
+        With the number of frames, and the first.
+    """
+    if len(frames := np.flatnonzero((weights == 0).any(axis=0))):
+        raise PoseDataError(
+            f"{name}: hypotheses are absent (of weight 0) in {len(frames):,} of {weights.shape[1]:,} frames (first: "
+            f"frame {frames[0]}); expected all in each frame that a map is applied to. Leave these frames out."
+        )
+
+
 def _absent(data: PoseData) -> PoseDataError:
     live, n = n_present(data), data.shape[0]
     frames = data.frame_id[live < n].tolist()

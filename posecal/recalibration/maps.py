@@ -27,8 +27,8 @@ from posecal.engine.storage import digest_of
 from posecal.errors import PoseDataError, PoseFileError, option, refuse_unreadable
 from posecal.evaluation.sources import Source
 from posecal.recalibration.folds import (
+    refuse_absent,
     refuse_another_unit,
-    refuse_exchanged,
     refuse_unusable,
     refuse_weights,
     values_for_joints,
@@ -207,13 +207,13 @@ def apply_map(
     about_modes = None
     if isinstance(map_, SpreadMap):
         about_modes = values_for_joints(map_.joints, map_.about_modes, names, poses.name)
-    if axes is None is poses.axes:
-        refuse_exchanged(poses.name, poses.array.shape, map_.poses)
     valid = poses.valid if poses.valid is None or poses.valid.ndim == 2 else poses.valid[:, None]
     first, m, period = source.read(0, 1), len(source.rows), PERIODS.get(map_.data_unit)
     n, _, k, d = first.shape
     if poses.weights is not None:
-        refuse_weights(poses_last(poses.weights, (n, m), source.layout.text, f"{poses.name}: weights"), poses.name)
+        weights = poses_last(poses.weights, (n, m), source.layout.text, f"{poses.name}: weights")
+        refuse_weights(weights, poses.name)
+        refuse_absent(weights, poses.name)
     window = max(1, WINDOW_BYTES // first.nbytes)
 
     def windows() -> Iterator[FloatArray]:

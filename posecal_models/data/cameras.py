@@ -222,12 +222,13 @@ def read_cameras(path: str | Path) -> dict[str, list[Camera]]:
     rotation, position, focal, centre = stored.values()
     with np.errstate(over="ignore", invalid="ignore"):  # of numbers that are those of no rotation
         error = np.abs(rotation @ rotation.mT - np.eye(3)).max(axis=(1, 2))
-    invalid = ~(error <= 1e-3) | (np.linalg.det(rotation) < 0)
+        determinant = np.linalg.det(rotation)
+    invalid = ~(error <= 1e-3) | (determinant < 0)
     if invalid.any():
         first = int(invalid.argmax())
         raise PoseDataError(
             f"{path}: rotation of camera {first} is none (R R^T differs from I by {error[first]:.3g}, det R is "
-            f"{np.linalg.det(rotation[first]):.3g}); expected an orthogonal matrix of determinant 1."
+            f"{determinant[first]:.3g}); expected an orthogonal matrix of determinant 1."
         )
     cameras: dict[str, list[Camera]] = {}
     for index, name in enumerate(subject.tolist()):

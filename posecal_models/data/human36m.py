@@ -106,7 +106,8 @@ def _read(path: Path, dimensions: int) -> npt.NDArray[np.float64]:
         import cdflib
     except ImportError as problem:
         raise PoseFileError(f"{path}: reading .cdf needs cdflib. Install it: pip install cdflib.") from problem
-    with refuse_unreadable(path, "can't be read as .cdf ({})."), time_limit(seconds_for(path)):
+    unreadable = refuse_unreadable(path, "can't be read as .cdf ({}).")
+    with unreadable, time_limit(seconds_for(path)), np.errstate(invalid="raise"):
         values = np.asarray(cdflib.CDF(path).varget("Pose"), float)
     if values.shape[-1:] != (32 * dimensions,):
         raise PoseDataError(f"{path}: Pose {values.shape}; expected (1, F, {32 * dimensions}).")

@@ -1,5 +1,6 @@
 """Files that can't be answered for: one message, exit code 3, and nothing written or changed."""
 
+import json
 import re
 from pathlib import Path
 from typing import Any
@@ -7,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from posecal.engine.storage import digest_of
 from tests.helpers.reports import world
 from tests.helpers.shell import Array, done, frame_ids, gt_members, hypotheses, hyps_members, refused
 
@@ -160,3 +162,28 @@ def test_results_of_other_numbers_of_hypotheses_do_not_merge() -> None:
     done("evaluate", "hyps.npz", "gt.npz", "--hypotheses", "3", "--save", "three.npz")
     said = refused("merge", "result.npz", "three.npz", "-o", "x.npz")
     assert said == "posecal: result.npz and three.npz were not made alike: N 6 against 3."
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["report", "bad.npz"],
+        ["compare", "bad.npz", "good.npz"],
+        ["plot", "pck", "bad.npz", "-o", "out.svg"],
+        ["plot", "comparison", "bad.npz", "good.npz", "-o", "out.svg"],
+    ],
+)
+def test_a_result_whose_sums_are_too_few_is_refused_though_its_digest_is_right(words: list[str]) -> None:
+    done("evaluate", "hyps.npz", "gt.npz", "--save", "good.npz")
+    with np.load("good.npz") as stored:
+        members = {key: stored[key] for key in stored if key != "digest"}
+    about = json.loads(str(members["about"]))
+    for name in ("errors", "pck_curve", "inside_exchangeable"):
+        members[f"sum/{name}"] = members[f"sum/{name}"][..., :0]
+        about["shapes"][f"sum/{name}"] = [*members[f"sum/{name}"].shape]
+    members["about"] = np.array(json.dumps(about))
+    np.savez("bad.npz", **members, digest=np.array(digest_of(members)))
+    assert re.match(
+        r"posecal: bad\.npz.*: its members don't fit each other \(.*\)\. Evaluate again\.$", refused(*words)
+    )
+    assert not Path("out.svg").exists()

@@ -57,7 +57,9 @@ def test_flags_declare_what_the_hypotheses_don_t() -> None:
         "posecal: bare.npz has joints that the map lacks: joint 0, joint 1, joint 2, joint 3. "
         "Fit a map on these joints."
     )
-    assert "named.npz has joints that the map lacks: Hip." in refused(*words[:2], "named.npz", *words[3:6])
+    assert "named.npz has joints that the map lacks: Hip." in refused(
+        *words[:2], "named.npz", *words[3:6], "--axes=NMKD"
+    )
     assert "axes: 'MND' lacks K" in refused(*words[:-2], "--axes=MND", code=2)
     assert "--root-joint: 'Tail' is not among the joints." in refused(
         *words[:2], "narrow.npz", *words[3:6], "--root-joint=Tail"

@@ -31,7 +31,11 @@ def crash():
 
 def loop():
     while True:
-        time.sleep(0.01)
+        pass
+
+
+def wait():
+    time.sleep(100)
 
 
 def claim(size):
@@ -52,10 +56,12 @@ def test_a_crash_is_a_refusal_of_the_file(path):
         run_in_child(path, crash)
 
 
-def test_what_never_ends_is_ended(path, monkeypatch):
-    monkeypatch.setattr(child_process, "SECONDS", 1.0)
+@pytest.mark.parametrize("function", [loop, wait])
+def test_what_never_ends_is_ended(path, monkeypatch, function):
+    monkeypatch.setattr(child_process, "SECONDS", 0.5)
+    monkeypatch.setattr(child_process, "_BUSY", 2 if function is wait else 100)
     with pytest.raises(PoseFileError, match=r"^poses.c3d: reading it takes more than 1 s"):
-        run_in_child(path, loop)
+        run_in_child(path, function)
 
 
 def test_memory_is_limited_by_the_size_of_the_file(path):

@@ -262,7 +262,7 @@ def test_a_number_of_hypotheses_that_are_not_there_is_refused(number: Any) -> No
 
 
 def test_hypotheses_alone_need_no_truth() -> None:
-    stored, joints, root = resolve_hypotheses(hyps(hypotheses() / 1000, unit="m", joints=JOINTS))
+    stored, joints, root = resolve_hypotheses(hyps(hypotheses() / 1000, unit="m", joints=JOINTS, axes="NMKD"))
     np.testing.assert_allclose(stored.read(0, M), hypotheses(), atol=1e-3)
     assert (joints, root) == (JOINTS, 0)
     with pytest.raises(PoseDataError, match=r"^hyps\.npz: nothing in it; its shape is \(5, 0, 17, 3\)\.$"):
@@ -272,7 +272,7 @@ def test_hypotheses_alone_need_no_truth() -> None:
 def test_hypotheses_alone_without_names_are_relative_to_the_joint_at_zero_of_the_first() -> None:
     moved_on = hypotheses() + 5
     moved_on[0, 0, 3] = moved_on[-1, 0, 4] = moved_on[1, 0, 5] = 0
-    stored, joints, root = resolve_hypotheses(hyps(moved_on))
+    stored, joints, root = resolve_hypotheses(hyps(moved_on, axes="NMKD"))
     assert (root, joints[3], stored.n_hypotheses) == (3, "joint 3", N)
 
 

@@ -30,6 +30,13 @@ def test_masks_of_unknown_names_are_named(tmp_path: Path, name: str) -> None:
     assert remarks(tmp_path, {}, {name: SEEN[..., None] * 0.5}) == [f"hyps.npz: {said.format(name)}"]
 
 
+def test_labels_that_look_like_masks_of_poses_are_named(tmp_path: Path) -> None:
+    (said,) = remarks(tmp_path, {"mask": SEEN[:, 0], "hard": SEEN[:, 1], "is_valid": np.ones(M)})
+    assert said == (
+        "gt.npz: mask (M,) is a label; the poses that count are marked by valid (M,). Rename what is meant."
+    )
+
+
 def test_masks_of_unknown_names_are_named_in_hdf5(tmp_path: Path) -> None:
     h5py = pytest.importorskip("h5py")
     np.savez(tmp_path / "hyps.npz", hypotheses=HYPOTHESES, unit="mm", joints=JOINTS)

@@ -39,6 +39,15 @@ def test_counts_of_remarks_add_up_over_batches_and_shards(world: Arrays, tmp_pat
     assert any(remark.startswith(said) for remark in pickle.loads(pickle.dumps(shards[0].totals())).remarks)
 
 
+def test_frames_without_names_are_numbered_through_the_batches(world: Arrays) -> None:
+    hypotheses = world["hypotheses"].copy()
+    hypotheses[:, 25] = 0
+    evaluation = posecal.Evaluation(axes="NMKD", unit="mm", joints=JOINTS, metrics="mpjpe")
+    for start in range(0, 40, 10):
+        evaluation.update(hypotheses[:, start : start + 10], world["truth"][start : start + 10])
+    assert any("in 1 of 40 frames (first: 25) every hypothesis is one point" in r for r in evaluation.compute().remarks)
+
+
 def test_remarks_with_numbers_of_the_batch_stand_once(world: Arrays) -> None:
     """Such as that bones are too long, which they are by another factor in each batch."""
     evaluation = posecal.Evaluation(axes="NMKD", unit="mm", joints=JOINTS)

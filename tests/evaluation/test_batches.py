@@ -156,7 +156,7 @@ def test_a_batch_that_is_refused_is_not_counted(world: Arrays) -> None:
     broken = world["hypotheses"][:, 50:].copy()
     broken[2, 3, 1, 0] = np.nan
     with pytest.raises(
-        PoseDataError, match=r"hypotheses has non-finite coordinates in 1 of 40 frames \(first: frame 3"
+        PoseDataError, match=r"hypotheses has non-finite coordinates in 1 of 40 frames \(first: frame 53"
     ):
         evaluation.update(broken, world["truth"][50:])
     with pytest.raises(PoseDataError, match=r"^batch 2: n_hypotheses 6 against 7; expected the same in every batch"):

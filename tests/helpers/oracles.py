@@ -32,8 +32,8 @@ def relative(x: Array, root: int | None) -> Array:
 
 
 def relative_mask(w: Mask, root: int | None) -> Mask:
-    """Joints that count relative to a joint: none where that one does not."""
-    return w if root is None else w & w[:, root : root + 1]
+    """Joints that count relative to a joint: none where that one does not, or it alone."""
+    return w if root is None else w & w[:, root : root + 1] & (w.sum(axis=1, keepdims=True) > 1)
 
 
 # --- from positions to errors -----------------------------------------------------------------------------------
@@ -133,10 +133,15 @@ def motion(x: Array, w: Mask, sequence: Sequence[str], order: int) -> Array:
 
 
 def aligned(x: Array, y: Array, w: Mask, how: str) -> Array:
-    """Each hypothesis moved onto its truth by the best map of a family, fitted to the joints that count."""
+    """Each hypothesis moved onto its truth by the best map of a family, fitted to the joints that count.
+
+    NaN where these are so few that the map is perfect whatever the pose.
+    """
     moved = np.array(x, dtype=float)
     for n, m in np.ndindex(*x.shape[:2]):
-        if w[m].any():
+        if w[m].sum() < {"similarity": 3, "reflection": 3, "rigid": 2, "rms_mean": 2}.get(how, 0):
+            moved[n, m] = math.nan
+        elif w[m].any():
             moved[n, m] = fit(x[n, m][w[m]], y[m][w[m]], how)(x[n, m])
     return moved
 
@@ -207,7 +212,7 @@ def pck(d: Array, w: Mask, threshold: float, select: str, link: Sequence[int], *
     found = np.full(d.shape[1], math.nan)
     for m in range(d.shape[1]):
         joints = [k for k in range(d.shape[2]) if w[m, k]]
-        if joints:
+        if joints and not np.isnan(d[:, m, joints]).any():
             right = d[:, m] < threshold if strict else d[:, m] <= threshold
             shares = [mean([float(right[n, k]) for k in joints]) for n in range(len(d))]
             found[m] = chosen_share(shares, select, link[m])
@@ -232,7 +237,7 @@ def complete(d: Array, w: Mask, threshold: float, select: str, link: Sequence[in
     """Whether all of a pose's joints are below the threshold, (M,)."""
     found = np.full(d.shape[1], math.nan)
     for m in range(d.shape[1]):
-        if w[m].any():
+        if w[m].any() and not np.isnan(d[:, m, w[m]]).any():
             worst = d[:, m, w[m]].max(axis=1)
             found[m] = chosen_share([float(error < threshold) for error in worst], select, link[m])
     return found

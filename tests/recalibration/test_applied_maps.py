@@ -142,9 +142,10 @@ def test_infinite_hypotheses_are_refused_and_not_made_absent(tmp_path: Path) -> 
             {"hypotheses": np.where(X[2, 7, 1, 0] == X, np.nan, X)},
             r"some hypotheses are absent \(NaN\) \(first: frame 7",
         ),
-        ({"hypotheses": X.swapaxes(0, 1)}, r"\(11, 5, 3, 3\).* N = 11 .* M = 5\..* axes=\"NMKD\" or axes=\"MNKD\""),
-        ({"hypotheses": X[:, :5]}, r"\(5, 5, 3, 3\).* N = 5 .* M = 5\..* axes=\"NMKD\" or axes=\"MNKD\""),
-        ({"hypotheses": np.tile(X, (24, 20, 1, 1))}, r"\(120, 220, 3, 3\).* the 120 poses of the fit"),
+        (
+            {"hypotheses": X, "weights": np.repeat([[0.25], [0.0]], [4, 1], axis=0).repeat(11, axis=1)},
+            r"hypotheses are absent \(of weight 0\) in 11 of 11 frames \(first: frame 0\)",
+        ),
         ({"hypotheses": X, "frame_id": np.arange(5)}, r"frame_id has 5 values for 11 poses"),
         ({"hypotheses": X, "valid": np.ones((5, 3), dtype=bool)}, r"valid \(5, 3\); expected \(M, K\) = \(11, 3\)"),
     ],
@@ -152,17 +153,26 @@ def test_infinite_hypotheses_are_refused_and_not_made_absent(tmp_path: Path) -> 
 def test_files_that_an_evaluation_would_refuse_are_refused(
     map_: SpreadMap | RadiusMap, members: dict[str, Array], words: str, tmp_path: Path
 ) -> None:
-    np.savez(tmp_path / "hyps.npz", joints=JOINTS, **members)
+    np.savez(tmp_path / "hyps.npz", joints=JOINTS, axes="NMKD", **members)
     with pytest.raises(PoseDataError, match=rf"^hyps\.npz.* {words}"):
         apply_map(map_, tmp_path / "hyps.npz", tmp_path / "out.npz")
+    assert not (tmp_path / "out.npz").exists()
+
+
+@pytest.mark.parametrize("x", [X, X.swapaxes(0, 1), X[:, :5]], ids=["N < M", "N > M", "N = M"])
+def test_axes_that_nothing_tells_are_refused(x: Array, tmp_path: Path) -> None:
+    with pytest.raises(
+        PoseDataError, match=r"does not tell apart without a truth\. Pass axes=\"NMKD\" or axes=\"MNKD\""
+    ):
+        apply_map(SPREAD, x, tmp_path / "out.npz", joints=JOINTS, unit="mm")
     assert not (tmp_path / "out.npz").exists()
 
 
 @pytest.mark.parametrize(
     "members",
     [
-        {"hypotheses": X},
-        {"hypotheses": X / 1000, "unit": "m"},
+        {"hypotheses": X, "axes": "NMKD"},
+        {"hypotheses": X / 1000, "unit": "m", "frame_id": np.arange(11)},
         {"hypotheses": np.concatenate([X, X[..., :1]], -1), "axes": "NMKC"},
         {"hypotheses": X.swapaxes(0, 1), "axes": "MNKD"},
         {"hypotheses": np.tile(X, (3, 1, 1, 1)), "frame_id": np.arange(11)},

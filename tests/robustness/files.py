@@ -58,27 +58,35 @@ class Case:
 
 
 def result_edited(whole: bytes, chance: Random) -> bytes:
-    """Edit what a saved result says, or values that it holds, and give it the digest of the edited members.
-
-    What the data were, and the shapes of sums, stay: with a digest of their own, they make another result.
-    """
+    """Edit what a saved result says, or values that it holds, and give it the shapes and the digest of these."""
     with np.load(io.BytesIO(whole)) as stored:
         members: dict[str, Any] = {key: stored[key] for key in stored.files if key != "digest"}
+    about = json.loads(str(members.pop("about")))
     for _ in range(chance.choice([1, 1, 2])):
         key = chance.choice([*members, "about", "about"])
         if key == "about":
-            about = json.loads(str(members[key]))
-            text = texts.of_json({name: value for name, value in about.items() if name != "spec"}, chance)
-            text = text.replace("{", f'{{"spec": {json.dumps(about["spec"])}, ', 1).replace("\ud800", "?")
-            members[key] = np.array(text)
-        elif not key.startswith(("sum/", "count/", "per_pose/")):
-            members[key] = arrays.edited(members[key], chance)
+            about = texts.edited(about, chance)
+        elif key.startswith("sum/") and chance.random() < 0.5:
+            name = key.removeprefix("sum/")
+            members[key], members[f"count/{name}"] = _of_other_shape(members[key], members[f"count/{name}"], chance)
         else:
-            members[key] = arrays.revalued(members[key], chance)
-    members["digest"] = np.array(digest_of({key: value for key, value in members.items() if value.dtype.kind != "O"}))
+            members[key] = arrays.edited(members[key], chance)
+    members = {key: value for key, value in members.items() if value.dtype.kind != "O"}
+    if isinstance(about, dict) and "shapes" in about:
+        about["shapes"] = {key: [*value.shape] for key, value in members.items()}
+    members["about"] = np.array(json.dumps(about).replace("\ud800", "?"))
+    members["digest"] = np.array(digest_of(members))
     file = io.BytesIO()
     np.savez(file, **members)
     return file.getvalue()
+
+
+def _of_other_shape(sums: arrays.Array, counts: arrays.Array, chance: Random) -> tuple[arrays.Array, arrays.Array]:
+    """Give sums (C, ...) of poses another shape, and counts that go with it."""
+    rows = sums.reshape(len(sums), -1)
+    number = counts.reshape(len(counts), -1)[:, 0]
+    shapes = (rows, rows[:, 0], rows[:, :1], rows[:, :0], sums[..., None], np.repeat(rows, 2, axis=1))
+    return chance.choice(shapes), number
 
 
 def result_edited_unsigned(whole: bytes, chance: Random) -> bytes:
