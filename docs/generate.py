@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
 import sys
@@ -108,7 +109,8 @@ def printed(command: str) -> str:
     program, *words = shlex.split(command)
     if program != "posecal":
         raise ValueError(f"{command}: expected a command of posecal.")
-    environment = {"COLUMNS": "100", "MPLBACKEND": "Agg", "TERM": "dumb"}
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"  # where the demonstration finds posecal
+    environment = {"PATH": path, "COLUMNS": "100", "MPLBACKEND": "Agg", "TERM": "dumb"}
     done = CliRunner().invoke(posecal.cli.app, words, prog_name=program, env=environment)
     if done.exit_code:
         raise ValueError(f"{command}: exit {done.exit_code}\n{done.output}") from done.exception

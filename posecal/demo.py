@@ -9,6 +9,8 @@ spread, an underconfident one with one and a half times as much.
 from __future__ import annotations
 
 import shlex
+import shutil
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -227,13 +229,14 @@ def run_demo(folder: Path, write_line: Callable[[str], object], *, width: int = 
     write_line(
         f"A world where the truth is known: M = {len(world.truth)} poses, and N = 200 hypotheses from each of three\n"
         "samplers that know the mean of every pose exactly and differ in nothing but their spread.\n"
+        "These commands evaluate them:\n"
     )
     files = {path.stem: path for path in write_demo(folder, world)}
     reports = {}
-    write_line(f"$ cd {shlex.quote(str(folder))}")
+    write_line(f"  cd {shlex.quote(str(folder))}")
     for name in SAMPLERS:
         outputs = f"--plot {name}.png --html {name}.html --save {name}-result.npz"
-        write_line(f"$ posecal evaluate {name}.npz gt.npz {outputs}")
+        write_line(f"  {_program()} evaluate {name}.npz gt.npz {outputs}")
         report = reports[name] = evaluate(files[name], files["gt"])
         save(draw(report, title=f"{name} sampler"), folder / f"{name}.png")
         write_html(report, folder / f"{name}.html", f"{name} sampler")
@@ -245,6 +248,11 @@ def run_demo(folder: Path, write_line: Callable[[str], object], *, width: int = 
     write_line(f"\n{reports['calibrated'].render(width=width, colour=colour, words=for_command_line)}\n")
     write_line(_summary_of(reports).text(width=width, colour=colour))
     write_line(f"\nIn {folder}: the files, a page (.html), a reliability diagram (.png) and a result for each sampler.")
+
+
+def _program() -> str:
+    """Name the program as a shell runs it here, where posecal is not on its path too."""
+    return "posecal" if shutil.which("posecal") else f"{shlex.quote(sys.executable)} -m posecal"
 
 
 def _summary_of(reports: Mapping[str, Report]) -> Sheet:

@@ -1,6 +1,7 @@
 """The demonstration: each sampler is what its name says in a world where the truth is known, and posecal finds it."""
 
 import re
+import sys
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 import posecal
+from posecal import demo
 from posecal.data.skeleton import JOINT_SETS, Skeleton
 from posecal.demo import SAMPLERS, make_world, run_demo, sample, write_demo
 from posecal.engine.storage import load_totals
@@ -143,10 +145,16 @@ def test_it_notes_that_the_best_benchmark_number_goes_to_the_wrong_sampler(run: 
 def test_it_shows_the_commands_that_a_user_would_type(run: tuple[Path, str]) -> None:
     folder, text = run
     for name in SAMPLERS:
-        assert f"$ posecal evaluate {name}.npz gt.npz --plot {name}.png --html {name}.html --save {name}-re" in text
-    at = [text.index(f"$ posecal evaluate {name}") for name in SAMPLERS]
+        assert f"posecal evaluate {name}.npz gt.npz --plot {name}.png --html {name}.html --save {name}-re" in text
+    at = [text.index(f"posecal evaluate {name}") for name in SAMPLERS]
     assert all(one < two for one, two in pairwise(at))
     assert f"In {folder}: the files, a page (.html)" in text
+
+
+def test_the_commands_can_be_pasted_where_posecal_is_not_on_the_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    for path, program in ((str(Path(sys.executable).parent), "posecal"), ("", f"{sys.executable} -m posecal")):
+        monkeypatch.setenv("PATH", path)
+        assert demo._program() == program
 
 
 def test_a_folder_that_can_not_be_made_is_refused(tmp_path: Path) -> None:

@@ -160,10 +160,10 @@ def collapse(
         left.plot(spread, squared, color=UNDER, linestyle="--", label="mean squared error")
         left.plot(0, 1, "o", color=OVER, clip_on=False, zorder=3)
         left.annotate("lowest", (0, 1), (4, -8), textcoords="offset points")
-        left.axvline(1, color=GOLD, label="oracle")
-        left.set_ylim(0.7, 5.2)
+        left.axvline(1, ymax=0.6, color=GOLD, label="oracle")  # up to the legend
+        left.set_ylim(0.2, 5.2)
         left.set(xlabel="spread σ/σ*", ylabel="error / collapsed model's", title="Gaussian truth, any D")
-        left.legend(loc="upper left", frameon=True, framealpha=1, edgecolor="none")
+        left.legend(loc="upper left")
         right.fill_between(point, np.exp(-point), color="#E8E8E8", linewidth=0, label="the truth's density")
         right.plot(point, skewed_mpjpe, color=OVER, label="mean MPJPE")
         right.plot(point, skewed_squared, color=UNDER, linestyle="--", label="mean squared error")

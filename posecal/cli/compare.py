@@ -18,6 +18,7 @@ def compare(
         list[Path], opt.argument("Hypotheses of two or more models and, last, the truth; or two or more saved results.")
     ],
     *,
+    labels: opt.Labels = None,
     primary: Annotated[
         str | None, opt.option("Metrics to name the better model by.", show_default="energy_score,ece")
     ] = None,
@@ -50,7 +51,7 @@ def compare(
             "expected hypotheses of two or more models and, last, the truth; or two or more saved results."
         )
     protocol = None if scoring == opt.ScoringOptions() else scoring.protocol()
-    sources: dict[str, Any] = dict(zip(opt.model_names(models), models, strict=True))
+    sources: dict[str, Any] = dict(opt.named(models, labels))
     if not saved:
         sources = {name: data.read(path, files[-1], **scoring.matching) for name, path in sources.items()}
         several = all(source.shape[0] > 1 for source in sources.values())

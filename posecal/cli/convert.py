@@ -17,7 +17,7 @@ def convert(
     like: Annotated[
         str | None,
         opt.reading(
-            "The tool, where the file does not show it: wide, long, deeplabcut, anipose, freemocap, mediapipe, "
+            "The tool, where the file does not show it: wide, long, angles, deeplabcut, anipose, freemocap, mediapipe, "
             "openpose, panoptic, interhand or mmpose."
         ),
     ] = None,

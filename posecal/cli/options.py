@@ -41,6 +41,7 @@ By = Annotated[list[str] | None, option("Group by a label, predicted_spread (ter
 OwnMetrics = Annotated[list[str] | None, option("Add your own metric. Repeatable.", "--metric", metavar="FILE.py:NAME")]
 Form = Annotated[Literal["text", "markdown", "csv", "json", "latex"], writing("How it is written.", "--format")]
 Gallery = Annotated[bool, writing("Keep some twelve poses, the worst, in the result and on the page.")]
+Labels = Annotated[str | None, option("Names of the models, with commas.", show_default="those of the files")]
 
 
 def model_names(files: list[Path]) -> list[str]:
@@ -48,6 +49,14 @@ def model_names(files: list[Path]) -> list[str]:
     stems = [path.stem for path in files]
     names = stems if len(set(stems)) == len(stems) else [str(path.with_suffix("")) for path in files]
     return [name if names.index(name) == k else f"{name} #{k + 1}" for k, name in enumerate(names)]
+
+
+def named(files: list[Path], labels: str | None) -> dict[str, Path]:
+    """Give each file the name of its model: its label, or that of the file."""
+    names = model_names(files) if labels is None else [name.strip() for name in labels.split(",")]
+    if len(names) != len(files) or len({*names}) < len(names):
+        raise typer.BadParameter(f"--labels: {labels!r}; expected {len(files)} different names, with commas.")
+    return dict(zip(names, files, strict=True))
 
 
 @dataclass(frozen=True)

@@ -27,15 +27,6 @@ KINDS = {
 
 
 Results = Annotated[list[Path], opt.argument("Results of evaluate --save; of several models for one figure.")]
-Labels = Annotated[str | None, opt.option("Names of the models, with commas.", show_default="those of the files")]
-
-
-def _named(results: list[Path], labels: str | None) -> dict[str, Path]:
-    """Give each result the name of its model; of one alone none."""
-    names = opt.model_names(results) if labels is None else [name.strip() for name in labels.split(",")]
-    if len(names) != len(results) or len({*names}) < len(names):
-        raise typer.BadParameter(f"--labels: {labels!r}; expected {len(results)} different names, with commas.")
-    return dict(zip(names, results, strict=True))
 
 
 def _add(kind: str, about: str) -> None:
@@ -44,14 +35,14 @@ def _add(kind: str, about: str) -> None:
         results: Results,
         output: opt.Output,
         *,
-        labels: Labels = None,
+        labels: opt.Labels = None,
         panels: Annotated[bool, opt.option("A panel for each model, instead of one for all.", "--panels")] = False,
         figure: opt.FigureOptions,
     ) -> None:
         check_outputs(*results, plot=output)
         import posecal
 
-        how, files = figure.given(), _named(results, labels)
+        how, files = figure.given(), opt.named(results, labels)
         reports = {name: posecal.Report(posecal.load_totals(path)) for name, path in files.items()}
         one = reports if len(reports) > 1 or labels else next(iter(reports.values()))
         posecal.plot.save(posecal.plot.draw(one, kind.replace("-", "_"), panels=panels, **how), output)
@@ -62,12 +53,12 @@ for _kind, _about in KINDS.items():
 
 
 @command(app)
-def comparison(results: Results, output: opt.Output, *, labels: Labels = None, figure: opt.FigureOptions) -> None:
+def comparison(results: Results, output: opt.Output, *, labels: opt.Labels = None, figure: opt.FigureOptions) -> None:
     """MinMPJPE against the ECE of two or more models."""
     check_outputs(*results, plot=output)
     import posecal
 
-    how, files = figure.given(), _named(results, labels)
+    how, files = figure.given(), opt.named(results, labels)
     if len(files) < 2:
         raise typer.BadParameter("expected saved results of two or more models.")
     compared = posecal.compare({name: posecal.load_totals(path) for name, path in files.items()})

@@ -35,6 +35,7 @@ TEXTS: dict[str, Callable[[Path, str], Tracks]] = {".csv": read_csv, ".tsv": rea
 FORMATS: dict[str, str] = {
     "wide": "CSV, a row per frame, columns Hip_x, Hip_y, Hip_z, …",
     "long": "CSV, a row per frame and joint, columns frame, joint, x, y, z and perhaps hypothesis, sequence",
+    "angles": "CSV, a row per frame, columns frame, percent or time, an angle each, and perhaps hypothesis, trial",
     "deeplabcut": "DeepLabCut: .csv or .h5 with the rows scorer, bodyparts, coords",
     "anipose": "Anipose: .csv with Hip_x, Hip_y, Hip_z, Hip_error, Hip_score, …",
     "freemocap": "FreeMoCap: .csv with a row per frame",
@@ -160,7 +161,8 @@ def convert(
     if joints is not None:
         assumed = [line for line in assumed if not line.startswith(BY_NUMBER)]
     what = f"{len(poses)} hypotheses" if is_hypotheses else "the truth"
-    assumed.append(f"{poses.shape[-3]:,} frames of {poses.shape[-2]} joints are {what}")
+    whose = "an angle" if poses.shape[-2:] == (1, 1) else f"{poses.shape[-2]} joints"
+    assumed.append(f"{poses.shape[-3]:,} frames of {whose} are {what}")
     if unit is None:
         which = option("unit", "px") if poses.shape[-1] == 2 else option("unit")
         assumed.append(f"no unit is stated: evaluate takes mm, or refuses what can't be mm; {which} declares another")

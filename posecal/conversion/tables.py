@@ -18,6 +18,10 @@ _COLUMN = re.compile(r"^(?P<joint>.+?)(?:[\s_.:-]+|(?<=[a-z])(?=[XYZ])|(?<=\d))(
 _CONFIDENCE = re.compile(r"^(?P<joint>.+?)[\s_.:-]+(?:likelihood|confidence|score|visibility)$", re.IGNORECASE)
 _SEEN = ("confidence", "likelihood", "visibility", "score")
 _FRAME = ("frame", "frame_id", "frame_number", "fnum", "frames")
+_CYCLE = ("percent", "time")
+"""Names of the column of frames in tables of angles, beside those of others."""
+
+_LABELS = ("sequence", "subject", "action", "camera")
 _LONG = {"joint": ("joint", "keypoint", "bodypart", "marker", "landmark", "name"), "frame": _FRAME}
 
 
@@ -33,6 +37,8 @@ def read_csv(path: Path, like: str) -> Tracks:
         return of_multiindex(_frame_of(text, path, header=header, index_col=0, **how), path.name)
     frame = _frame_of(text, path, **how)
     plain = {str(column).strip().lower(): column for column in frame.columns}
+    if like == "angles":
+        return _of_angles(frame, plain, path.name)
     joint = next((plain[word] for word in _LONG["joint"] if word in plain), None)
     is_long = joint is not None and {*AXES[:2]} <= {*plain}
     if like == "long" and not is_long:
@@ -132,11 +138,28 @@ def _of_long(frame: Any, plain: dict[str, Any], joint: Any, name: str) -> Tracks
     ]
     poses = parts[0] if draw is None else np.stack(parts)
     labels: dict[str, Any] = {
-        word: frame.groupby(number, sort=False)[plain[word]].first().astype(str).to_numpy()
-        for word in ("sequence", "subject", "action", "camera")
+        word: np.array(frame.groupby(number, sort=False)[plain[word]].first().astype(str).tolist())
+        for word in _LABELS
         if word in plain
     }
     return Tracks(poses, list(joints), frame_id=_frame_names(frames), labels=labels)
+
+
+def _of_angles(frame: Any, plain: dict[str, Any], name: str) -> Tracks:
+    """Read a table with a row per frame, or per frame and hypothesis, and a column for each angle."""
+    number = next((plain[word] for word in (*_FRAME, *_CYCLE) if word in plain), None)
+    if number is None:
+        raise PoseDataError(f"{name}: no column {', '.join(_CYCLE)} or frame; expected one beside the angles.")
+    names = {plain[word]: word for word in (*_LABELS, "hypothesis", "sample") if word in plain}
+    names |= {plain["trial"]: "sequence"} if "trial" in plain else {}
+    names |= {number: "frame"}
+    angles = {column: _numbers(frame[column], name, column) for column in frame.columns if column not in names}
+    table = (
+        frame.assign(**angles).rename(columns=names).melt(id_vars=[*names.values()], var_name="joint", value_name="x")
+    )
+    if table.empty:
+        raise PoseDataError(f"{name}: no column of an angle; expected some beside {first_few([*names])}.")
+    return _of_long(table, {word: word for word in table.columns}, "joint", name)
 
 
 def _frame_names(values: Any) -> list[str]:

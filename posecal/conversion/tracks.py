@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import FloatArray
-from posecal.errors import PoseDataError, first_few
+from posecal.errors import PoseDataError, first_few, option
 
 AXES = ("x", "y", "z")
 
@@ -68,7 +68,10 @@ def by_joint(columns: dict[tuple[str, str], FloatArray], name: str) -> tuple[lis
     joints = list(dict.fromkeys(joint for joint, _ in columns))
     axes = [axis for axis in AXES if any(axis == own for _, own in columns)]
     if not joints or not axes:
-        raise PoseDataError(f"{name}: no columns of joints' coordinates, such as Hip_x, Hip_y, Hip_z; expected some.")
+        angles = f"of a table of angles pass {option('like', 'angles')}"
+        raise PoseDataError(
+            f"{name}: no columns of joints' coordinates, such as Hip_x, Hip_y, Hip_z; expected some. Or {angles}."
+        )
     lacking = [f"{joint}_{axis}" for joint in joints for axis in axes if (joint, axis) not in columns]
     if lacking:
         raise PoseDataError(f"{name}: lacks {first_few(lacking)}; expected {', '.join(axes)} of each joint.")

@@ -39,7 +39,7 @@ def joint_places(skeleton: Skeleton) -> tuple[FloatArray, bool]:
     if found is not None and found.rest:
         rest = dict(zip(joint_keys(found.names), found.rest, strict=True))
         return _fitted(np.array([rest[key] for key in keys])), False
-    placed = {k: np.array(REST_POSE[key])[[0, 2]] * [2.0, 1.0] for k, key in enumerate(keys) if key in REST_POSE}
+    placed = {k: np.array(REST_POSE[key])[[0, 2]] * [2.2, 1.0] for k, key in enumerate(keys) if key in REST_POSE}
     placed |= {k: np.array(_FACE[key], dtype=np.float64) for k, key in enumerate(keys) if key in _FACE}
     if 2 * len(placed) < len(keys):
         return _fitted(_tree(parents) if skeleton.bones else _rows(len(keys))), False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import textwrap
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -56,7 +57,7 @@ def rank_test(report: Report, test: str, *, ax: Axes) -> Axes:
             LEVELS, curve - LEVELS, color=colour if rejected or not many else FAINT, lw=0.5 if many else 1.6, zorder=2
         )
     words = "no test" if np.isnan(p) else "p < 0.001" if p < 0.001 else f"p = {p:.3f}"
-    ax.set_title(f"{report.metrics[test].label}\n{words}", fontsize="small", color=colour)
+    ax.set_title(f"{textwrap.fill(report.metrics[test].label, 16)}\n{words}", fontsize="small", color=colour)
     ax.set(xlim=(0, 1), xticks=(0, 0.5, 1))
     ax.tick_params(labelsize="x-small")
     return ax

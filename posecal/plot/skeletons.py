@@ -61,10 +61,10 @@ def signed_areas(report: Report, *, ax: Axes | None = None) -> Axes:
         if np.isnan(value):
             ax.scatter(x, y, s=14, color="white", edgecolor=ink(), lw=0.8, zorder=3)
             continue
-        area = 12 + 800 * abs(value)
+        area = 12 + 400 * abs(value)
         ax.scatter(x, y, s=area, color=OVER if value < 0 else UNDER, edgecolor="white", lw=0.8, zorder=2, gid=joint)
         ax.annotate(
-            f"{printable(joint)}\n{with_sign(value, 3)}" if is_named else with_sign(value, 3),
+            f"{printable(joint)}\n{with_sign(value, 2)}" if is_named else with_sign(value, 2),
             (x, y),
             xytext=(side * (3 + np.sqrt(area / np.pi)), 5 if x == 0 and is_person else 0),  # off the shoulder bone
             textcoords="offset points",
@@ -74,13 +74,13 @@ def signed_areas(report: Report, *, ax: Axes | None = None) -> Axes:
             zorder=4,
         )
     ax.set_aspect("equal")
-    ax.margins(0.2, 0.05 if is_person else 0.15)
+    ax.margins(0.16, 0.05 if is_person else 0.15)
     ax.axis("off")
     for side_name, across in (("right side", 0.08), ("left side", 0.92)) if is_person else ():
         ax.text(across, 0.98, side_name, transform=ax.transAxes, ha="center", fontsize="small", color="#666666")
     for word, colour in (("overconfident", OVER), ("underconfident", UNDER)):
         ax.scatter([], [], s=60, color=colour, edgecolor="white", lw=0.8, label=word)
-    ax.legend(loc="upper center", bbox_to_anchor=(0.5, 0.03), ncols=2, handletextpad=0.2, columnspacing=1.5)
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=2, handletextpad=0.2, columnspacing=1.5)
     return ax
 
 

@@ -129,13 +129,14 @@ def new_figure(
         As :func:`check_size` and :func:`style_parameters` do.
     """
     import matplotlib as mpl
-    from matplotlib.figure import Figure
+
+    from posecal.plot.shown_figure import ShownFigure
 
     check_size(size)
     changes = style_parameters(style)
     with mpl.rc_context(STYLE):
         mpl.rcParams.update({name: value for name, value in changes.items() if not name.startswith("backend")} | FIXED)
-        figure = Figure(figsize=size, layout=layout)
+        figure = ShownFigure(figsize=size, layout=layout)
         if title:
             figure.suptitle(printable(title))
         yield figure

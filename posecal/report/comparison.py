@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 MOST_PAIRS = 15
 """Of more pairs than this, only those with the best model are shown; CSV and JSON hold all."""
 
+MOST_COLUMNS = 6
+"""Of more metrics than this, a table for a paper has a row for each, so that it fits on a page."""
+
 BOLD = "bold", "the best model, with all that are not shown to be worse; none where no model is."
 """What bold numbers of a paper's table are."""
 
@@ -94,19 +97,23 @@ def _values(comparison: PairedModels, heading: str, metrics: Iterable[Metric]) -
 
 
 def _by_model(comparison: PairedModels, heading: str, metrics: Iterable[Metric]) -> Table:
-    """Lay out the numbers as papers print them: a row per model, a column per metric, the best in bold."""
+    """Lay out the numbers as papers print them: a row per model, or of many metrics a row per metric; best in bold."""
+    names = comparison.names
     columns, best = [], []
     for column, metric in enumerate(metrics, 1):
         label, unit, scale = as_printed(metric)
         low, high = min(((each.low, each.high) for each in comparison.differences_of(metric.name)), key=_width)
-        values = [scale * comparison.value(metric.name, model) for model in comparison.names]
+        values = [scale * comparison.value(metric.name, model) for model in names]
         cells = [number(value, unit, (scale * low, scale * high)).removesuffix(f" {unit}") for value in values]
-        ranks = [comparison.rank(metric.name, model) for model in comparison.names]
+        ranks = [comparison.rank(metric.name, model) for model in names]
         if max(ranks) > 1:
             best += [(row, column) for row, rank in enumerate(ranks) if rank == 1]
         columns.append((label, *cells))
-    headings, *rows = zip(("model", *comparison.names), *columns, strict=True)
-    return Table(f"{heading[0].upper()}{heading[1:]}s", headings, rows, best=best)
+    title = f"{heading[0].upper()}{heading[1:]}s"
+    if len(columns) > MOST_COLUMNS:
+        return Table(title, (heading, *names), columns, best=[(column - 1, row + 1) for row, column in best])
+    headings, *rows = zip(("model", *names), *columns, strict=True)
+    return Table(title, headings, rows, best=best)
 
 
 def pairs_table(comparison: PairedModels, metrics: Iterable[Metric], *, paper: bool = False) -> Table:
@@ -119,6 +126,9 @@ def pairs_table(comparison: PairedModels, metrics: Iterable[Metric], *, paper: b
             differences = tuple(one for one in differences if best in (one.first, one.second))
         label, unit, scale = as_printed(metric) if paper else (metric.label, metric.unit, 1.0)
         rows += [(label, f"{one.first} − {one.second}", *_tested(one, unit, scale)) for one in differences]
+    if paper:  # which is better, the sign says; p alone is not what decides
+        rows = [(*row[:4], row[5]) for row in rows]
+        return Table("Pairs", ("metric", "models", "difference", "95 % interval", "adjusted p"), rows, ("models",))
     return Table("Pairs", ("pair", "models", *TESTED), rows, ("models", "better"))
 
 

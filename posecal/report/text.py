@@ -78,11 +78,16 @@ def report_sheet(
             )
     tables += [_by_label(report, label, paper=paper) for label in report.by]
     others = [metric.label for metric in known if metric not in shown]
+    notes = list(remarks(report, words))
+    if joints and any(metric.in_joint_table for metric in report.metrics.values()):
+        tables.append(_by_joint(report, paper=paper))
+    elif joints:
+        notes.append("no table of joints: none of these metrics has a number for each.")
     return Sheet(
         title=report_title(report),
         sentences=list(report.summary),
-        remarks=list(remarks(report, words)),
-        tables=[*tables, _by_joint(report, paper=paper)] if joints else tables,
+        remarks=notes,
+        tables=tables,
         definitions=[(metric.label, metric.definition) for metric in shown] if definitions else [],
         more=f"{words(option('all', True))}: what each number is, and {_listed(others)}." if others else "",
         footer=f"signature: {report.signature}",

@@ -189,7 +189,7 @@ class PairedModels:
 
         Each model's own deviations give nearly the same one; this is their median, a guide for the eye. Whether a model
         is beyond it by chance says :meth:`calibrated`. Models that repeat one hypothesis have none, nor models whose
-        hypotheses are so few and so much too wide that it can't be known.
+        hypotheses are so much too wide for their number that it can't be known.
         """
         highs = [high for name in self.names if not math.isnan(high := self.test(metric, name).high)]
         untested = any(map(weights_allow_no_test, self.totals)) or not highs

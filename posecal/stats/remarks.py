@@ -105,7 +105,7 @@ def remarks_on_chance(
         return
     if math.isnan(null.mean):
         yield (
-            "what a calibrated sampler would show is not known: hypotheses are so few, and so much too wide, that "
+            "what a calibrated sampler would show is not known: hypotheses are so much too wide for their number that "
             "nothing tells how much frames resemble each other. p-values don't rest on it."
         )
     elif remark := remark_on_differences(*differences(), chance):

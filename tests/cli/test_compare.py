@@ -108,6 +108,12 @@ def test_a_comparison_is_written_as_a_table(form: str) -> None:
     assert ("\\bottomrule" in text) == (form == "latex")
 
 
+def test_labels_name_the_models() -> None:
+    text = done(*COMPARE, "--metrics=mpjpe", "--labels=ours,theirs")
+    assert text.startswith("ours against theirs")
+    assert "expected 2 different names" in refused(*COMPARE, "--labels=ours", code=2)
+
+
 def test_a_comparison_without_its_truth_is_a_wrong_call() -> None:
     assert "and, last, the truth" in refused("compare", "right.npz", "narrow.npz", code=2)
 

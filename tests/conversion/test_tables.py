@@ -220,6 +220,38 @@ def test_sequences_of_a_long_table_count_their_frames_anew(poses: Array, tmp_pat
     assert members["sequence"].tolist() == ["walk 0"] * M + ["walk 1"] * M
 
 
+@pytest.mark.parametrize("frame", ["percent", "frame"])
+def test_a_table_of_angles_with_a_row_per_hypothesis_is_evaluated(tmp_path: Path, frame: str) -> None:
+    truth = pd.DataFrame(
+        [(f"trial {t}", p, 10.0 * t + p, -5.0) for t in (1, 2) for p in range(4)],
+        columns=["Trial", frame, "knee flexion", "hip_x"],
+    )
+    samples = pd.concat([truth.assign(sample=n, **{"knee flexion": truth["knee flexion"] + n}) for n in range(3)])
+    truth.to_csv(tmp_path / "knee.csv", index=False)
+    samples.sample(frac=1, random_state=0).to_csv(tmp_path / "samples.csv", index=False)
+    for name in ("knee", "samples"):
+        convert(tmp_path / f"{name}.csv", tmp_path / f"{name}.npz", like="angles", unit="deg")
+    report = posecal.evaluate(tmp_path / "samples.npz", tmp_path / "knee.npz", metrics="mpjpe", by="sequence")
+    assert report.totals.spec.joints == ("knee flexion", "hip_x")
+    assert report["mpjpe"] == pytest.approx((0 + 1 + 2) / 3 / 2)  # the hip's is right
+    assert [*report.groups] == [None, "sequence=trial 1", "sequence=trial 2"]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("frame,side\n1,left\n", "column side holds 'left'; expected numbers"),
+        ("knee\n1\n", "no column percent, time or frame"),
+        ("trial,time\na,1\n", "no column of an angle"),
+        ("time,sample,knee\n1,1,2\n1,1,3\n", "row 3 repeats a joint of its frame"),
+    ],
+)
+def test_a_table_of_angles_that_is_none_says_why(tmp_path: Path, text: str, words: str) -> None:
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(PoseDataError, match=words):
+        convert(tmp_path / "a.csv", like="angles", unit="deg")
+
+
 def test_joints_that_openpose_did_not_see_are_not_valid(poses: Array, tmp_path: Path) -> None:
     keypoints = np.concatenate([poses[0], np.ones((K, 1))], axis=1)
     keypoints[2] = 0

@@ -8,7 +8,7 @@ import re
 def rows_of(text: str) -> list[list[str]]:
     """Give the rows of all tabulars, cell by cell, and assert that they are well formed."""
     body = "\n".join(line for line in text.splitlines() if not line.startswith("%"))
-    tabulars = re.findall(r"\\begin\{tabular\}\{([lr]+)\}\n(.*?)\\end\{tabular\}", body, re.DOTALL)
+    tabulars = re.findall(r"\\begin\{tabular\}\{(\S+)\}\n(.*?)\\end\{tabular\}", body, re.DOTALL)
     assert len(tabulars) == body.count(r"\begin") == body.count(r"\end") > 0
     found = []
     for columns, lines in tabulars:
@@ -18,8 +18,9 @@ def rows_of(text: str) -> list[list[str]]:
             if line.endswith("rule"):
                 continue
             assert line.endswith(r" \\")
+            line = one_line(line)
             cells = re.split(r"(?<!\\)&", line.removesuffix(r" \\"))
-            assert len(cells) == len(columns)
+            assert len(cells) == len(re.sub(r"\{[^}]*\}", "", columns))
             plain = re.sub(r"\\[%&#_$]", "", line)
             assert not re.search("[%#_]", plain)
             assert plain.count("$") % 2 == 0
@@ -27,3 +28,10 @@ def rows_of(text: str) -> list[list[str]]:
             assert plain.isascii() or not re.search("[↓↑−ωτ‖∫√…]", plain)
             found.append([cell.strip() for cell in cells])
     return found
+
+
+def one_line(row: str) -> str:
+    """Join the lines of headings."""
+    return re.sub(r"\\shortstack\[r\]\{((?:[^{}]|\{\})*)\}", lambda stack: stack[1].replace(r"\\{}", " "), row).replace(
+        "~", " "
+    )

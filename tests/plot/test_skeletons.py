@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 import posecal
 from posecal.data.skeleton import JOINT_SETS, Skeleton
 from posecal.errors import PoseDataError
-from posecal.plot import signed_areas
+from posecal.plot import draw, signed_areas
 from posecal.plot.layout import free_sides, joint_places
 from posecal.plot.style import OVER, UNDER
 from tests.helpers.reports import report_of, unlabelled
@@ -62,7 +62,21 @@ def test_the_numbers_stand_beside_their_joints_with_their_signs(ax: Axes) -> Non
     signed_areas(report, ax=ax)
     shown = {text.get_text() for text in ax.texts}
     for name in JOINTS[1:]:
-        assert f"{report.value('signed_area', joint=name):+.3f}".replace("-", "−") in shown
+        assert f"{report.value('signed_area', joint=name):+.2f}".replace("-", "−") in shown
+
+
+def test_no_number_lies_on_a_disc() -> None:
+    figure = draw(report_of(0.2), "joints")  # all are overconfident: large discs, and a sign before each number
+    figure.draw_without_rendering()
+    (ax,) = figure.axes
+    numbers = [text.get_window_extent() for text in ax.texts if text.get_text().startswith("−")]
+    assert len(numbers) == len(JOINTS) - 1
+    for name, (area, _, place) in discs(ax).items():
+        across, up = ax.transData.transform(place)
+        radius = np.sqrt(area / np.pi) * figure.dpi / 72
+        for box in numbers:
+            away = np.hypot(across - np.clip(across, box.x0, box.x1), up - np.clip(up, box.y0, box.y1))
+            assert away > radius, name
 
 
 def test_the_person_stands_with_the_head_up_and_faces_the_reader(ax: Axes) -> None:

@@ -155,16 +155,21 @@ def test_the_best_is_bold_with_its_ties_where_one_is_beaten(form: str) -> None:
     assert set(bold.findall(getattr(comparison_sheet(tied), form)())) <= {"adjusted p", "signed area"}  # terms
 
 
-def test_a_paper_has_a_row_per_model_with_units_and_directions_in_its_headings() -> None:
+def test_a_paper_has_a_row_per_model_or_per_metric_where_they_are_many() -> None:
     comparison = comparison_of("right", "narrow", "wide", metrics="default,scores")
     rows = rows_of(comparison_sheet(comparison, paper=True).latex())
-    (head, *models), (others, *values) = rows[:4], rows[4:8]
+    (head, *models), (others, *values) = rows[:4], rows[4:-9]
     assert head[0] == "model"
     assert head[2] == r"ECE $\downarrow$"
     assert [row[0] for row in models] == ["right", "narrow", "wide"]
-    column = others.index(r"PCK 150 mm [\%] $\uparrow$")
-    for row, name in zip(values, comparison.names, strict=True):
-        shown = float(row[column].removeprefix(r"\textbf{").removesuffix("}"))
+    assert others == ["other metric", *comparison.names]
+    by_label = {row[0]: row[1:] for row in values}
+    ranks = [comparison.rank("pa_min_mpjpe", name) for name in comparison.names]
+    bold = [cell.startswith(r"\textbf") for cell in by_label[r"PA-minMPJPE [mm] $\downarrow$"]]
+    assert {*ranks} > {1}
+    assert bold == [rank == 1 for rank in ranks]
+    for cell, name in zip(by_label[r"PCK 150 mm [\%] $\uparrow$"], comparison.names, strict=True):
+        shown = float(cell.removeprefix(r"\textbf{").removesuffix("}"))
         assert abs(shown - 100 * comparison.value("pck", name)) < 0.06
     for row, name in zip(models, comparison.names, strict=True):
         assert row[2].startswith(r"\textbf") is (comparison.rank("ece", name) == 1)
@@ -172,7 +177,7 @@ def test_a_paper_has_a_row_per_model_with_units_and_directions_in_its_headings()
     for row, one in zip(differences, comparison.differences_of("ece"), strict=True):
         assert row[1] == f"{one.first} $-$ {one.second}"
         assert row[2].replace("$-$", "-") == f"{one.value:+.{len(row[2].partition('.')[2])}f}"
-        assert len(row) == 7
+        assert row[4] == short_p(one.p_adjusted).replace("<", "$<$")
 
 
 def test_a_paper_s_table_of_two_models_has_their_differences_in_per_cent_too() -> None:

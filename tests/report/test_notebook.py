@@ -17,6 +17,7 @@ def test_a_figure_is_drawn_by_its_name() -> None:
     figure = report_of().plot("errors", title="ours")
     assert isinstance(figure, Figure)
     assert figure.get_suptitle() == "ours"
+    assert figure._repr_png_().startswith(b"\x89PNG")  # what a notebook shows that has not imported pyplot
 
 
 def test_a_figure_of_another_name_is_refused() -> None:

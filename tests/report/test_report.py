@@ -82,7 +82,8 @@ def test_a_number_costs_only_itself(computed: list[str]) -> None:
         (lambda r: (r["ece_p"], r["ece_null_95"], r.definition("ece_p")), ["null ece"]),
         (lambda r: [r.value("mpjpe", joint=j) for j in ("Head", "Hip")], ["by_joint mpjpe"]),
         (lambda r: r.joint_tests(), ["joint_p_values ece"]),
-        (lambda r: (r.definition("ece"), r.count("ece"), r.remarks, r.signature), []),
+        (lambda r: (r.definition("ece"), r.count("ece"), r.signature), []),
+        (lambda r: r.remarks, ["null ece"]),
     ],
 )
 def test_what_is_asked_for_twice_is_computed_once(ask: Any, expected: list[str], computed: list[str]) -> None:

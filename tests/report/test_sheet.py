@@ -186,3 +186,16 @@ def test_latex_is_a_tabular_per_table_with_all_else_as_comments() -> None:
     assert [line for line in lines if "rule" in line] == [r"\toprule", r"\midrule", r"\bottomrule"]
     assert lines[-2:] == ["% term: meaning", "% a=b"]
     assert all(line.isascii() for line in lines)
+
+
+def test_latex_breaks_long_headings_of_numbers_and_long_words() -> None:
+    table = Table(
+        "t",
+        ("a long first heading", "PA-minMPJPE [mm] ↓", "ECE ↓", "meaning"),
+        [("x", "1", "2", 41 * "w")],
+        ["meaning"],
+    )
+    lines = Sheet("t", tables=[table]).latex().splitlines()
+    assert r"\begin{tabular}{lrrp{0.4\linewidth}}" in lines
+    head = r"a long first heading & \shortstack[r]{PA-minMPJPE\\{}[mm]~$\downarrow$} & ECE $\downarrow$ & meaning \\"
+    assert head in lines

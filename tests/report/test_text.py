@@ -15,7 +15,7 @@ from posecal.errors import for_command_line
 from posecal.report import text as text_module
 from posecal.report.report import Report
 from posecal.report.text import presets_sheet, report_sheet
-from tests.helpers.latex import rows_of
+from tests.helpers.latex import one_line, rows_of
 from tests.helpers.reports import grouped_report, report_of, unlabelled, world
 
 
@@ -132,7 +132,7 @@ def test_calibration_errors_and_rank_tests_keep_their_own_p_values_side_by_side(
 def test_in_every_form_the_null_its_quantile_and_the_p_value_have_a_column_each(form: str) -> None:
     report = report_of(2.5, metrics="default, rank_tests")
     text = report._repr_html_() if form == "html" else report.render(form)  # type: ignore[arg-type]
-    headings = re.sub(r"<[^>]*>|&(?!\w+;)|\|", " | ", text).replace("\\%", "%").replace("&nbsp;", " ")
+    headings = re.sub(r"<[^>]*>|&(?!\w+;)|\|", " | ", one_line(text)).replace("\\%", "%").replace("&nbsp;", " ")
     for p in ("p", "adjusted p"):
         assert len(re.findall(rf"\| +if calibrated[ |\n]+\| +up to[ |\n]+\| +{p} ", headings)) == 1
 
@@ -206,6 +206,13 @@ def test_the_table_of_joints_has_a_row_per_joint_and_no_number_where_none_counts
     column = 1 + names.index("ece")
     assert table.rows[0][column] == "–"
     assert table.rows[3][column] == f"{report_of().value('ece', joint='RFoot'):.3f}"
+
+
+def test_there_is_no_table_of_joints_without_numbers_of_joints() -> None:
+    report = report_of(metrics="energy_score")
+    text = report.render(joints=True)
+    assert "note: no table of joints: none of these metrics has a number for each." in text.splitlines()
+    assert "RFoot" not in text
 
 
 def test_latex_has_every_table_and_is_ascii_but_for_words() -> None:
