@@ -22,6 +22,10 @@ WITH_LOWEST = ["cli", "data", "plot", "report", "stats", "test_laws.py"]
 """Tests in which libraries are called: all metrics by the laws; the others call posecal's own functions, or PyTorch."""
 
 
+OLD_WARNINGS = ("-W", "ignore::DeprecationWarning", "-W", "ignore::PendingDeprecationWarning")
+"""Old libraries call what newer ones have deprecated; that is no fault of posecal."""
+
+
 def name_of(requirement: str) -> str:
     """Name of a package in a requirement."""
     return re.split(r"[^\w.-]", requirement, maxsplit=1)[0]
