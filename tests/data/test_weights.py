@@ -161,7 +161,7 @@ def test_recalibration_refuses_unequal_weights(tmp_path: Any) -> None:
     np.savez(tmp_path / "h.npz", hypotheses=X, weights=W, unit="mm")
     map_ = posecal.fit_spread(X, Y, unit="mm", axes="NMKD", root_joint="none")
     with pytest.raises(PoseDataError, match=r"^h.npz: weights are not equal in 40 of 40 frames; expected"):
-        posecal.recalibration.apply_map(map_, tmp_path / "h.npz", tmp_path / "out.npz", root_joint="none")
+        posecal.recalibration.apply_map(map_, tmp_path / "h.npz", tmp_path / "out.npz", axes="NMKD", root_joint="none")
 
 
 def test_a_reference_has_no_weights() -> None:

@@ -37,6 +37,9 @@ class Twin:
             self.counted = self.counted & some.occluded
         if protocol.where == "visible":
             self.counted = self.counted & ~some.occluded
+        if some.root is not None:  # a pose of which only the root counts is left out
+            others = np.delete(self.counted, some.root, axis=1).any(axis=1)
+            self.counted = self.counted & others[:, None]
         body = self.joints(protocol.joints)
         if protocol.root == "drop" and some.root is not None:
             body[some.root] = False
