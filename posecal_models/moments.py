@@ -18,7 +18,7 @@ def moments(optimizer: Optimizer, parameters: Mapping[str, nn.Parameter]) -> dic
     Parameters
     ----------
     optimizer : Optimizer
-        Adam, in any of its variants.
+        Adam, AdamW or another with the same moments.
     parameters : mapping of str to Parameter
         Its parameters by name.
 

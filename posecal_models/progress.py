@@ -129,7 +129,7 @@ def note_on_selection(run: Training) -> str:
     """
     if run.validation is None or run.config.model.kind != "cgnf" or run.config.train.selection != "loss":
         return ""
-    poses = run.validation.poses.flatten(1).double()
+    poses = run.validation.poses.cpu().flatten(1).double()  # Apple GPUs have no double precision
     variances = torch.linalg.eigvalsh(poses.T.cov())
     fixed = int((variances < SMALLEST_DEVIATION**2).sum())
     if not fixed or len(poses) <= len(variances):

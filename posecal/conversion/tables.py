@@ -150,16 +150,25 @@ def _of_angles(frame: Any, plain: dict[str, Any], name: str) -> Tracks:
     number = next((plain[word] for word in (*_FRAME, *_CYCLE) if word in plain), None)
     if number is None:
         raise PoseDataError(f"{name}: no column {', '.join(_CYCLE)} or frame; expected one beside the angles.")
+    for two in (("trial", "sequence"), ("sample", "hypothesis")):
+        if {*two} <= {*plain}:
+            raise PoseDataError(f"{name}: columns {' and '.join(two)}; expected one of them.")
     names = {plain[word]: word for word in (*_LABELS, "hypothesis", "sample") if word in plain}
     names |= {plain["trial"]: "sequence"} if "trial" in plain else {}
     names |= {number: "frame"}
+    times = {plain[word] for word in (*_FRAME, *_CYCLE) if word in plain}
+    left_out = [c for c in frame.columns if c not in names and (c in times or str(c).startswith("Unnamed:"))]
+    frame = frame.drop(columns=left_out)
     angles = {column: _numbers(frame[column], name, column) for column in frame.columns if column not in names}
     table = (
         frame.assign(**angles).rename(columns=names).melt(id_vars=[*names.values()], var_name="joint", value_name="x")
     )
     if table.empty:
         raise PoseDataError(f"{name}: no column of an angle; expected some beside {first_few([*names])}.")
-    return _of_long(table, {word: word for word in table.columns}, "joint", name)
+    tracks = _of_long(table, {word: word for word in table.columns}, "joint", name)
+    if left_out:
+        tracks.assumed.append(f"columns {first_few(left_out)} are no angles and were left out")
+    return tracks
 
 
 def _frame_names(values: Any) -> list[str]:

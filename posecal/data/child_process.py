@@ -69,13 +69,12 @@ def run_in_child(path: Path, function: Callable[..., T], *arguments: Any) -> T:
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     command = [sys.executable, "-c", f"from {__name__} import _serve; _serve()"]
     most = seconds * _BUSY if hasattr(signal, "SIGXCPU") else seconds  # where processor time is not limited
-    too_long = PoseFileError(f"{path.name}: reading it takes more than {seconds:.0f} s. Is it damaged?")
     try:
         child = subprocess.run(command, input=request, capture_output=True, env=environment, timeout=most)
     except subprocess.TimeoutExpired:
-        raise too_long from None
+        raise PoseFileError(f"{path.name}: reading it takes more than {most:.0f} s. Is it damaged?") from None
     if hasattr(signal, "SIGXCPU") and child.returncode == -signal.SIGXCPU:
-        raise too_long
+        raise PoseFileError(f"{path.name}: reading it takes more than {seconds:.0f} s. Is it damaged?")
     try:
         result = pickle.loads(child.stdout)  # noqa: S301 (of our own child)
     except (EOFError, pickle.UnpicklingError):
@@ -90,6 +89,7 @@ def _serve() -> None:
     answer = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints is no answer
     path, seconds, size, function, arguments = pickle.loads(sys.stdin.buffer.read())  # noqa: S301 (of our own parent)
+    _limit("RLIMIT_CORE", 0)
     _limit("RLIMIT_DATA", _MEMORY + _TIMES * size)
     _limit("RLIMIT_CPU", math.ceil(time.process_time() + seconds))
     try:

@@ -239,6 +239,12 @@ def _refuse_unlike(parts: Sequence[Totals], names: Sequence[str]) -> None:
                 f"{names[0]} and {name} were asked for different metrics (sums in one only: "
                 f"{first_few(sorted(differing))}); expected the same {option('metrics')} and {option('by')}."
             )
+        shapes = [{name: array.shape[1:] for name, array in t.sums.items()} for t in (first, part)]
+        if other := [name for name in shapes[0] if shapes[0][name] != shapes[1].get(name, shapes[0][name])]:
+            problems.append(
+                f"{names[0]} and {name} have sums of different shapes ({first_few(other)}); expected those of one "
+                "version. Evaluate the older one again."
+            )
         if first.has_sequences != part.has_sequences:
             problems.append(f"{names[0]} and {name}: only one has sequence labels; expected both, or neither.")
     raise_all(problems)

@@ -18,7 +18,7 @@ from posecal.engine.block import Block
 from posecal.engine.cells import RUNS, SPREAD, label_name, spread_cuts, spread_labels
 from posecal.engine.chunks import map_blocks, read_chunks
 from posecal.engine.coordinate_range import CoordinateRange, coordinate_range
-from posecal.engine.protocol import Protocol
+from posecal.engine.protocol import Protocol, named_joints
 from posecal.engine.true_clips import TrueClips, true_clips
 from posecal.errors import PoseDataError, checked_type, first_few, option
 
@@ -189,7 +189,7 @@ def select_scored(data: PoseData, protocol: Protocol) -> PoseData:
         scored = data.occluded if protocol.where == "occluded" else ~data.occluded
         usable = np.ones_like(scored) if where is None else where
         where = scored if where is None else scored & where
-    data, where = _without_lone_roots(data, where)
+    data, where = _without_lone_roots(data, where, protocol)
     bad = is_outside(data.truth, _limit(data)).any(axis=2)
     refuse_non_finite(data, name, np.argwhere(bad if where is None else bad & where))
     refuse_one_point(data.truth, where, data.frame_id, name)
@@ -239,12 +239,17 @@ def _with_counting_root(data: PoseData, *, is_masked: bool) -> PoseData:
     return data.select(~lost).replace(remarks=(*data.remarks, remark))
 
 
-def _without_lone_roots(data: PoseData, where: BoolArray | None) -> tuple[PoseData, BoolArray | None]:
-    """Mask poses of which only the root counts: relative to itself it is right whatever the hypotheses are."""
+def _without_lone_roots(
+    data: PoseData, where: BoolArray | None, protocol: Protocol
+) -> tuple[PoseData, BoolArray | None]:
+    """Mask poses of which only the root is scored: relative to itself it is right whatever the hypotheses are."""
     resting = resting_joints(data.root)
     if where is None or not resting or len(resting) == where.shape[1]:
         return data, where
-    alone: BoolArray = np.asarray(where.any(axis=1) & ~np.delete(where, resting, axis=1).any(axis=1))
+    scored = where
+    if protocol.joints != "all":
+        scored = where & np.isin(data.joints, named_joints("joints", protocol.joints, data.joints))
+    alone: BoolArray = np.asarray(scored.any(axis=1) & ~np.delete(scored, resting, axis=1).any(axis=1))
     if not alone.any():
         return data, where
     remark = Remark(

@@ -29,10 +29,10 @@ DRAWS = 999
 """Random pairings of beginnings and ends."""
 
 WIDE = 0.1
-"""Where sequences are not shown to differ, they are mentioned from signed areas of this size on, to either side."""
+"""Where sequences are not shown to differ, a remark says that they may if their signed areas span twice this."""
 
 CROWDED = 3.0
-"""And where the frames of a sequence count as fewer independent ones than a share of one in so many."""
+"""And if their variance is so many times that of independent frames, 1/12 over the number of frames."""
 
 RISING = 1.25
 """Where the variogram within sequences at a third of their length is more than so many times that at a sixth, the
@@ -123,12 +123,12 @@ def remark_on_differences(areas: SequenceAreas, p: float, chance: str = COLUMNS)
     """
     if p < STRONG:
         shown = "p < 0.001" if p < 0.001 else f"p = {p:.3f}"
-        return f"sequences differ ({shown}): {chance} of models whose sequences differ as much."
+        return f"sequences differ ({shown}): {chance} of a model whose sequences differ as much."
     found = areas.areas
     if p >= LEVEL or len(found) < 2 or np.ptp(found) < 2 * WIDE or 12 * found.var() * areas.frames <= CROWDED:
         return ""
     shown = "which can't be tested here" if np.isnan(p) else f"of which there is weak evidence (p = {p:.3f})"
-    return f"{chance} too large if sequences differ, {shown}."
+    return f"if sequences differ, {shown}, {chance} too large."
 
 
 def sequences_differ_p(totals: Totals, statistic: Statistic) -> float:

@@ -244,12 +244,22 @@ def test_a_table_of_angles_with_a_row_per_hypothesis_is_evaluated(tmp_path: Path
         ("knee\n1\n", "no column percent, time or frame"),
         ("trial,time\na,1\n", "no column of an angle"),
         ("time,sample,knee\n1,1,2\n1,1,3\n", "row 3 repeats a joint of its frame"),
+        ("time,trial,sequence,knee\n1,a,b,2\n", "columns trial and sequence; expected one of them"),
     ],
 )
 def test_a_table_of_angles_that_is_none_says_why(tmp_path: Path, text: str, words: str) -> None:
     (tmp_path / "a.csv").write_text(text)
     with pytest.raises(PoseDataError, match=words):
         convert(tmp_path / "a.csv", like="angles", unit="deg")
+
+
+def test_times_beside_frames_and_row_numbers_are_no_angles(tmp_path: Path) -> None:
+    table = pd.DataFrame({"frame": [1, 2], "time": [0.1, 0.2], "percent": [0, 50], "knee": [10.0, 20.0]})
+    table.to_csv(tmp_path / "a.csv")  # with pandas' row numbers, in a column without a name
+    members, lines = convert(tmp_path / "a.csv", like="angles", unit="deg")
+    assert members["joints"].tolist() == ["knee"]
+    assert members["frame_id"].tolist() == ["1", "2"]
+    assert [line for line in lines if "are no angles and were left out" in line]
 
 
 def test_joints_that_openpose_did_not_see_are_not_valid(poses: Array, tmp_path: Path) -> None:

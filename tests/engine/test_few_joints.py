@@ -87,3 +87,11 @@ def test_a_pose_of_which_only_the_root_counts_is_left_out() -> None:
     assert not [text for text in found.remarks if "equals the truth" in text or "the same" in text]
     errors = posecal.metrics.mpjpe(X, Y, where=where(1), root=0, axes="NMKD", unit="mm")
     np.testing.assert_array_equal(np.isnan(errors), FEW)
+
+
+def test_a_joint_that_is_not_scored_does_not_keep_such_a_pose() -> None:
+    """Of every second pose hip and right knee count; scored are hip and head."""
+    scored: dict[str, Any] = {"protocol": {"joints": "Hip, Head"}, "metrics": "mpjpe"}
+    found, expected = report(where=where(2), **scored), report(~FEW, **scored)
+    np.testing.assert_allclose(found["mpjpe"], expected["mpjpe"], rtol=1e-6)
+    assert [text for text in found.remarks if text.startswith("only the root Hip counts in 15 of 30 frames")]

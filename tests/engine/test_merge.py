@@ -148,6 +148,14 @@ def test_velocities_per_second_add_only_at_one_frame_rate() -> None:
         merge_totals(parts)
 
 
+def test_sums_of_another_shape_are_refused() -> None:
+    """As of a result that an older version saved."""
+    parts = [totals(), totals(pose_hashes=OTHERS)]
+    parts[1].sums["height"] = np.zeros((*parts[1].sums["height"].shape, 2))
+    with pytest.raises(PoseDataError, match=r"have sums of different shapes \(height\); expected those of one version"):
+        merge_totals(parts)
+
+
 def test_a_sequence_that_two_shards_have_in_common_is_refused() -> None:
     some = world(6, M=23)
     parts = [some.select(np.flatnonzero(some.sequence != left)).totals(Protocol()) for left in ("S9/a", "S11/c")]

@@ -37,9 +37,10 @@ class Twin:
             self.counted = self.counted & some.occluded
         if protocol.where == "visible":
             self.counted = self.counted & ~some.occluded
-        if some.root is not None:  # a pose of which only the root counts is left out
-            others = np.delete(self.counted, some.root, axis=1).any(axis=1)
-            self.counted = self.counted & others[:, None]
+        if some.root is not None:  # a pose of which only the root is scored is left out
+            scored = self.counted & self.joints(protocol.joints)
+            alone = scored.any(axis=1) & ~np.delete(scored, some.root, axis=1).any(axis=1)
+            self.counted = self.counted & ~alone[:, None]
         body = self.joints(protocol.joints)
         if protocol.root == "drop" and some.root is not None:
             body[some.root] = False
