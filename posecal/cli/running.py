@@ -99,7 +99,10 @@ def of_results(*paths: Path) -> Iterator[None]:
         raise
     except (ArithmeticError, AttributeError, LookupError, MemoryError, TypeError, ValueError) as error:
         names = ", ".join(path.name for path in paths)
-        raise PoseFileError(f"{names}: its members don't fit each other ({reason(error)}). Evaluate again.") from error
+        raise PoseFileError(
+            f"{names}: its members don't fit each other ({reason(error)}). Evaluate again. If nobody edited it, posecal "
+            "is at fault: please report it."
+        ) from error
 
 
 @contextmanager

@@ -62,7 +62,7 @@ def test_a_training_that_was_stopped_goes_on_to_the_same_result(motion_file, tmp
 
 @pytest.mark.slow
 def test_a_training_survives_kill_9_at_any_moment(motion_file, tmp_path):
-    """The command itself, killed three times while it computes or writes, and resumed."""
+    """The command itself, killed twice while it computes or writes, and resumed."""
     settings = [
         "--set",
         "data.validation_subjects=['S3']",
@@ -79,7 +79,7 @@ def test_a_training_survives_kill_9_at_any_moment(motion_file, tmp_path):
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
 
     subprocess.run([*command, "-o", str(tmp_path / "whole")], env=environment, check=True, capture_output=True)
-    for attempt in range(3):
+    for attempt in range(2):
         process = subprocess.Popen(
             [*command, "-o", str(tmp_path / "parts"), "--resume"],
             env=environment,
@@ -100,7 +100,7 @@ def test_a_training_survives_kill_9_at_any_moment(motion_file, tmp_path):
         [*command, "-o", str(tmp_path / "parts"), "--resume"], env=environment, check=True, capture_output=True
     )
 
-    assert not list((tmp_path / "parts").glob(".*"))[3:]  # at most what three kills could leave, and none is read
+    assert not list((tmp_path / "parts").glob(".*"))[2:]  # at most what two kills could leave, and none is read
     whole, _ = read_tensors(tmp_path / "whole" / "checkpoint.safetensors")
     parts, _ = read_tensors(tmp_path / "parts" / "checkpoint.safetensors")
     assert sorted(whole) == sorted(parts)

@@ -12,7 +12,7 @@ from tests.robustness.__main__ import described
 from tests.robustness.runner import Workshop, outcomes
 
 SEED = 0
-COUNT = int(os.environ.get("POSECAL_DAMAGED_FILES", "700"))
+COUNT = int(os.environ.get("POSECAL_DAMAGED_FILES", "400"))
 """Of these files; ``python -m tests.robustness`` runs all 20,000, which takes some ten minutes of two cores."""
 
 
