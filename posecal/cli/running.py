@@ -100,8 +100,8 @@ def of_results(*paths: Path) -> Iterator[None]:
     except (ArithmeticError, AttributeError, LookupError, MemoryError, TypeError, ValueError) as error:
         names = ", ".join(path.name for path in paths)
         raise PoseFileError(
-            f"{names}: its members don't fit each other ({reason(error)}). Evaluate again. If nobody edited it, posecal "
-            "is at fault: please report it."
+            f"{names}: its members don't fit each other ({reason(error)}). Evaluate again. If nobody edited it, report "
+            "this as a fault of posecal."
         ) from error
 
 

@@ -240,7 +240,8 @@ def _refuse_unlike(parts: Sequence[Totals], names: Sequence[str]) -> None:
                 f"{first_few(sorted(differing))}); expected the same {option('metrics')} and {option('by')}."
             )
         shapes = [{name: array.shape[1:] for name, array in t.sums.items()} for t in (first, part)]
-        if other := [name for name in shapes[0] if shapes[0][name] != shapes[1].get(name, shapes[0][name])]:
+        other = [name for name in shapes[0] if shapes[0][name] != shapes[1].get(name, shapes[0][name])]
+        if other and part.signature == first.signature:
             problems.append(
                 f"{names[0]} and {name} have sums of different shapes ({first_few(other)}); expected those of one "
                 "version. Evaluate the older one again."
