@@ -71,7 +71,7 @@ def subject_of(name: str) -> World:
     some = world(number, N=5 + number % 2, M=12)
     where = None
     if number % 3 == 2:
-        where = np.random.default_rng(number).random(some.y.shape[:2]) < 0.8
+        where = np.random.default_rng(number).random(some.y.shape[:2]) < 0.85
         where[:, some.joints.index("Hip")] = True  # poses without the root are left out
         where[4] = False
     return World(**{**vars(some), "where": where, "root_joint": "none" if number % 5 == 4 else None})

@@ -169,11 +169,11 @@ def test_what_a_calibrated_sampler_shows_is_said_to_be_of_sequences_that_differ_
         areas = np.array([low, high])  # of a variance of 0.01, that of 1 / (12 * 0.01) = 8.3 independent frames
         return remark_on_differences(SequenceAreas(("A", "B"), areas, frames), p)
 
-    assert remark(0.0099, 0.1) == f"sequences differ (p = 0.010): {COLUMNS} of models whose sequences differ as much."
+    assert remark(0.0099, 0.1) == f"sequences differ (p = 0.010): {COLUMNS} of a model whose sequences differ as much."
     assert remark(0.0009).startswith("sequences differ (p < 0.001)")
-    assert remark(0.01) == f"{COLUMNS} too large if sequences differ, of which there is weak evidence (p = 0.010)."
+    assert remark(0.01) == f"if sequences differ, of which there is weak evidence (p = 0.010), {COLUMNS} too large."
     assert remark(0.05) == ""
-    assert remark(math.nan) == f"{COLUMNS} too large if sequences differ, which can't be tested here."
+    assert remark(math.nan) == f"if sequences differ, which can't be tested here, {COLUMNS} too large."
     assert remark(0.049, 0.1, 0.301) != ""
     assert [remark(0.049, -0.099, frames=99), remark(math.nan, frames=24.9)] == ["", ""]
     assert remark_on_differences(SequenceAreas((), np.zeros(0), math.nan), math.nan) == ""
@@ -192,4 +192,4 @@ def test_a_report_and_a_comparison_say_so_whichever_side_sequences_lie_on() -> N
     both = posecal.compare({"mixed": report, "alike": alike})
     (said,) = (remark for remark in both.remarks if "sequences differ" in remark)
     assert said.startswith("mixed: sequences differ (p")
-    assert said.endswith("): what a calibrated sampler would show is of models whose sequences differ as much.")
+    assert said.endswith("): what a calibrated sampler would show is of a model whose sequences differ as much.")
