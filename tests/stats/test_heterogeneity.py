@@ -178,7 +178,7 @@ def test_what_a_calibrated_sampler_shows_is_said_to_be_of_sequences_that_differ_
     assert [remark(0.049, -0.099, frames=99), remark(math.nan, frames=24.9)] == ["", ""]
     assert remark_on_differences(SequenceAreas((), np.zeros(0), math.nan), math.nan) == ""
     chance = "what a calibrated sampler would show is"
-    assert f": {chance} of models" in remark_on_differences(SequenceAreas((), np.zeros(0), 9.0), 0.001, chance)
+    assert f": {chance} of a model" in remark_on_differences(SequenceAreas((), np.zeros(0), 9.0), 0.001, chance)
 
 
 def test_a_report_and_a_comparison_say_so_whichever_side_sequences_lie_on() -> None:
