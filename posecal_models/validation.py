@@ -76,4 +76,5 @@ def validation_losses(estimator: ReferenceEstimator, data: TrainingSet, config: 
         drawn = estimator(context).sample(_HYPOTHESES, generator=generator)
         return {"loss": energy_score(drawn.flatten(2), truth.flatten(1)).mean()}
     objective = build_objective(estimator, config)
-    return objective(context, truth, objective.noise(truth, generator))
+    losses: dict[str, Tensor] = objective(context, truth, objective.noise(truth, generator))
+    return losses
