@@ -358,10 +358,7 @@ def zero_shot(
     typer.echo("nats above the true posterior:")
     typer.echo("  ".join(["observed  in training  true log p", *(f"{name:>19}" for name in rows[0].gaps)]))
     for row in rows:
-        in_training = "yes" if row.trained else "no"
-        gaps = (f"{gap:.2f} ± {error:.2f}" for gap, error in row.gaps.values())
-        numbers = [f"{row.observed:8d}", f"{in_training:>11}", f"{row.true_log_density:10.2f}"]
-        typer.echo("  ".join([*numbers, *(f"{gap:>19}" for gap in gaps)]))
+        typer.echo(row)
 
 
 def _parse_named(models: list[str]) -> dict[str, str]:

@@ -58,7 +58,7 @@ def check_limits(settings: Any, table: str) -> None:
 
     Examples
     --------
-    >>> from posecal_models.config import DataConfig  # its fields have limits, and it calls this function
+    >>> from posecal_models.settings import DataConfig  # its fields have limits, and it calls this function
     >>> DataConfig(every=0)
     Traceback (most recent call last):
     posecal.errors.PoseDataError: data.every: 0; expected 1 or more.

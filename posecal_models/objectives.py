@@ -7,10 +7,8 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-import posecal
 from posecal.errors import PoseDataError
 from posecal_models.adversarial import InvertibleLosses
-from posecal_models.config import TrainConfig
 from posecal_models.contract import Context, standard_normal
 from posecal_models.estimators.amortized_posterior import AmortizedPosterior
 from posecal_models.estimators.cgnf.model import CGNF
@@ -22,6 +20,7 @@ from posecal_models.estimators.registry import ReferenceEstimator
 from posecal_models.estimators.simple_baseline import SimpleBaseline
 from posecal_models.objective import Objective
 from posecal_models.published_losses import AveragedDraws, EvidenceBound, MixtureLikelihood
+from posecal_models.settings import TrainConfig
 
 __all__ = [
     "BestOfN",
@@ -30,7 +29,6 @@ __all__ = [
     "Objective",
     "SquaredError",
     "build_objective",
-    "fit_temperature",
     "mode_error",
 ]
 
@@ -229,33 +227,6 @@ class BestOfN(Objective):
         distribution = self.estimator(context)
         errors = torch.linalg.vector_norm(distribution.mean + distribution.sigma * noise - truth, dim=-1)
         return {"loss": torch.mean(torch.amin(torch.mean(errors, dim=-1), dim=0))}
-
-
-TEMPERATURES = tuple(hundredths / 100 for hundredths in range(90, 155, 5))
-
-
-def fit_temperature(estimator: AmortizedPosterior, context: Context, truth: Tensor, seed: int) -> None:
-    """Set the temperature of an estimator to the one of :data:`TEMPERATURES` with the lowest ECE of 50 hypotheses.
-
-    Scores are flat there: the energy score changes by less than a hundredth from 1 to 1.2, the ECE by a factor of two.
-
-    Parameters
-    ----------
-    estimator : AmortizedPosterior
-        Its ``temperature`` is set.
-    context : Context
-        Keypoints of M held-out poses.
-    truth : Tensor
-        (M, K, 3), mm.
-    seed : int
-        Of the hypotheses, which come from the same random numbers at all temperatures.
-    """
-    errors = {}
-    for temperature in TEMPERATURES:
-        estimator.temperature.fill_(temperature)
-        drawn = estimator(context).sample(50, generator=torch.Generator().manual_seed(seed))
-        errors[temperature] = posecal.ece(drawn.cpu().numpy(), truth.cpu().numpy(), axes="NMKD", unit="mm")
-    estimator.temperature.fill_(min(errors, key=errors.__getitem__))
 
 
 def build_objective(estimator: ReferenceEstimator, config: TrainConfig) -> Objective:

@@ -10,7 +10,7 @@ import torch
 from posecal.data.skeleton import joint_set
 from posecal.errors import PoseDataError, PoseFileError
 from posecal_models.checkpoint import load_estimator
-from posecal_models.config import Config, DataConfig, ModelConfig
+from posecal_models.config import Config
 from posecal_models.contract import Context
 from posecal_models.data.fresh_views import FreshViews
 from posecal_models.data.lifting_set import LiftingSet
@@ -23,6 +23,7 @@ from posecal_models.estimators.amortized_posterior import AmortizedPosterior
 from posecal_models.estimators.gaussian_noise import GaussianNoise
 from posecal_models.estimators.registry import ReferenceEstimator, baseline_keypoints, build_from_config, describe
 from posecal_models.estimators.simple_baseline import HOURGLASS, SimpleBaseline
+from posecal_models.settings import DataConfig, ModelConfig
 from posecal_models.train import Training
 from posecal_models.training_folder import CHECKPOINT, check_folder, digests
 

@@ -10,7 +10,7 @@ import torch
 from torch.optim import SGD
 from torch.optim.lr_scheduler import LambdaLR, ReduceLROnPlateau
 
-from posecal_models.config import TrainConfig
+from posecal_models.settings import TrainConfig
 
 __all__ = ["Schedule"]
 

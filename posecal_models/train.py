@@ -20,7 +20,6 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from posecal.errors import PoseDataError
 from posecal_models import training_state
-from posecal_models.adversarial import energy_score
 from posecal_models.config import Config
 from posecal_models.contract import Context
 from posecal_models.cuda_graph import RecordedStep
@@ -28,19 +27,16 @@ from posecal_models.data.fresh_views import FreshViews
 from posecal_models.data.masks import remove_keypoints
 from posecal_models.data.training_set import TrainingSet, draw_graphs, seeded_generator
 from posecal_models.distributed import ProcessGroup
-from posecal_models.estimators.amortized_posterior import AmortizedPosterior
 from posecal_models.estimators.registry import ReferenceEstimator
-from posecal_models.objectives import build_objective, fit_temperature
+from posecal_models.objectives import build_objective
 from posecal_models.schedule import Schedule
 from posecal_models.training_folder import CHECKPOINT
 from posecal_models.training_state import selection_loss
+from posecal_models.validation import validation_losses
 
 __all__ = ["Training", "TrainingProgress"]
 
-_ORDER, _BATCH, _VALIDATION = 1, 2, 3
-
-_HYPOTHESES = 50
-"""Of each validation pose, for its energy score."""
+_ORDER, _BATCH = 1, 2
 
 _STEPS_BETWEEN_READS = 50
 """Steps of a GPU after which the losses are read, which needs a synchronisation."""
@@ -342,22 +338,10 @@ class Training:
             self.best = {name: t.detach().clone() for name, t in self.estimate.state_dict().items()}
         self.schedule.after_epoch(selection_loss(last))
 
-    @torch.no_grad()
     def _validate(self) -> float | None:
         if self.validation is None:
             return None
-        estimator = self.estimate.eval()
-        generator = seeded_generator(self.config.train.seed, _VALIDATION)
-        rows = torch.arange(len(self.validation), device=self.validation.device)
-        context, truth = self.validation.batch(rows, generator)
-        if isinstance(estimator, AmortizedPosterior):
-            fit_temperature(estimator, context, truth, self.config.train.seed)
-        if self.config.train.selection == "energy-score":
-            drawn = estimator(context).sample(_HYPOTHESES, generator=generator)
-            local_losses = {"loss": energy_score(drawn.flatten(2), truth.flatten(1)).mean()}
-        else:
-            objective = build_objective(estimator, self.config.train)
-            local_losses = objective(context, truth, objective.noise(truth, generator))
+        local_losses = validation_losses(self.estimate, self.validation, self.config.train)
         losses = {name: self.processes.broadcast(float(loss)) for name, loss in local_losses.items()}
         if not all(map(math.isfinite, losses.values())):
             raise PoseDataError(

@@ -151,6 +151,11 @@ class PoseWorldRow:
     true_log_density: float
     gaps: dict[str, tuple[float, float]]
 
+    def __str__(self) -> str:
+        gaps = (f"{gap:.2f} ± {error:.2f}" for gap, error in self.gaps.values())
+        numbers = [f"{self.observed:8d}", f"{'yes' if self.trained else 'no':>11}", f"{self.true_log_density:10.2f}"]
+        return "  ".join([*numbers, *(f"{gap:>19}" for gap in gaps)])
+
 
 def pose_world(
     *,

@@ -16,12 +16,12 @@ from torch.nn.functional import normalize
 
 from posecal.data.joint_names import joint_keys
 from posecal.errors import PoseDataError
-from posecal_models.config import DataConfig
 from posecal_models.contract import Context
 from posecal_models.data.bones import Bones
 from posecal_models.data.cameras import CAMERA_HEIGHT, H36M_CENTRE, H36M_FOCAL, ring_around
 from posecal_models.data.detector import Detector
 from posecal_models.data.mocap import MocapPoses
+from posecal_models.settings import DataConfig
 
 __all__ = ["FreshViews"]
 

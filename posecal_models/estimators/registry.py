@@ -9,7 +9,6 @@ from torch import nn
 
 from posecal.data.skeleton import joint_set
 from posecal.errors import PoseDataError
-from posecal_models.config import ModelConfig
 from posecal_models.data.standardizer import Standardizer
 from posecal_models.estimators.amortized_posterior import AmortizedPosterior
 from posecal_models.estimators.cgnf.flow import SIZES, FlowSize
@@ -20,6 +19,7 @@ from posecal_models.estimators.gaussian_noise import GaussianNoise
 from posecal_models.estimators.inn import INN
 from posecal_models.estimators.mixture_density import MixtureDensityNetwork
 from posecal_models.estimators.simple_baseline import HOURGLASS, SimpleBaseline
+from posecal_models.settings import ModelConfig
 
 __all__ = ["ReferenceEstimator", "baseline_keypoints", "build", "build_from_config", "describe", "parameter_count"]
 

@@ -15,8 +15,8 @@ from posecal_models.config import Config
 from posecal_models.contract import Context
 from posecal_models.estimators.amortized_posterior import AmortizedPosterior
 from posecal_models.estimators.registry import build, describe
-from posecal_models.objectives import TEMPERATURES
 from posecal_models.preparation import prepare
+from posecal_models.validation import TEMPERATURES
 from toy.pose_world import PoseWorld
 
 K = 4

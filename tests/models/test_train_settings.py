@@ -11,9 +11,10 @@ import pytest
 
 from posecal.errors import PoseDataError, PoseFileError
 from posecal_models.cli import main
-from posecal_models.config import Config, DataConfig, ModelConfig, TrainConfig, named_configs
+from posecal_models.config import Config, named_configs
 from posecal_models.data.detector import Detector
 from posecal_models.limits import Limit
+from posecal_models.settings import DataConfig, ModelConfig, TrainConfig
 
 BASELINE = Config.load("simple-baseline")
 TABLES = (ModelConfig, DataConfig, TrainConfig, Detector)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,50 +10,24 @@ from runpy import run_path
 import pytest
 
 from posecal.report.evidence import (
-    NEITHER,
     STRONG,
     Estimate,
     Evidence,
-    Joint,
     NullComparison,
     Sequences,
 )
 from posecal.report.sentences import RULES, sentences
-
-NAN = math.nan
-NOTHING = "No rank test rejects. A model that ignores the image would pass them too: look at a proper score."
-
-
-def area_of(value: float, low: float = NAN, high: float = NAN, freedom: float = 39) -> Estimate:
-    return Estimate("signed area", value, low, high, 0.0, freedom)
-
-
-def coverage_of(value: float, low: float = NAN, high: float = NAN, level: int = 90) -> Estimate:
-    return Estimate(f"coverage at {level} %", value, low, high, level / 100)
-
-
-def evidence(
-    p: float = 0.5, area: Estimate | None = None, *, error: float = 0.04, units: int = 40, **others: object
-) -> Evidence:
-    ece = NullComparison(error, 0.01, 0.02, p)
-    area = area_of(0.03) if area is None else area
-    return Evidence(ece, area, f"{units} sequences", units, **others)  # type: ignore[arg-type]
-
-
-def first(e: Evidence) -> str:
-    return next(sentences(e))
-
-
-def spoken(e: Evidence) -> list[str]:
-    """Names of the rules whose sentences are given."""
-    given, names, groups = list(sentences(e)), list[str](), set[str]()
-    for rule in RULES:
-        if rule.group not in groups and rule.holds(e):
-            groups.add(rule.group)
-            names.append(rule.name)
-    assert len(names) == len(given)
-    return names
-
+from tests.helpers.summary_evidence import (
+    NAN,
+    TWO,
+    area_of,
+    coverage_of,
+    evidence,
+    first,
+    mean_of_joints,
+    ranks,
+    spoken,
+)
 
 # --- verdicts -----------------------------------------------------------------------------------------------------
 
@@ -259,122 +232,6 @@ def test_sequences_that_range_widely_are_said_with_what_chance_would_take() -> N
     assert spoken(evidence(0.02, sequences=wide.sequences)) == ["weak evidence", "sequences range"]
     few = replace(wide, sequences=of_sequences(-0.4, 0.4, independent=0.5))
     assert list(sentences(few))[1].endswith("count as no more than 1 independent one.")
-
-
-# --- joints -------------------------------------------------------------------------------------------------------
-
-
-def mean_of_joints(p: float) -> NullComparison:
-    return NullComparison(0.06, 0.03, 0.05, p)
-
-
-def joint_of(area: float, p: float, half_width: float = 0.02) -> Joint:
-    return Joint(0.04, p, area_of(area, area - half_width, area + half_width))
-
-
-TWO = {"Head": joint_of(-0.03, 0.049), "Hip": joint_of(0.03, 0.05)}
-
-
-def test_joints_are_named_where_the_ece_or_the_mean_of_joints_is_beyond_chance() -> None:
-    joints = "Joint by joint: overconfident at Head (adjusted for 2 joints)"
-    assert list(sentences(evidence(0.009, joints=TWO)))[1] == f"{joints}."
-    hidden = evidence(0.05, joints=TWO, mean_of_joints=mean_of_joints(0.009))
-    assert list(sentences(hidden))[1] == f"{joints}; the median over joints hides it."
-    weak = replace(hidden, ece=replace(hidden.ece, p=0.049))
-    assert list(sentences(weak))[1] == f"{joints}."
-    assert spoken(replace(hidden, mean_of_joints=mean_of_joints(0.01))) == ["not shown", "mean of joints, weak"]
-
-
-def test_nothing_is_said_of_the_only_joint_beside_what_is_said_of_all() -> None:
-    assert spoken(evidence(0.001, joints={"Head": joint_of(0.03, 0.001)})) == ["beyond chance"]
-
-
-def test_joints_of_weak_p_are_named_where_the_signed_area_agrees() -> None:
-    """With 40 sequences t is 2.023 and 2.708: a half-width of 0.0224 becomes 0.02998, and 0.0225 becomes 0.03012."""
-    for half_width, p, named in ((0.0224, 0.049, True), (0.0225, 0.049, False), (0.0225, 0.009, True)):
-        joints = {"Head": joint_of(-0.03, p, half_width), "Hip": joint_of(0.03, 0.5)}
-        assert ("joints" in spoken(evidence(0.001, joints=joints))) is named
-
-
-def test_joints_are_sorted_to_their_sides_by_the_same_rule_the_largest_area_first() -> None:
-    joints = {
-        "Hip": joint_of(-0.021, 0.009),
-        "Head": joint_of(-0.03, 0.009),
-        "Neck": joint_of(0.021, 0.009),
-        "Foot": joint_of(0.019, 0.009),
-        "Knee": joint_of(-0.019, 0.009),
-        "Hand": joint_of(0.04, 0.2),
-    }
-    assert list(sentences(evidence(0.001, joints=joints)))[1] == (
-        "Joint by joint: overconfident at Head and Hip, underconfident at Neck, "
-        f"{NEITHER}, at Foot and Knee (adjusted for 6 joints)."
-    )
-
-
-@pytest.mark.parametrize(
-    ("number", "words"),
-    [(2, "j0 and j1"), (6, "j0, j1, j2, j3, j4 and j5"), (9, "j0, j1, j2, j3, j4, j5 and 3 more")],
-)
-def test_up_to_six_joints_are_named(number: int, words: str) -> None:
-    joints = {f"j{k}": joint_of(0.03, 0.009) for k in range(number)}
-    assert list(sentences(evidence(0.001, joints=joints)))[1] == (
-        f"Joint by joint: underconfident at {words} (adjusted for {number} joints)."
-    )
-
-
-def test_the_median_hides_what_the_mean_of_the_joints_shows() -> None:
-    known = evidence(0.05, mean_of_joints=mean_of_joints(0.009))
-    errors = "the joints' own ECEs average 0.060, a calibrated model's about 0.030"
-    assert (
-        list(sentences(known))[1] == f"The median over joints hides that some are miscalibrated: {errors} (p = 0.009)."
-    )
-    weak = replace(known, mean_of_joints=mean_of_joints(0.01))
-    assert list(sentences(weak))[1] == (
-        f"Weak evidence that some joints are off, which the median over joints hides: {errors} (p = 0.010)."
-    )
-    assert spoken(replace(known, mean_of_joints=mean_of_joints(0.049))) == ["not shown", "mean of joints, weak"]
-    assert spoken(replace(known, mean_of_joints=mean_of_joints(0.05))) == ["not shown"]
-    assert spoken(evidence(0.049, mean_of_joints=mean_of_joints(0.009))) == ["weak evidence"]
-
-
-# --- rank tests ---------------------------------------------------------------------------------------------------
-
-
-def ranks(**p: float) -> tuple[tuple[str, str, float], ...]:
-    return tuple((name, f"why {name}", value) for name, value in p.items())
-
-
-@pytest.mark.parametrize(
-    ("p", "tests", "last"),
-    [
-        (0.5, ranks(a=0.009, b=0.02), "Rank tests reject what the ECE can't see (a): why a."),
-        (0.5, ranks(a=0.009, b=0.009), "Rank tests reject what the ECE can't see (a, b): why a; why b."),
-        (0.02, ranks(a=0.009), "Rank tests reject what the ECE can't see (a): why a."),
-        (0.5, ranks(a=0.01, b=0.02, c=0.05), "Weak evidence from rank tests: a, b (adjusted p = 0.010)."),
-        (0.5, ranks(a=0.05, b=0.5), NOTHING),
-        (0.001, ranks(a=0.05), NOTHING),
-    ],
-)
-def test_what_rank_tests_add(p: float, tests: tuple[tuple[str, str, float], ...], last: str) -> None:
-    assert list(sentences(evidence(p, rank_tests=tests)))[-1] == last
-
-
-def test_rank_tests_beside_a_wrong_spread_are_for_later() -> None:
-    beyond = evidence(0.001, area_of(-0.03), rank_tests=ranks(a=0.009))
-    assert list(sentences(beyond))[-1] == (
-        "Rank tests reject as well: a. A wrong spread alone can cause that: rerun them once it is recalibrated."
-    )
-    neither = replace(beyond, area=area_of(0.0))
-    assert list(sentences(neither))[-1] == "Rank tests reject as well: a."
-
-
-def test_rank_tests_that_can_reject_nothing_are_not_said_to_pass() -> None:
-    """Of 8 sequences the smallest p is 1/128; six times that is 0.047, seven times 0.055."""
-    six = evidence(units=8, rank_tests=ranks(**{f"t{n}": 0.5 for n in range(6)}))
-    assert list(sentences(six))[-1] == NOTHING
-    seven = replace(six, rank_tests=ranks(**{f"t{n}": 0.5 for n in range(7)}))
-    assert list(sentences(seven))[-1] == "8 sequences are too few for 7 rank tests to reject."
-    assert spoken(evidence(rank_tests=ranks(a=0.5, b=NAN))) == ["not shown"]
 
 
 # --- the table ----------------------------------------------------------------------------------------------------
