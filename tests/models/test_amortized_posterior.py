@@ -16,7 +16,8 @@ from posecal_models.contract import Context
 from posecal_models.estimators.amortized_posterior import AmortizedPosterior
 from posecal_models.estimators.registry import build, describe
 from posecal_models.preparation import prepare
-from posecal_models.validation import TEMPERATURES
+from posecal_models.settings import TrainConfig
+from posecal_models.validation import TEMPERATURES, validation_losses
 from toy.pose_world import PoseWorld
 
 K = 4
@@ -277,3 +278,29 @@ def test_a_hypothesis_does_not_depend_on_the_other_images():
     with torch.inference_mode():
         whole, part = model(double(context)), model(double(context)[:2])
     torch.testing.assert_close(part.factors, whole.factors[:2])
+
+
+class HeldOut:
+    """Poses that deviate from the most probable ones so many times as much as the estimator says."""
+
+    device = torch.device("cpu")
+
+    def __init__(self, model: AmortizedPosterior, factor: float) -> None:
+        truth, self.context = images(200, seed=9)
+        with torch.inference_mode():
+            mode = model(self.context).mode()
+        self.truth = mode + factor * (truth - mode)
+
+    def __len__(self) -> int:
+        return len(self.truth)
+
+    def batch(self, rows, generator):
+        return self.context[rows], self.truth[rows]
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.4])
+def test_validation_fits_the_temperature_that_the_held_out_poses_ask_for(factor):
+    model = estimator(components=1, trained=False).float()
+    losses = validation_losses(model, HeldOut(model, factor), TrainConfig(selection="energy-score"))
+    assert abs(float(model.temperature) - factor) < 0.11
+    assert set(losses) == {"loss"}

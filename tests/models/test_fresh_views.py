@@ -10,6 +10,7 @@ from posecal.data.skeleton import Skeleton, joint_set
 from posecal.errors import PoseDataError
 from posecal_models.config import Config
 from posecal_models.contract import Context
+from posecal_models.data.bones import Bones
 from posecal_models.data.cameras import Camera
 from posecal_models.data.detector import Detector
 from posecal_models.data.fresh_views import FreshViews
@@ -152,3 +153,16 @@ def test_of_a_removed_keypoint_nothing_is_left():
     assert torch.equal(left.sigma[left.observed], sigma[left.observed])
     share = float((~left.observed).float().mean())
     assert abs(share - 0.125) < 0.02
+
+
+def test_bones_are_as_many_times_as_long_in_their_directions():
+    bones = Bones(("Hip", "RHip", "RKnee", "LHip"))
+    generator = torch.Generator().manual_seed(0)
+    poses = 100 * torch.randn((5, 4, 3), generator=generator)
+    factor = 0.5 + torch.rand((5, bones.kinds), generator=generator)
+    found = bones.stretch(poses, factor)
+    torch.testing.assert_close(found[:, 0], poses[:, 0])
+    kinds = sorted({"Hip", "Knee"})
+    for child, parent, kind in ((1, 0, "Hip"), (3, 0, "Hip"), (2, 1, "Knee")):
+        expected = factor[:, kinds.index(kind), None] * (poses[:, child] - poses[:, parent])
+        torch.testing.assert_close(found[:, child] - found[:, parent], expected)
