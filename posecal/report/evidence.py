@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from posecal.calibration.modes import share_with_modes
+from posecal.calibration.modes import LEAST, share_with_modes
 from posecal.calibration.standardized import MODES
 from posecal.engine.bounds import UNBOUNDED, Bounds, to_scale
 from posecal.stats.heterogeneity import SequenceAreas, sequences_differ
@@ -339,10 +339,11 @@ def _modes(report: Report) -> dict[str, float]:
     """Give the joints at which two modes are beyond chance, and in which share of their poses they have two."""
     totals, deviation = report.totals, report.metrics["ece"].deviation
     statistic = None if deviation is None else deviation.errors
-    if totals.spec.is_ragged or statistic is None or statistic.name not in totals.sums:
+    if statistic is None or statistic.name not in totals.sums:
         return {}
     sums, counts = (part.sum(axis=0) for part in totals.of_cells(statistic, None))
     if sums.shape[-1] <= MODES:
         return {}
-    share, limit = share_with_modes(sums[..., MODES], counts, totals.spec.n_hypotheses)
+    n = LEAST if totals.spec.is_ragged or totals.spec.has_weights else totals.spec.n_hypotheses
+    share, limit = share_with_modes(sums[..., MODES], counts, n)
     return {joint: float(s) for joint, s, most in zip(totals.spec.joints, share, limit, strict=True) if s > most}

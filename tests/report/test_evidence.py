@@ -138,3 +138,24 @@ def test_sequences_are_tested_whichever_side_they_lie_on() -> None:
         assert found.lowest[1] < found.highest[1]
         assert (found.highest[1] > 0) is both
         assert found.p < 0.2
+
+
+def depth_flips_at_one_joint() -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    random = np.random.default_rng(5)
+    x, y = random.normal(0, 10, (60, 80, 2, 1)), random.normal(0, 10, (80, 2, 1))
+    x[:, :, 1] += random.choice([-60, 60], (60, 80, 1))
+    y[:, 1] += random.choice([-60, 60], (80, 1))
+    return x, y
+
+
+@pytest.mark.parametrize("what", ["plain", "angles", "weights", "some absent"])
+def test_two_modes_are_named_of_angles_and_of_weighted_and_absent_hypotheses_too(what: str) -> None:
+    x, y = depth_flips_at_one_joint()
+    labels, options = {"sequence": np.arange(80) // 10}, {}
+    if what == "weights":
+        options["weights"] = np.random.default_rng(6).dirichlet(np.full(60, 2.0), 80).T
+    if what == "some absent":
+        x[40:, ::3] = np.nan
+    unit = "deg" if what == "angles" else "mm"
+    found = evidence_of(posecal.evaluate(x, y, unit=unit, axes="NMKD", labels=labels, root_joint="none", **options))
+    assert found.modes == {"joint 1": 1.0}
