@@ -278,11 +278,11 @@ def evidence_of(report: Report) -> Evidence:
     shown = [name for name in report.headline_metrics if name.startswith(prefix)]
     evidence = Evidence(
         ece=ece,
-        area=_estimate(report, "signed_area", 0.0),
+        area=_estimate(report, "signed_area"),
         units=totals.units(test.sequences),
         n_units=test.sequences,
         floor=report["ece_floor_95"] if math.isnan(test.p) else math.nan,
-        coverage=tuple(_estimate(report, name, int(name.rpartition("_")[2]) / 100) for name in shown),
+        coverage=tuple(_estimate(report, name) for name in shown),
         balls="intervals" if prefix != "coverage_" else "balls",
         sequences=_sequences(report),
         joints=dict(_joints(report)),
@@ -300,10 +300,10 @@ def evidence_of(report: Report) -> Evidence:
     return replace(evidence, mean_of_joints=NullComparison(report["ece_mean"], mean.mean, mean.high, mean.p))
 
 
-def _estimate(report: Report, name: str, best: float) -> Estimate:
+def _estimate(report: Report, name: str) -> Estimate:
     metric = report.metrics[name]
-    about = freedom_of(report.totals, metric), metric.bounds
-    return Estimate(metric.label, report[name], *report.interval(name), best, *about)
+    about = metric.calibrated, freedom_of(report.totals, metric), metric.bounds
+    return Estimate(metric.label, report[name], *report.interval(name), *about)
 
 
 def _joints(report: Report) -> Iterator[tuple[str, Joint]]:

@@ -159,3 +159,18 @@ def test_two_modes_are_named_of_angles_and_of_weighted_and_absent_hypotheses_too
     unit = "deg" if what == "angles" else "mm"
     found = evidence_of(posecal.evaluate(x, y, unit=unit, axes="NMKD", labels=labels, root_joint="none", **options))
     assert found.modes == {"joint 1": 1.0}
+
+
+@pytest.mark.parametrize("n", [2, 5, 10])
+def test_intervals_of_few_hypotheses_are_held_against_what_so_few_can_hold(n: int) -> None:
+    random, shape = np.random.default_rng(n), (400, 2, 1)
+    x, y = random.normal(0, 10, (n, *shape)), random.normal(0, 10, shape)
+    report = posecal.evaluate(x, y, unit="deg", axes="NMKD", labels={"sequence": np.arange(400) // 20})
+    attained = (n - 1) / (n + 1)
+    assert [row.best for row in evidence_of(report).coverage] == pytest.approx([min(0.5, attained), attained])
+    (sentence,) = report.summary  # none of an interval that excludes what is best
+    held = 100 * report["interval_coverage_90"]
+    assert sentence.endswith(
+        f"From the least hypothesis to the largest lie {held:.0f}\u00a0% of the truths, of a calibrated model "
+        f"{100 * attained:.0f}\u00a0%."
+    )
