@@ -9,6 +9,7 @@ from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast, get_args
 
+from posecal.calibration.error import SINCE
 from posecal.data.arrays import FloatArray
 from posecal.data.joint_names import find_joint
 from posecal.engine.cells import label_name
@@ -20,6 +21,7 @@ from posecal.errors import PoseDataError, checked_integer, checked_type, did_you
 from posecal.metrics.occlusion import OCCLUSION, occlusion_metrics_of
 from posecal.registry import metrics_of, unmeasured
 from posecal.report import curves, notebook
+from posecal.report.absent import why_absent
 from posecal.report.summary import remarks, summarize
 from posecal.report.table import (
     AuxiliaryRow,
@@ -275,12 +277,15 @@ class Report:
         return int(at_joints[self._joint(joint)] if at_joints.ndim else at_joints)
 
     def definition(self, name: str, group: str | None = None) -> str:
-        """Give the definition of a number, in one line."""
+        """Give the definition of a number, in one line, and why it is NaN where it is."""
         metric, _ = self._find(name, group)
-        if name not in self.auxiliary:
-            return metric.definition
-        row = self.auxiliary[name]
-        return row.definition + self.once(("value", name, group), lambda: auxiliary_number(self, row, group))[1]
+        definition = metric.definition
+        if name in self.auxiliary:
+            row = self.auxiliary[name]
+            detail = self.once(("value", name, group), lambda: auxiliary_number(self, row, group))[1]
+            definition = row.definition + detail
+        reason = why_absent(self, name, group)
+        return definition if not reason or SINCE in definition else f"{definition}{SINCE}{reason}"
 
     # --- written ----------------------------------------------------------------------------------------------
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from posecal.calibration import DEFINITIONS, Definition, perfect_sampler
+from posecal.calibration.error import SINCE
 from posecal.data.arrays import FloatArray
 from posecal.data.texts import frame_of, json_lines, printable_table
 from posecal.engine.metric import Direction, Metric
@@ -273,7 +274,10 @@ def _is_test_of_ece(report: Report, row: AuxiliaryRow, group: str) -> bool:
 
 def _row(report: Report, entry: Metric | AuxiliaryRow, group: str | None = None, joint: str | None = None) -> Row:
     name, value = entry.name, report.value(entry.name, group, joint)
-    about = entry.unit, entry.direction, report.definition(name, group), report.count(name, group, joint)
+    definition = report.definition(name, group)
+    if math.isnan(value) and SINCE not in definition:
+        definition += f"{SINCE}it is not defined for these poses"
+    about = entry.unit, entry.direction, definition, report.count(name, group, joint)
     return Row(name, entry.label, group, joint, value, *about, *report.interval(name, group, joint))
 
 
