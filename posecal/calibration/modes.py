@@ -148,7 +148,7 @@ def two_modes(
     B, K, _, N = ordered.shape
     if N < LEAST:
         return np.zeros((B, K), dtype=bool)
-    points = ordered[np.arange(B)[:, None], np.arange(K), axis].astype(np.float64)
+    points: FloatArray = ordered[np.arange(B)[:, None], np.arange(K), axis].astype(np.float64)
     if weights is not None:
         shares = tuple(((np.arange(POINTS) + 0.5) / POINTS).tolist())
         points = weighted_quantiles(points, weights[:, None], shares)
@@ -166,7 +166,7 @@ def _cut_open(points: FloatArray, period: float) -> FloatArray:
     """Cut ascending points of a circle, (..., N), where the gap between two neighbours is widest; ascending again."""
     gaps = np.diff(points, axis=-1, append=points[..., :1] + period)
     at = gaps.argmax(axis=-1)[..., None] + 1 + np.arange(points.shape[-1])
-    return np.take_along_axis(points, at % points.shape[-1], axis=-1) + period * (at >= points.shape[-1])
+    return np.asarray(np.take_along_axis(points, at % points.shape[-1], axis=-1) + period * (at >= points.shape[-1]))
 
 
 def centres_of_modes(block: Block, joints: BoolArray) -> FloatArray:

@@ -82,6 +82,11 @@ def why_absent(report: Report, name: str, group: str | None = None) -> str:
     return _why_untested(report, metric, group)
 
 
+def with_reason(definition: str, reason: str) -> str:
+    """End the definition of a number with the reason that it is NaN, where there is one that it does not say."""
+    return definition if not reason or SINCE in definition else f"{definition}{SINCE}{reason}"
+
+
 def _why_nothing_counts(report: Report, metric: Metric, group: str | None) -> str:
     totals, cells = report.totals, report.groups[group]
     of_group = "" if group is None else " of the group"
@@ -137,9 +142,9 @@ def remarks_on_absence(report: Report) -> Iterator[str]:
     has_steps = totals.has_sequences and totals.poses.sum() > totals.n_sequences
     absent: dict[str, list[str]] = {}
     for name, metric in report.headline_metrics.items():
-        told = SINCE in metric.definition or name == "log_likelihood_skill"
-        told |= (has_steps and metric.statistic.earlier == 1) or (name in _UNDEFINED and not asks(name, metric.family))
-        reason = "" if told else why_absent(report, name)
+        known = SINCE in metric.definition or name == "log_likelihood_skill"
+        known |= (has_steps and metric.statistic.earlier == 1) or (name in _UNDEFINED and not asks(name, metric.family))
+        reason = "" if known else why_absent(report, name)
         if reason not in {"", NO_RANK}:
             absent.setdefault(reason, []).append(name)
     yield from (f"{first_few(names, _SHOWN)}: no value, because {reason}." for reason, names in absent.items())

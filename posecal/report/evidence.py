@@ -15,7 +15,7 @@ from posecal.calibration.standardized import MODES
 from posecal.engine.bounds import UNBOUNDED, Bounds, to_scale
 from posecal.stats.heterogeneity import SequenceAreas, sequences_differ
 from posecal.stats.resampling import LEVEL, STRONG
-from posecal.stats.uncertainty import effective_hypotheses, freedom_of, weights_allow_no_test
+from posecal.stats.uncertainty import bias_of_weights, effective_hypotheses, freedom_of, weights_allow_no_test
 
 if TYPE_CHECKING:
     from posecal.report.report import Report
@@ -69,6 +69,8 @@ class Estimate:
         Degrees of freedom of the interval.
     bounds : tuple of two float
         Smallest and largest possible value.
+    slack : float
+        By so much a calibrated model's may differ from what is best, with weights.
     """
 
     label: str
@@ -78,11 +80,12 @@ class Estimate:
     best: float
     freedom: float = math.nan
     bounds: Bounds = UNBOUNDED
+    slack: float = 0.0
 
     @property
     def excludes(self) -> int:
         """Give -1 where the whole interval lies below what is best, 1 where above, and 0 where neither is known."""
-        return int(self.low > self.best) - int(self.high < self.best)
+        return int(self.low > self.best + self.slack) - int(self.high < self.best - self.slack)
 
     def excludes_at_99(self) -> bool:
         """Whether its 99 % interval does as well: wider on the number's own scale by the ratio of Student's quantiles.
@@ -92,9 +95,9 @@ class Estimate:
         from scipy.special import stdtrit
 
         near = self.low if self.value > self.best else self.high
-        if math.isnan(near) or math.isnan(self.freedom):
+        if not self.excludes or math.isnan(self.freedom):
             return False
-        ends = np.array([self.value, near, self.best])
+        ends = np.array([self.value, near, self.best + math.copysign(self.slack, self.value - self.best)])
         scaled = to_scale(ends, self.bounds)
         value, near, best = scaled if np.isfinite(scaled).all() else ends
         wider = float(stdtrit(self.freedom, 0.995) / stdtrit(self.freedom, 0.975))
@@ -302,8 +305,9 @@ def evidence_of(report: Report) -> Evidence:
 
 def _estimate(report: Report, name: str) -> Estimate:
     metric = report.metrics[name]
-    about = metric.calibrated, freedom_of(report.totals, metric), metric.bounds
-    return Estimate(metric.label, report[name], *report.interval(name), *about)
+    freedom, slack = freedom_of(report.totals, metric), bias_of_weights(report.totals)
+    low, high = report.interval(name)
+    return Estimate(metric.label, report[name], low, high, metric.calibrated, freedom, metric.bounds, slack)
 
 
 def _joints(report: Report) -> Iterator[tuple[str, Joint]]:

@@ -9,7 +9,6 @@ from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast, get_args
 
-from posecal.calibration.error import SINCE
 from posecal.data.arrays import FloatArray
 from posecal.data.joint_names import find_joint
 from posecal.engine.cells import label_name
@@ -21,7 +20,6 @@ from posecal.errors import PoseDataError, checked_integer, checked_type, did_you
 from posecal.metrics.occlusion import OCCLUSION, occlusion_metrics_of
 from posecal.registry import metrics_of, unmeasured
 from posecal.report import curves, notebook
-from posecal.report.absent import why_absent
 from posecal.report.summary import remarks, summarize
 from posecal.report.table import (
     AuxiliaryRow,
@@ -32,6 +30,7 @@ from posecal.report.table import (
     as_json,
     auxiliary_number,
     auxiliary_rows,
+    definition_of,
     tidy_rows,
 )
 from posecal.report.text import report_sheet, short_title
@@ -241,9 +240,9 @@ class Report:
 
     def rank_tests(self) -> dict[str, tuple[Null, float]]:
         """Give each rank test with its p-value, adjusted for their number (Holm)."""
-        names = [name for name, metric in self.metrics.items() if metric.family == "rank_tests"]
-        nulls = [self.test(name) for name in names]
-        return dict(zip(names, zip(nulls, holm([null.p for null in nulls]), strict=True), strict=True))
+        tests = {name: self.test(name) for name, metric in self.metrics.items() if metric.family == "rank_tests"}
+        adjusted = holm([test.p for test in tests.values()])
+        return {name: (test, p) for (name, test), p in zip(tests.items(), adjusted, strict=True)}
 
     def joint_tests(self) -> dict[str, tuple[float, float]]:
         """Test the calibration curve of each joint.
@@ -279,13 +278,7 @@ class Report:
     def definition(self, name: str, group: str | None = None) -> str:
         """Give the definition of a number, in one line, and why it is NaN where it is."""
         metric, _ = self._find(name, group)
-        definition = metric.definition
-        if name in self.auxiliary:
-            row = self.auxiliary[name]
-            detail = self.once(("value", name, group), lambda: auxiliary_number(self, row, group))[1]
-            definition = row.definition + detail
-        reason = why_absent(self, name, group)
-        return definition if not reason or SINCE in definition else f"{definition}{SINCE}{reason}"
+        return definition_of(self, metric, name, group)
 
     # --- written ----------------------------------------------------------------------------------------------
 

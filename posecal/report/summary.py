@@ -56,7 +56,7 @@ def _of_statistics(report: Report) -> Iterator[str]:
             f"{2 / 2**sequences:.0%} of cases. At least {MIN_SEQUENCES} are needed for a p-value"
             f"{f', {FEWEST} for an interval' * (sequences < FEWEST)}."
         )
-    if sequences >= FEWEST and effective_number(np.bincount(totals.sequence_of, totals.poses)) < 2:
+    if sequences >= FEWEST and effective_number(np.bincount(totals.sequence_of, totals.poses).astype(np.float64)) < 2:
         yield "one sequence holds so many of the poses that sequences count as fewer than two: there are no intervals."
     if MIN_SEQUENCES <= sequences < FEW_SEQUENCES and _is_tested(report):
         yield _of_symmetry(report)

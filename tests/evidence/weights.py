@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 import posecal
 from posecal.metrics import crps, energy_score
+from posecal.stats.resampling import LEVEL, holm
 from tests.evidence import Table
+from tests.helpers.clip_worlds import autoregressive
 
 Array = np.ndarray[Any, Any]
 
@@ -97,6 +100,52 @@ def copies(replicates: int) -> list[tuple[str, ...]]:
     ]
 
 
+DESIGNS = {"8 × 20, AR(1) .95": (8, 20, True), "20 × 20, AR(1) .95": (20, 20, True), "20 × 100": (20, 100, False)}
+"""Sequences, frames of each, and whether these are correlated."""
+
+BATCH = 20
+"""So many data sets are evaluated at once."""
+
+
+def p_values(
+    sequences: int, frames: int, correlated: bool, width: float, N: int, metrics: str, seed: int
+) -> dict[str, Array]:
+    """Give the p-values of some data sets of weighted draws of a proposal, (data sets,) by metric."""
+    x, y, w = importance_draws(seed, N, BATCH * sequences * frames, width)
+    if correlated:
+        centre = np.random.default_rng(seed).normal(0, 300, y.shape)
+        other = np.random.default_rng([seed, 1])  # the first draws of one generator are the centres
+        y = centre + SCALE * autoregressive([frames] * BATCH * sequences, y.shape[1:], other)
+    number = np.arange(BATCH * sequences).repeat(frames)
+    labels = {"sequence": number, "set": number // sequences}
+    options: dict[str, Any] = {"unit": "mm", "axes": "NMKD", "root_joint": "none", "threads": 1}
+    report = posecal.evaluate(x, y, weights=w, labels=labels, by=["set"], metrics=metrics, **options)
+    tested = [name for name, metric in report.metrics.items() if metric.deviation is not None]
+    sets = [group for group in report.groups if group is not None]
+    return {name: np.array([report.test(name, group).p for group in sets]) for name in tested}
+
+
+def levels(replicates: int) -> list[tuple[str, ...]]:
+    """How often weighted draws of a proposal, which are calibrated, are rejected at 5 %."""
+    rows = []
+    for width, N in ((1.2, 50), (1.5, 100)):
+        cells: list[list[str]] = [[], []]
+        for design in DESIGNS.values():
+            each = partial(p_values, *design, width, N, "ece, rank_tests")
+            found = [each(seed) for seed in range(replicates // BATCH)]
+            p = {name: np.concatenate([some[name] for some in found]) for name in found[0]}
+            ranks = np.array([p[name] for name in p if not name.startswith("ece")])
+            adjusted = np.min([holm(column.tolist()) for column in ranks.T], axis=1)
+            for row, values in zip(cells, (p["ece"], adjusted), strict=True):
+                row.append(f"{(values < LEVEL).mean():.1%}")
+        effective = _number(importance_draws(0, N, 2000, width)[2])
+        rows += [
+            (f"{what}, proposal × {width:g}, N = {N}, effective {effective}", *row)
+            for what, row in zip(("ECE", "any of 7 rank tests, adjusted"), cells, strict=True)
+        ]
+    return rows
+
+
 _BEFORE = "weights ignored (0.1.0)"
 TABLES = [
     Table(
@@ -109,4 +158,5 @@ TABLES = [
         copies,
         4_000,
     ),
+    Table("weights-levels", ("rejected at 5 %", *DESIGNS), levels, 200),
 ]

@@ -56,6 +56,15 @@ def test_the_99_percent_interval_is_wider_by_the_ratio_of_student_quantiles() ->
     assert not area_of(0.0314, 0.0114, 0.0514, math.nan).excludes_at_99()
 
 
+def test_an_interval_within_what_weights_allow_excludes_nothing() -> None:
+    area = replace(area_of(-0.03, -0.035, -0.025, 39), slack=0.02)
+    assert (area.excludes, area.excludes_at_99()) == (-1, True)
+    assert (replace(area, slack=0.0255).excludes, replace(area, slack=0.0255).excludes_at_99()) == (0, False)
+    assert (replace(area, slack=0.024).excludes, replace(area, slack=0.024).excludes_at_99()) == (-1, False)
+    inside = replace(area_of(0.002, 0.001, 0.003, 39), slack=0.02)
+    assert (inside.excludes, inside.excludes_at_99()) == (0, False)
+
+
 @pytest.mark.parametrize("joint", [None, "Head"])
 def test_the_99_percent_interval_is_that_of_sequences_of_unequal_lengths_on_its_own_scale(joint: str | None) -> None:
     """As the jackknife has it with Student's quantile of 99.5 % in place of 97.5 %."""
