@@ -143,7 +143,8 @@ def two_modes(
     Returns
     -------
     bool array (B, K)
-        None where N, with weights the effective one, is below :data:`LEAST`, with weights :data:`LEAST_WEIGHTED`.
+        None where N, with weights the effective one, is below :data:`LEAST`, with weights :data:`LEAST_WEIGHTED`, and
+        where more than half of the hypotheses are copies of others: of few draws groups appear by chance.
     """
     B, K, _, N = ordered.shape
     if N < LEAST:
@@ -155,11 +156,13 @@ def two_modes(
     if period is not None:
         points = _cut_open(points, period)
     if weights is None:
+        enough = 2 * (np.diff(points, axis=-1) != 0).sum(axis=-1) + 2 >= N
         step = max(1, N // POINTS)
         points = points[..., (N - 1) % step // 2 :: step]
+    else:
+        enough = (effective_number(weights) >= LEAST_WEIGHTED)[:, None]
     points -= points.mean(axis=-1, keepdims=True)
-    several = _cut(points.reshape(B * K, -1))[0].reshape(B, K)
-    return several if weights is None else several & (effective_number(weights) >= LEAST_WEIGHTED)[:, None]
+    return np.asarray(_cut(points.reshape(B * K, -1))[0].reshape(B, K) & enough)
 
 
 def _cut_open(points: FloatArray, period: float) -> FloatArray:

@@ -192,3 +192,13 @@ def test_hypotheses_of_small_weight_are_no_mode() -> None:
     weights = np.repeat([[0.0195] * 50 + [0.0005] * 50], 100, axis=0)
     assert not of_weighted(x, weights).any()
     assert of_weighted(x, np.full((100, 100), 0.01)).all()
+
+
+def test_copies_of_few_draws_are_no_modes() -> None:
+    random = np.random.default_rng(0)
+    drawn = random.normal(size=(2000, 1, 1, 10))
+    axis = np.zeros((2000, 1), dtype=int)
+    assert along_one_axis(np.sort(drawn), axis).mean() > chance_limit(200)  # as often as of ten, not of 200
+    assert not along_one_axis(np.sort(np.repeat(drawn, 20, axis=-1)), axis).any()
+    apart = np.sort(np.repeat(random.normal(size=(100, 1, 1, 20)) + 20 * (np.arange(20) % 2), 2, axis=-1))
+    assert along_one_axis(apart, axis[:100]).mean() > 0.9  # half of them are
