@@ -212,15 +212,19 @@ def _labels(tests: list[tuple[str, str, float]]) -> str:
     return ", ".join(label for label, _, _ in tests)
 
 
+def _spread_alone(e: Evidence) -> str:
+    """Say that a wrong spread explains rejections, where something speaks for one."""
+    advice = " A wrong spread alone can cause that: rerun them once it is recalibrated."
+    return advice if e.side != NEITHER and (e.ece.p < LEVEL or e.excluded) else ""
+
+
 def _rank_tests_too(e: Evidence) -> str:
-    advice = "" if e.side == NEITHER else " A wrong spread alone can cause that: rerun them once it is recalibrated."
-    return f"Rank tests reject as well: {_labels(_rejected(e, STRONG))}.{advice}"
+    return f"Rank tests reject as well: {_labels(_rejected(e, STRONG))}.{_spread_alone(e)}"
 
 
 def _rank_tests_alone(e: Evidence) -> str:
-    rejected = _rejected(e, STRONG)
-    meanings = "; ".join(dict.fromkeys(meaning for _, meaning, _ in rejected))
-    return f"Rank tests reject what the ECE can't see ({_labels(rejected)}): {meanings}."
+    meanings = "; ".join(dict.fromkeys(meaning for _, meaning, _ in _rejected(e, STRONG)))
+    return f"Rank tests show more than the ECE ({_labels(_rejected(e, STRONG))}): {meanings}.{_spread_alone(e)}"
 
 
 def _rank_tests_weakly(e: Evidence) -> str:
