@@ -107,7 +107,5 @@ def left_out(metrics: Iterable[Metric], scope: Scope, words: Collection[str]) ->
         is_apart = {*metric.needs}.intersection(scope.spec.apart)  # of which a remark of its own says more
         for need in unmet(metric, scope)[:1] if shown and not is_apart else ():
             groups.setdefault(need, []).append(metric.name)
-    parts = [
-        f"{first_few(names, _SHOWN)}, which need{'s' * (len(names) == 1)} {need}" for need, names in groups.items()
-    ]
+    parts = [f"{first_few(names, _SHOWN)}, which need {need}" for need, names in groups.items()]
     return f"left out: {'; '.join(parts)}." if parts else ""
