@@ -64,7 +64,7 @@ def add_rows(total: npt.NDArray[Number], codes: Indices, values: npt.NDArray[Num
     for part in map(slice, [0, *turns.tolist()], [*turns.tolist(), len(codes)]):  # whose codes rise
         some = codes[part]
         rows = slice(some[0], some[-1] + 1) if some[-1] - some[0] == len(some) - 1 else some
-        total[rows] += values[part]
+        total[rows] += values[part]  # type: ignore[misc]
 
 
 def padded(values: npt.NDArray[Number], rows: int) -> npt.NDArray[Number]:

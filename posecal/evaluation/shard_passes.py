@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.calibration.rank_tests import PreRank
+from posecal.data.clips import Clips, is_of_sequence, select_clips, with_names_of_set
 from posecal.data.draws import DrawnHypotheses
 from posecal.data.file_array import without_checksums
 from posecal.data.frame_numbers import STEPS
@@ -24,7 +25,7 @@ from posecal.engine.prepare import Prepared, lack_of_scored, prepare, select_sco
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec
 from posecal.engine.totals import Totals
-from posecal.errors import PosecalError, PoseDataError
+from posecal.errors import PosecalError, PoseDataError, option
 from posecal.evaluation.batches import Evaluation
 from posecal.evaluation.sources import Source, as_pose_data
 from posecal.metrics.sharpness import predicted_spread
@@ -53,6 +54,10 @@ class Shard:
         The options that describe the data.
     first : int
         How many poses lie in the shards before it, by which draws are seeded.
+    first_clip : int
+        How many clips lie in the shards before it, by which those without names are numbered.
+    of_sequences : bool
+        Whether clips are named after their sequences, since those of several have one name somewhere in the set.
     kept : array of int, optional
         Poses that no earlier shard has, where it shares some.
     """
@@ -63,16 +68,19 @@ class Shard:
     reference: Source | PoseData | None = None
     described: Mapping[str, Any] = field(default_factory=dict)
     first: int = 0
+    first_clip: int = 0
+    of_sequences: bool = False
     kept: Rows | None = None
 
     def open(self) -> PoseData:
         """Open the sources and match them, with the hypotheses of another model as their reference."""
         data = as_pose_data(starting_at(self.hypotheses, self.first), self.truth, self.described)
-        if data.clips is not None:
+        if data.clips is not None and not data.clips.has_axis:
             raise PoseDataError(
-                f"{self.name}: clips of predicted motion (axes with a T, or a label clip), which may lie in several "
-                "files; expected them in one call of evaluate, or in batches of whole clips."
+                f"{self.name}: clips by a label clip, which may lie in several files; expected {option('axes')} "
+                "with a T, such as NMTKD, so that each is whole, or all poses in one call of evaluate."
             )
+        data = with_names_of_set(data, self.first_clip, of_sequences=self.of_sequences)
         some = data.hypotheses
         if isinstance(some, ArrayHypotheses) and isinstance(some.array, DrawnHypotheses):
             drawn = replace(some.array, prediction=starting_at(some.array.prediction, self.first))
@@ -81,7 +89,11 @@ class Shard:
             own = dict.fromkeys(("scores", "weights", "log_prob", "dimensions"))  # of the model
             other = as_pose_data(self.reference, self.truth, {**self.described, **own})
             data = with_reference(data, other.replace(names=("reference", other.names[1])))  # of one name in all shards
-        return data if self.kept is None else data.select(self.kept)
+        return data if self.kept is None else select_clips(data, self.kept)
+
+    def of(self, data: PoseData) -> Shard:
+        """Give the shard of data that were opened."""
+        return Shard(self.name, data, None, first=self.first)
 
 
 @dataclass(frozen=True)
@@ -95,7 +107,7 @@ class Method:
     own_metrics : tuple of mappings
         The parts of the user's metrics, which other processes register; pickled as they are, they lose their functions.
     dropped : frozenset of str
-        Labels that split a sequence of the whole set, which nobody asked for.
+        Labels that split a sequence of the whole set, which nobody asked for; poses keep their clips.
     has_mask : bool
         Whether some joints don't count in some shard.
     prepared : Prepared, optional
@@ -123,7 +135,8 @@ class Method:
         data = select_scored(data if wants_reference(self.protocol) else data.replace(reference=None), self.protocol)
         if self.has_mask and data.where is None:
             data = data.replace(where=np.ones(data.truth.shape[:2], dtype=bool))
-        return data.replace(labels={k: values for k, values in data.labels.items() if k not in self.dropped})
+        kept = {k: values for k, values in data.labels.items() if k == "clip" or k not in self.dropped}
+        return data.replace(labels=kept)
 
     def register(self) -> None:
         """Register the user's metrics where they are not known yet."""
@@ -187,6 +200,12 @@ class Summary:
         The value of each label for each sequence, of labels that split none.
     sequences : tuple of str
         Sequences of poses that are scored, in the order of their first ones.
+    clips : Clips or None
+        What clips have in common; without the poses before them.
+    sequence_of_clip : mapping of str
+        By the name of a clip; empty where clips have numbers.
+    are_of_sequences : bool
+        Whether clips are named after their sequences.
     """
 
     spec: DataSpec
@@ -198,6 +217,9 @@ class Summary:
     pool: ClimatologyPool | None
     labels: Mapping[str, Mapping[str, str]]
     sequences: tuple[str, ...] = ()
+    clips: Clips | None = None
+    sequence_of_clip: Mapping[str, str] = field(default_factory=dict)
+    are_of_sequences: bool = False
 
     @property
     def n_scored(self) -> int:
@@ -227,7 +249,7 @@ def summarize(shard: Shard, method: Method, *, is_pooled: bool) -> Summary:
     with without_checksums():  # which the last pass compares
         data = shard.open()
     has_mask, keys = data.where is not None, pose_keys(data)
-    scored = method.open(replace(shard, hypotheses=data, truth=None, described={}, reference=None, kept=None))
+    scored = method.open(shard.of(data))
     labels: dict[str, dict[str, str]] = {}
     sequences: tuple[str, ...] = ()
     if "sequence" in scored.labels and len(scored.truth):
@@ -236,7 +258,9 @@ def summarize(shard: Shard, method: Method, *, is_pooled: bool) -> Summary:
         for label, values in scored.labels.items():
             if (values[first][inverse] == values).all():
                 labels[label] = dict(zip(names.tolist(), values[first].tolist(), strict=True))
-    stored = data.hypotheses
+    stored, clips = data.hypotheses, data.clips
+    are_named = clips is not None and "clip" not in clips.numbered
+    pairs = zip(data.labels["clip"].tolist(), data.labels["sequence"].tolist(), strict=True) if are_named else ()
     return Summary(
         spec=DataSpec.of(scored, has_mask=has_mask, preranks=tuple(method.preranks)),
         n_poses=len(data.truth),
@@ -247,6 +271,9 @@ def summarize(shard: Shard, method: Method, *, is_pooled: bool) -> Summary:
         pool=ClimatologyPool.of(data, keys) if is_pooled else None,
         labels=labels,
         sequences=sequences,
+        clips=None if clips is None else replace(clips, observed={}),
+        sequence_of_clip=dict(pairs),
+        are_of_sequences=are_named and is_of_sequence(data),
     )
 
 
@@ -280,7 +307,7 @@ def find_frames(shard: Shard, method: Method, sequences: frozenset[str]) -> Fram
         data = shard.open()
     rows = np.arange(len(data.truth))
     numbered = data.replace(labels={**data.labels, _ROW: rows.astype(np.str_)})
-    scored = method.open(replace(shard, hypotheses=numbered, truth=None, described={}, reference=None, kept=None))
+    scored = method.open(shard.of(numbered))
     number = np.full(len(rows), -1)
     number[scored.labels[_ROW].astype(np.intp)] = np.arange(len(scored.truth))
     rows = np.flatnonzero(np.isin(data.labels["sequence"], [*sequences]))

@@ -64,12 +64,6 @@ def test_frames_of_overlapping_clips_are_not_dropped_from_one_of_them() -> None:
         evaluation.update(HYPOTHESES[:, [1]], TRUTH[[1]], frame_id=np.array(["f3", "f4", "f5", "f6", "f7"]))
 
 
-def test_shards_of_clips_are_refused() -> None:
-    halves = [(HYPOTHESES[:, half], TRUTH[half]) for half in (slice(0, 3), slice(3, 6))]
-    with pytest.raises(PoseDataError, match=r"clips of predicted motion .* expected them in one call of evaluate"):
-        posecal.evaluate_shards(halves, threads=1, **HOW)
-
-
 # --- results that are kept -------------------------------------------------------------------------------------
 
 
