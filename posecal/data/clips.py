@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.arrays import FloatArray
+from posecal.data.arrays import FloatArray, as_array, as_labels
 from posecal.data.layout import Layout
 from posecal.data.remarks import Count, Example, Remark
 from posecal.data.stored_poses import Labels, Rows, StoredPoses, in_millimetres
@@ -165,21 +165,49 @@ def describe_clips(
     return replace(clips, observed=dict(zip(names.tolist(), poses, strict=True)))
 
 
+def frame_names(data: PoseData, frame_id: npt.ArrayLike) -> Names:
+    """Give names of the frames of poses, (M,): one each, or one for each clip.
+
+    Raises
+    ------
+    PoseDataError
+        For another number of names.
+    """
+    names, (m, length) = as_array(frame_id, "frame_id"), (len(data.truth), data.clips.length if data.clips else 1)
+    is_by_clip = data.clips is not None and names.shape == (m // length, length)
+    names = np.atleast_1d(as_labels(names.reshape(-1) if is_by_clip else names, "frame_id", or_one=True))
+    if len(names) * length == m and data.clips is not None:
+        return np.repeat(names, length)
+    if len(names) != m:
+        or_clips = f", or per clip, ({m // length},)" if data.clips is not None else ""
+        raise PoseDataError(f"frame_id: {names.shape}; expected one name per pose, ({m},){or_clips}.")
+    return names
+
+
+def pose_names(data: PoseData) -> list[str]:
+    """Name poses by their frames: where windows overlap, a frame is another pose at another horizon."""
+    names: list[str] = data.frame_id.tolist()
+    if data.clips is None or not data.clips.has_axis:
+        return names
+    places = data.order % data.clips.length + 1
+    return [f"{name} at horizon {place}" for name, place in zip(names, places.tolist(), strict=True)]
+
+
 def select_clips(data: PoseData, rows: Rows) -> PoseData:
     """Select poses whose frames did not come before; whole clips where poses form such.
 
     Raises
     ------
     PoseDataError
-        Where a clip would be cut, as where windows of one recording overlap.
+        Where a clip would be cut.
     """
     if data.clips is not None:
         names, codes = np.unique(data.labels["clip"], return_inverse=True)
         left = np.bincount(codes[rows], minlength=len(names))
         if cut := names[(left > 0) & (left < np.bincount(codes))].tolist():
             raise PoseDataError(
-                f"frame_id: frames of {len(cut):,} clips came before in others (first: clip {cut[0]}); expected a name "
-                "for each frame of each clip, such as the clip's and the frame's."
+                f"frame_id: frames of {len(cut):,} clips came before at the same horizon (first: clip {cut[0]}), and "
+                "others of them did not; expected a name for each clip, or each frame of a recording."
             )
     return data.select(rows)
 

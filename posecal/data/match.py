@@ -136,7 +136,7 @@ class Matcher:
             raise_all(problems)
         assert chosen is not None
         order = true_rows
-        if truth.frame_id is not None and "sequence" in labels:
+        if truth.frame_id is not None and self.clip_length is None and "sequence" in labels:
             ordered = order_by_number(truth.frame_id[true_rows], labels["sequence"])
             if ordered is not None:
                 by_number, order, remarks = ordered

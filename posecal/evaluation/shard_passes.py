@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from contextlib import suppress
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -144,6 +146,16 @@ class Method:
         for parts in self.own_metrics:
             if parts["name"] not in known:
                 register(Metric(**parts))
+
+
+def sendable_metrics() -> tuple[Mapping[str, Any], ...]:
+    """Give the parts of the user's metrics that can be sent, for :meth:`Method.register`; others stay here."""
+    found = []
+    for metric in registered_metrics():
+        with suppress(Exception):  # whatever pickling a user's function raises
+            pickle.dumps(parts := {field.name: getattr(metric, field.name) for field in fields(metric)})
+            found.append(parts)
+    return tuple(found)
 
 
 @dataclass(frozen=True)
@@ -312,7 +324,7 @@ def find_frames(shard: Shard, method: Method, sequences: frozenset[str]) -> Fram
     number[scored.labels[_ROW].astype(np.intp)] = np.arange(len(scored.truth))
     rows = np.flatnonzero(np.isin(data.labels["sequence"], [*sequences]))
     others = np.setdiff1d(np.arange(len(scored.truth)), number[rows])
-    names = data.frame_id[rows] if data.has_frame_id else None
+    names = data.frame_id[rows] if data.has_frame_id and data.clips is None else None  # clips lie in their order
     return Frames(names, data.labels["sequence"][rows], data.order[rows], number[rows], others, scored.order[others])
 
 

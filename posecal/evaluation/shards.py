@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import builtins
 import os
-import pickle
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any, Literal, TypeVar
 
@@ -43,6 +41,7 @@ from posecal.evaluation.shard_passes import (
     accumulate,
     find_frames,
     find_spreads,
+    sendable_metrics,
     summarize,
 )
 from posecal.evaluation.shard_summaries import (
@@ -161,7 +160,7 @@ def evaluate_shards(
         evaluation.by,
         {} if preranks is None else dict(preranks),
         1 if threads is None and map is not builtins.map else threads,
-        _sendable_metrics(),
+        sendable_metrics(),
         gallery,
     )
     is_pooled = isinstance(reference, str) and wants
@@ -376,13 +375,3 @@ def _with_findings(
     cuts, unsummed = {entry: spread_cuts(entry, values) for entry in entries}, method.dropped & {"clip"}
     clips = prepared.clips if any(statistic.name in NEEDS_TRUE_CLIPS for statistic in statistics) else None
     return replace(method, prepared=replace(prepared, cuts=cuts, unsummed=unsummed, clips=clips))
-
-
-def _sendable_metrics() -> tuple[Mapping[str, Any], ...]:
-    """Give the parts of the user's metrics that can be sent; others must be registered where they are needed."""
-    found = []
-    for metric in registered_metrics():
-        with suppress(Exception):  # whatever pickling a user's function raises
-            pickle.dumps(parts := {field.name: getattr(metric, field.name) for field in fields(metric)})
-            found.append(parts)
-    return tuple(found)
