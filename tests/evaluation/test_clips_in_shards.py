@@ -23,6 +23,8 @@ def assert_equal(found: posecal.Report, one: posecal.Report) -> None:
     assert {"ade", "fde", "apd", "mmade", "mmfde", "apde", "clip_energy_score", "energy_skill"} <= {*found.metrics}
     assert found.signature == one.signature
     assert {*found.remarks} == {*one.remarks}
+    assert {*found.totals.labels} == {*one.totals.labels}
+    assert len(found.totals.poses) == len(one.totals.poses)
     assert found.totals.spec.has_clip_numbers == one.totals.spec.has_clip_numbers
 
 
