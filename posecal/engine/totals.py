@@ -111,10 +111,8 @@ class Totals:
         ----------
         name : str
             The statistic.
-        cells : array of int (R,)
-            The cell of each row.
-        sums, counts : arrays (R, …) and (R,) or (R, J)
-            What is added.
+        cells, sums, counts : arrays (R,), (R, …) and (R,) or (R, J)
+            What is added, and to which cells.
         """
         if name not in self.sums:
             self.sums[name] = np.zeros((len(self.poses), *sums.shape[1:]))
