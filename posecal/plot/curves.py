@@ -132,7 +132,7 @@ def _name_sides(ax: Axes) -> None:
             across = np.linspace(away - 0.03, away + width, 20)
             crossed[away, rise] = 0.0
             for line in ax.lines:
-                levels, shares = line.get_data()
+                levels, shares = np.asarray(line.get_xydata(), dtype=np.float64).T
                 values = np.interp(1 - across if over else across, levels, shares)
                 values = values if over else 1 - values
                 crossed[away, rise] += line.get_linewidth() * (values.max() > rise and values.min() < rise + height)

@@ -6,6 +6,7 @@ What a terminal or a file of text can't show of names is escaped as the sheet is
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any
@@ -24,6 +25,13 @@ if TYPE_CHECKING:
 
 GAP = 2
 """Columns of the terminal between two columns of a table."""
+
+
+_BOUND = re.compile(r"(?<=\d) (?=%)|(?<=\bp) (?=[=<] )|(?<=\bp [=<]) (?=\d)")
+"""Blanks at which a terminal's lines don't end."""
+
+_BLANK = "\ue000"
+"""Stands for them while lines are broken: rich breaks at every kind of blank."""
 
 
 def _escaped(value: Any, kept: str = "") -> Any:
@@ -164,18 +172,19 @@ class Sheet:
         """
         out = io.StringIO()
         console = Console(file=out, width=width, force_terminal=colour)
-        console.print(Text(self.title, style="bold"), *map(Text, self.words), sep="\n")
+        sentences = (Text(_BOUND.sub(_BLANK, words)) for words in self.words)
+        console.print(Text(self.title, style="bold"), *sentences, sep="\n")
         for part in (part for table in self.tables for part in table.parts(width)):
             console.print("", part, sep="\n")
         if self.definitions:
             console.print("", *(Text.assemble((term, "bold"), ": ", text) for term, text in self.definitions), sep="\n")
         if self.more:
-            console.print("", Text(self.more), sep="\n")
+            console.print("", Text(_BOUND.sub(_BLANK, self.more)), sep="\n")
         elif self.footer:
             console.print()
         if self.footer:
             console.print(Text(self.footer, style="dim"), soft_wrap=True)
-        return "\n".join(line.rstrip() for line in out.getvalue().splitlines())
+        return "\n".join(line.rstrip() for line in out.getvalue().replace(_BLANK, " ").splitlines())
 
     def markdown(self) -> str:
         """Write the sheet as Markdown, without a final line break."""

@@ -49,6 +49,14 @@ def test_no_number_is_broken_over_lines(width: int) -> None:
         assert any(re.search(rf"(^|\s){re.escape(cell)}(\s|$)", line) for line in lines), cell
 
 
+@pytest.mark.parametrize("width", range(20, 60))
+def test_a_number_stays_with_its_sign_of_per_cent_and_a_p_value_whole(width: int) -> None:
+    words = "ECE 0.047 (p = 0.130), of others p < 0.001. The 90 % balls hold 85 % of the truths, and more words."
+    text = Sheet("", [words], more=words).text(width)
+    assert [text.count(found) for found in ("p = 0.130", "p < 0.001", "90 %", "85 %")] == [2, 2, 2, 2]
+    assert " ".join(text.split()) == f"{words} {words}"
+
+
 @pytest.mark.parametrize("width", [30, 60, 200])
 def test_nothing_is_lost_at_any_width(width: int) -> None:
     words = {word for row in NUMBERS.rows for cell in row for word in cell.split()}
