@@ -132,6 +132,9 @@ if __name__ == "__main__":
         for page in PAGES:
             page.write_text(generated(page.read_text(encoding="utf-8")), encoding="utf-8")
         board = posecal.leaderboard(Path(__file__).with_name("leaderboard"))
+        pictures, first = Path(__file__).with_name("pictures"), next(iter(board.comparisons.values()))
+        reports = {name: posecal.Report(totals) for name, totals in zip(first.names, first.totals, strict=True)}
+        posecal.plot.save(posecal.plot.draw_comparison(board.comparisons), pictures / "leaderboard.svg")
         posecal.plot.save(
-            posecal.plot.draw_comparison(board.comparisons), Path(__file__).with_name("pictures") / "leaderboard.svg"
+            posecal.plot.draw(reports, panels=True, size=(9, 5)), pictures / "leaderboard-reliability.svg"
         )

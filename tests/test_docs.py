@@ -96,10 +96,11 @@ def test_a_pages_examples_run_in_order(page: str, world: Path, monkeypatch: pyte
 
 
 @pytest.mark.slow
-def test_the_report_of_the_page_of_joint_angles_is_what_is_printed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("page", ["joint-angles", "motion"])
+def test_the_first_report_of_a_page_is_what_is_printed(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    text = (DOCS / "joint-angles.md").read_text(encoding="utf-8")
+    text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
     data, rest = text.split("```console\n$ ", 1)
     assert check_page(data, tmp_path, monkeypatch) > 5
     command, after = rest.split("\n```", 1)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from posecal.data.arrays import FloatArray
+from posecal.data.arrays import FloatArray, as_array, as_labels
 from posecal.data.layout import Layout
 from posecal.data.remarks import Count, Example, Remark
 from posecal.data.stored_poses import Labels, Rows, StoredPoses, in_millimetres
@@ -33,6 +33,8 @@ class Clips:
         The labels that are made of the numbers of the clips.
     has_axis : bool
         Whether the layout has a T, so that every clip is whole.
+    stored : int
+        How many clips the truth holds, those that are not evaluated among them; 0 where the layout has no T.
     observed : mapping of arrays (K, D)
         The last observed pose before each clip, by the clip's name, in the unit of the poses; empty where unknown.
     """
@@ -40,6 +42,7 @@ class Clips:
     length: int
     numbered: tuple[str, ...] = ()
     has_axis: bool = False
+    stored: int = 0
     observed: Mapping[str, FloatArray] = field(default_factory=dict)
 
 
@@ -82,8 +85,7 @@ def with_clip_labels(labels: Labels, rows: Rows, length: int | None) -> tuple[La
         return {"sequence": labels["clip"], **labels}, (*numbered, *("sequence",) * len(numbered))
     clip, sequence = labels["clip"], labels["sequence"]
     if len(np.unique(np.stack([clip, sequence]), axis=1).T) > len(np.unique(clip)):
-        joined = np.char.add(np.char.add(sequence, " / "), clip)
-        labels = {**labels, "clip": joined}
+        labels = {**labels, "clip": of_sequence(sequence, clip)}
     return labels, numbered
 
 
@@ -107,6 +109,7 @@ def describe_clips(
     labels: Labels,
     numbered: tuple[str, ...],
     length: int | None,
+    n_poses: int,
     truth: StoredPoses,
     rows: Rows,
     columns: Rows,
@@ -124,6 +127,8 @@ def describe_clips(
         The labels that are numbers of clips.
     length : int or None
         T of the layout; by default the most poses that a clip has.
+    n_poses : int
+        How many the truth holds.
     truth : StoredPoses
         As stored, perhaps with a member ``observed``.
     rows, columns : arrays of int (M,) and (K,)
@@ -141,8 +146,9 @@ def describe_clips(
         return None
     names, first, counts = np.unique(labels["clip"], return_index=True, return_counts=True)
     most = int(counts.max()) if length is None else length
+    clips = Clips(most, numbered, length is not None, 0 if length is None else n_poses // length)
     if (observed := truth.observed) is None:
-        return Clips(most, numbered, length is not None)
+        return clips
     number, stored = np.argsort(np.argsort(rows[first])), len(names)
     if length is not None:
         number, stored = rows[first] // length, int(rows.max()) // length + 1
@@ -156,7 +162,35 @@ def describe_clips(
     poses = in_millimetres(observed[number][:, columns], factor).astype(np.float64)
     if not np.isfinite(poses).all():
         problems.append(f"{truth.name}: observed has non-finite coordinates; expected the pose before each clip.")
-    return Clips(most, numbered, length is not None, dict(zip(names.tolist(), poses, strict=True)))
+    return replace(clips, observed=dict(zip(names.tolist(), poses, strict=True)))
+
+
+def frame_names(data: PoseData, frame_id: npt.ArrayLike) -> Names:
+    """Give names of the frames of poses, (M,): one each, or one for each clip.
+
+    Raises
+    ------
+    PoseDataError
+        For another number of names.
+    """
+    names, (m, length) = as_array(frame_id, "frame_id"), (len(data.truth), data.clips.length if data.clips else 1)
+    is_by_clip = data.clips is not None and names.shape == (m // length, length)
+    names = np.atleast_1d(as_labels(names.reshape(-1) if is_by_clip else names, "frame_id", or_one=True))
+    if len(names) * length == m and data.clips is not None:
+        return np.repeat(names, length)
+    if len(names) != m:
+        or_clips = f", or per clip, ({m // length},)" if data.clips is not None else ""
+        raise PoseDataError(f"frame_id: {names.shape}; expected one name per pose, ({m},){or_clips}.")
+    return names
+
+
+def pose_names(data: PoseData) -> list[str]:
+    """Name poses by their frames: where windows overlap, a frame is another pose at another horizon."""
+    names: list[str] = data.frame_id.tolist()
+    if data.clips is None or not data.clips.has_axis:
+        return names
+    places = data.order % data.clips.length + 1
+    return [f"{name} at horizon {place}" for name, place in zip(names, places.tolist(), strict=True)]
 
 
 def select_clips(data: PoseData, rows: Rows) -> PoseData:
@@ -165,15 +199,15 @@ def select_clips(data: PoseData, rows: Rows) -> PoseData:
     Raises
     ------
     PoseDataError
-        Where a clip would be cut, as where windows of one recording overlap.
+        Where a clip would be cut.
     """
     if data.clips is not None:
         names, codes = np.unique(data.labels["clip"], return_inverse=True)
         left = np.bincount(codes[rows], minlength=len(names))
         if cut := names[(left > 0) & (left < np.bincount(codes))].tolist():
             raise PoseDataError(
-                f"frame_id: frames of {len(cut):,} clips came before in others (first: clip {cut[0]}); expected a name "
-                "for each frame of each clip, such as the clip's and the frame's."
+                f"frame_id: frames of {len(cut):,} clips came before at the same horizon (first: clip {cut[0]}), and "
+                "others of them did not; expected a name for each clip, or each frame of a recording."
             )
     return data.select(rows)
 
@@ -196,6 +230,39 @@ def short_clip_remarks(clips: Clips | None, clip: Names | None) -> list[str]:
             "): left out of ADE, FDE and all other metrics of whole clips.",
         )
     ]
+
+
+def with_names_of_set(data: PoseData, before: int, *, of_sequences: bool) -> PoseData:
+    """Name the clips of a part of a test set as one run over all of it does.
+
+    Parameters
+    ----------
+    data : PoseData
+        The part.
+    before : int
+        How many clips the parts before it have, where clips have numbers.
+    of_sequences : bool
+        Whether clips of several sequences have one name somewhere in the set, so that each is named after its sequence.
+    """
+    if (clips := data.clips) is None:
+        return data
+    clip, labels = data.labels["clip"], continue_numbers(data.labels, clips, before)
+    if of_sequences and not is_of_sequence(data):
+        labels = {**labels, "clip": of_sequence(labels["sequence"], clip)}
+    names = dict(zip(clip.tolist(), labels["clip"].tolist(), strict=True))
+    observed = {names[name]: pose for name, pose in clips.observed.items() if name in names}
+    return data.replace(labels=labels, clips=replace(clips, observed=observed))
+
+
+def of_sequence(sequence: Names, clip: Names) -> Names:
+    """Name clips after their sequences."""
+    return np.char.add(np.char.add(sequence, " / "), clip)
+
+
+def is_of_sequence(data: PoseData) -> bool:
+    """Whether clips are named after their sequences."""
+    starts = np.char.add(data.labels["sequence"], " / ")
+    return bool(np.char.startswith(data.labels["clip"], starts).all())
 
 
 def continue_numbers(labels: Labels, clips: Clips | None, before: int) -> Labels:

@@ -78,6 +78,8 @@ def order_by_number(names: Names, sequence: Names, n_before: int = 0) -> tuple[R
 def continued(data: PoseData, n_given: int, place: Place) -> tuple[PoseData, Place]:
     """Put a batch in the order of its frame numbers, if it has any, and let its ``order`` continue the one before.
 
+    Frames of clips stay as they lie in the axis T.
+
     Parameters
     ----------
     data : PoseData
@@ -90,9 +92,9 @@ def continued(data: PoseData, n_given: int, place: Place) -> tuple[PoseData, Pla
     start, names, sequence, n_clips = place
     if (clips := data.clips) is not None:
         data = data.replace(labels=continue_numbers(data.labels, clips, n_clips))
-        n_clips += n_given // clips.length
+        n_clips, n_given = n_clips + clips.stored, clips.stored * clips.length
     ordered = None
-    if data.has_frame_id and "sequence" in data.labels:
+    if data.has_frame_id and clips is None and "sequence" in data.labels:
         sequences = np.concatenate([np.full(len(names), sequence), data.labels["sequence"]])
         ordered = order_by_number(np.concatenate([np.array(names, str), data.frame_id]), sequences, len(names))
     if ordered is None:

@@ -136,7 +136,7 @@ class Matcher:
             raise_all(problems)
         assert chosen is not None
         order = true_rows
-        if truth.frame_id is not None and "sequence" in labels:
+        if truth.frame_id is not None and self.clip_length is None and "sequence" in labels:
             ordered = order_by_number(truth.frame_id[true_rows], labels["sequence"])
             if ordered is not None:
                 by_number, order, remarks = ordered
@@ -174,7 +174,7 @@ class Matcher:
             weights = attempt(problems, checked_weights, weights[:, rows], n, f"{hypotheses.name}: weights", frame_id)
         labels = with_horizons(labels, order, true_rows, self.clip_length, fps)
         place_of_truth = truth, true_rows, true_columns, d, true_factor
-        clips = describe_clips(labels, numbered, self.clip_length, *place_of_truth, problems)
+        clips = describe_clips(labels, numbered, self.clip_length, self.true_shape[0], *place_of_truth, problems)
         return {
             "hypotheses": predicted,
             "truth": matched,

@@ -31,7 +31,7 @@ from posecal.engine.protocol import Protocol
 from posecal.engine.ragged import lay_out, with_weights
 from posecal.engine.scope import DataSpec, Scope
 from posecal.engine.segments import SegmentsAndClips
-from posecal.engine.sums import joined_rows, padded
+from posecal.engine.sums import add_rows, joined_rows, padded
 from posecal.engine.threads import run_in_order
 from posecal.engine.totals import Totals
 from posecal.errors import PoseDataError, first_few, option
@@ -77,6 +77,7 @@ class Accumulator:
         self._index, self._prepared, self._threads = index, prepared, threads
         self._sums: dict[str, tuple[FloatArray, npt.NDArray[np.int64]]] = {}
         self._poses = np.zeros(0, dtype=np.int64)
+        self._are_lent = False  # whether totals that were given hold these sums
         self._per_pose: dict[str, list[FloatArray]] = {}
         self._cell_of: list[Indices] = []
         self._hashes: list[PoseHashes] = []
@@ -132,6 +133,7 @@ class Accumulator:
         cells, moved = self._index.assign(data.labels, len(data.truth))
         if moved is not None:
             self._join_cells(moved)
+        self._grow(int(cells.max(initial=-1)) + 1)
         first, measured_before = self._measured + self.n_pending, self._measured
         bad: list[Indices] = []
         bad_of_reference: list[Indices] = []
@@ -155,26 +157,25 @@ class Accumulator:
             After a batch that failed part way.
         """
         self._refuse_after_failure()
-        final = copy.copy(self)
-        final._sums = {name: (sums.copy(), counts.copy()) for name, (sums, counts) in self._sums.items()}
-        final._poses = self._poses.copy()
+        final, cells = copy.copy(self), self._index.cells
+        n = len(cells["sequence"])
+        final._are_lent = True
         final._per_pose = {name: list(parts) for name, parts in self._per_pose.items()}
         final._cell_of, final._hashes, final._pending = list(self._cell_of), list(self._hashes), list(self._pending)
         final._segments = copy.copy(self._segments)
         for _ in final._measure(final._last_block()):
             pass
-        cells = self._index.cells
-        n = len(cells["sequence"])
-        final._grow(n)
-        used = np.flatnonzero(final._poses[:n])  # none of a cell's poses may be left after select_pending
-        number = np.cumsum(final._poses[:n] > 0) - 1
+        self._are_lent |= final._are_lent
+        poses = final._poses[:n]
+        number = np.cumsum(poses > 0) - 1
+        used = slice(n) if poses.all() else np.flatnonzero(poses)  # select_pending may leave none
         hashes = smallest_hashes(final._hashes)
         return Totals(
             spec=self.spec,
             protocol=self.protocol,
             version=posecal.__version__,
             cells={name: values[used] for name, values in cells.items()},
-            poses=final._poses[used],
+            poses=poses[used],
             remarks=(*self._remarks.remarks(), *repeated_remarks(hashes, int(final._poses.sum()), self._truth_name)),
             has_sequences=self._index.has_sequences,
             sums={name: sums[used] for name, (sums, _) in final._sums.items()},
@@ -269,7 +270,9 @@ class Accumulator:
         """Run tasks and add what they give to the sums."""
         for measured in run_in_order(tasks, self._threads):
             self._measured += measured.poses
-            self._grow(int(measured.cells.max(initial=-1)) + 1)
+            if self._are_lent:
+                self._sums = {name: (sums.copy(), counts.copy()) for name, (sums, counts) in self._sums.items()}
+                self._poses, self._are_lent = self._poses.copy(), False
             for name, (sums, counts) in measured.sums.items():
                 if name not in self._sums:
                     rows = len(self._poses)
@@ -277,9 +280,9 @@ class Accumulator:
                         np.zeros((rows, *sums.shape[1:])),
                         np.zeros((rows, *counts.shape[1:]), dtype=np.int64),
                     )
-                np.add.at(self._sums[name][0], measured.cells, sums)
-                np.add.at(self._sums[name][1], measured.cells, counts)
-            np.add.at(self._poses, measured.cells, measured.poses_of_cells)
+                add_rows(self._sums[name][0], measured.cells, sums)
+                add_rows(self._sums[name][1], measured.cells, counts)
+            add_rows(self._poses, measured.cells, measured.poses_of_cells)
             for name, values in measured.per_pose.items():
                 self._per_pose.setdefault(name, []).append(values)
             if measured.per_pose:
@@ -350,6 +353,7 @@ class Accumulator:
         """Make room for so many cells, doubling it."""
         if rows > len(self._poses):
             more = max(rows, 2 * len(self._poses)) - len(self._poses)
+            self._are_lent = False
             self._poses = padded(self._poses, more)
             self._sums = {n: (padded(sums, more), padded(counts, more)) for n, (sums, counts) in self._sums.items()}
 

@@ -65,6 +65,9 @@ def measure_block(
         counted = ~np.isnan(values.reshape(*values.shape[:axes], -1)[..., 0])
         if not counted.all():
             values = np.where(counted.reshape(*counted.shape, *[1] * (values.ndim - axes)), values, 0)
+        if len(runs) == len(cells):  # as by horizon
+            sums[statistic.name] = values, counted.astype(np.int64)
+            continue
         total = np.add.reduceat(values, runs, axis=0)
         sums[statistic.name] = total, np.add.reduceat(counted, runs, axis=0, dtype=np.int64)
     return Measured(len(cells), cells[runs], poses, sums, per_pose, cells, bad, bad_of_reference, worst)

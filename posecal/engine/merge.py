@@ -55,7 +55,9 @@ def merge_totals(parts: Sequence[Totals], names: Sequence[str] | None = None) ->
     names = [_ordinal(number) for number in range(1, len(parts) + 1)] if names is None else names
     if len(names) != len(parts):
         raise PoseDataError(f"names: {len(names)} for {len(parts)} results; expected one each.")
-    if len(parts) > 1 and any(part.spec.has_clip_numbers for part in parts):
+    runs = [part.prepared_hashes.get(RUNS) for part in parts]
+    are_numbered = None not in runs and len({*runs}) == 1
+    if len(parts) > 1 and not are_numbered and any(part.spec.has_clip_numbers for part in parts):
         raise PoseDataError(
             f"{names[0]} and {names[1]}: sequences are the numbers of clips, alike in each; expected labels "
             f"{option('clip')} or {option('sequence')}, so that clips of parts have different names."
@@ -66,8 +68,6 @@ def merge_totals(parts: Sequence[Totals], names: Sequence[str] | None = None) ->
     _refuse_unlike(parts, names)
     _refuse_shared(parts, names)
     first, has_sequences = parts[0], all(part.has_sequences for part in parts)
-    runs = [part.prepared_hashes.get(RUNS) for part in parts]
-    are_numbered = None not in runs and len({*runs}) == 1
     hashes = {name: value for name, value in first.prepared_hashes.items() if name != RUNS or are_numbered}
     sequences = [part.cells["sequence"].tolist() for part in parts]
     if not has_sequences and not are_numbered and len(parts) > 1:
@@ -93,7 +93,8 @@ def merge_totals(parts: Sequence[Totals], names: Sequence[str] | None = None) ->
         prepared_hashes=hashes,
         gallery=_joined_gallery(parts, has_sequences),
     )
-    new = (remark for remark in (*lost, uncut, _cut_sequences(parts)) if remark and remark not in total.remarks)
+    cut = "" if first.spec.clip_length and are_numbered else _cut_sequences(parts)  # those of a set hold whole clips
+    new = (remark for remark in (*lost, uncut, cut) if remark and remark not in total.remarks)
     total.remarks = (*total.remarks, *new)
     for part, cells in zip(parts, numbers, strict=True):
         np.add.at(total.poses, cells, part.poses)
@@ -232,6 +233,9 @@ def _refuse_unlike(parts: Sequence[Totals], names: Sequence[str]) -> None:
         if first.protocol.velocity == "second" and part.spec.fps != first.spec.fps:
             rates = f"{first.spec.fps:g} and {part.spec.fps:g}"
             problems.append(f"{names[0]} and {name} have {rates} frames per second; expected the same.")
+        if part.spec.clip_length != first.spec.clip_length:
+            lengths = f"T = {first.spec.clip_length} and {part.spec.clip_length}"
+            problems.append(f"{names[0]} and {name} have clips of {lengths} frames (0: none); expected the same.")
         statistics = ({*t.sums, *t.per_pose} for t in (first, part))
         differing = set.symmetric_difference(*statistics)
         if differing:

@@ -44,12 +44,17 @@ def pose_hashes(truth: FloatArray, labels: Labels, frame_id: npt.NDArray[np.str_
 
 
 def pose_keys(data: PoseData) -> npt.NDArray[np.uint64]:
-    """Give a number of each pose, (M,), by its truth, labels and the name of its frame, whatever it comes with."""
+    """Give a number of each pose, (M,), by its truth, labels and the name of its frame, whatever it comes with.
+
+    Numbers of clips, which follow from their place, are no such labels.
+    """
     keys = np.zeros(len(data.truth), dtype=np.uint64)
     for part in slices(len(keys), data.truth[:1].nbytes):
         keys[part] = row_hashes(pose_words(data.truth[part]))
+    numbered = () if data.clips is None else data.clips.numbered
     for name, values in data.labels.items():
-        keys += _hash_of_label(name, values)
+        if name not in numbered:
+            keys += _hash_of_label(name, values)
     if data.has_frame_id:
         keys += row_hashes(data.frame_id) * _OF_FRAMES
     return keys

@@ -43,6 +43,8 @@ class Prepared:
         The cuts of the predicted spread, mm, by entries of ``by``.
     clips : TrueClips or None
         The true clips; None where the last observed poses before them are not known.
+    unsummed : frozenset of str
+        Of a part of them: labels of which no sums are kept, since they split a sequence of the whole set.
     """
 
     limits: CoordinateRange
@@ -51,6 +53,7 @@ class Prepared:
     first: int | None = None
     cuts: Mapping[str, FloatArray] = field(default_factory=dict)
     clips: TrueClips | None = None
+    unsummed: frozenset[str] = frozenset()
 
     @classmethod
     def joined(cls, parts: Sequence[Prepared]) -> Prepared:
@@ -63,7 +66,8 @@ class Prepared:
                 numbers = np.array([names.setdefault(name, len(names)) for name in part.sequences])
             limits.append(part.limits._replace(reached_by=numbers[part.limits.reached_by]))
             n_poses += part.n_poses
-        return cls(CoordinateRange.joined(limits), names, n_poses)
+        clips = TrueClips.joined([part.clips for part in parts])
+        return cls(CoordinateRange.joined(limits), names, n_poses, clips=clips)
 
     @property
     def hash(self) -> str:

@@ -76,7 +76,7 @@ class Segments:
         """Give the poses that wait, as a segment."""
         waiting, self._waiting = self._waiting, []
         if waiting:
-            yield join_chunks(waiting)
+            yield join_chunks(waiting) if len(waiting) > 1 else waiting[0]
 
     def renumber(self, moved: Indices) -> None:
         """Give cells their new numbers."""

@@ -45,16 +45,33 @@ def sum_by(codes: Indices, n: int, values: npt.NDArray[Number]) -> npt.NDArray[N
     if n == len(codes) and (codes[1:] > codes[:-1]).all():  # they are 0 … n - 1
         return values
     total = np.zeros((n, *values.shape[1:]), dtype=values.dtype)
-    if n == len(codes):
-        total[codes] = values
-    else:
-        np.add.at(total, codes, values)
+    first = np.flatnonzero(np.concatenate([[True], codes[1:] != codes[:-1]]))
+    if values.ndim > 1 and len(first) < len(codes) // 2:  # many rows in a row are of one code
+        values, codes = np.add.reduceat(values, first, axis=0), codes[first]
+    add_rows(total, codes, values)
     return total
 
 
+def add_rows(total: npt.NDArray[Number], codes: Indices, values: npt.NDArray[Number]) -> None:
+    """Add rows (R, …) to those of a total by their codes (R,), one after another where a code comes back.
+
+    As ``np.add.at``, which takes 40 times as long for rows that are tables.
+    """
+    turns = np.flatnonzero(codes[1:] <= codes[:-1]) + 1
+    if values.ndim == 1 or not len(codes) or len(turns) > len(codes) // 8:
+        np.add.at(total, codes, values)
+        return
+    for part in map(slice, [0, *turns.tolist()], [*turns.tolist(), len(codes)]):  # whose codes rise
+        some = codes[part]
+        rows = slice(some[0], some[-1] + 1) if some[-1] - some[0] == len(some) - 1 else some
+        total[rows] += values[part]  # type: ignore[misc]
+
+
 def padded(values: npt.NDArray[Number], rows: int) -> npt.NDArray[Number]:
-    """Add so many rows of zeros."""
-    return np.concatenate([values, np.zeros((rows, *values.shape[1:]), dtype=values.dtype)])
+    """Add so many rows of zeros, which take no memory until they are written to."""
+    total = np.zeros((len(values) + rows, *values.shape[1:]), dtype=values.dtype)
+    total[: len(values)] = values
+    return total
 
 
 def joined_rows(moved: Indices, values: npt.NDArray[Number]) -> npt.NDArray[Number]:

@@ -25,7 +25,18 @@ from posecal.engine.metric import Metric, Statistic
 from posecal.engine.pose_hashes import PoseHashes
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec
-from posecal.engine.sums import Cells, Counts, Indices, batches, compact, mean_of, mean_of_known, split_by, sum_by
+from posecal.engine.sums import (
+    Cells,
+    Counts,
+    Indices,
+    add_rows,
+    batches,
+    compact,
+    mean_of,
+    mean_of_known,
+    split_by,
+    sum_by,
+)
 from posecal.errors import PoseDataError, did_you_mean
 
 CURVES = ("calibration", "rank_tests")
@@ -100,16 +111,14 @@ class Totals:
         ----------
         name : str
             The statistic.
-        cells : array of int (R,)
-            The cell of each row.
-        sums, counts : arrays (R, …) and (R,) or (R, J)
-            What is added.
+        cells, sums, counts : arrays (R,), (R, …) and (R,) or (R, J)
+            What is added, and to which cells.
         """
         if name not in self.sums:
             self.sums[name] = np.zeros((len(self.poses), *sums.shape[1:]))
             self.counts[name] = np.zeros((len(self.poses), *counts.shape[1:]), dtype=np.int64)
-        np.add.at(self.sums[name], cells, sums)
-        np.add.at(self.counts[name], cells, counts)
+        add_rows(self.sums[name], cells, sums)
+        add_rows(self.counts[name], cells, counts)
         self._shared.clear()
 
     # --- groups of cells --------------------------------------------------------------------------------------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,6 +48,16 @@ class TrueClips:
         for poses in (self.poses, self.observed):
             found = zlib.crc32(np.ascontiguousarray(poses).data, found)
         return f"{found:08x}"
+
+    @classmethod
+    def joined(cls, parts: Sequence[TrueClips | None]) -> TrueClips | None:
+        """Put the clips of parts of a test set together, whose names differ; None where those of a part are unknown."""
+        known = [part for part in parts if part is not None]
+        if len(known) < len(parts):
+            return None
+        number = {name: row for row, name in enumerate(name for part in known for name in part.number)}
+        poses, observed = (np.concatenate([getattr(part, name) for part in known]) for name in ("poses", "observed"))
+        return cls(number, poses, observed, frozenset().union(*(part.names for part in known)))
 
     def of(self, clip: str, truth: FloatArray, threshold: float, joints: BoolArray) -> FloatArray | None:
         """Give the clips whose last observed pose is nearer than a threshold to that of a clip, which is one of them.

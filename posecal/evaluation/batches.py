@@ -13,8 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.calibration.rank_tests import PreRank
-from posecal.data.arrays import as_labels
-from posecal.data.clips import select_clips
+from posecal.data.clips import frame_names, pose_names, select_clips
 from posecal.data.declarations import Declarations
 from posecal.data.frame_numbers import Place, continued
 from posecal.data.frames import FrameCheck
@@ -152,7 +151,8 @@ class Evaluation:
             Of the batch, as for :func:`evaluate`.
         frame_id : array (M,), optional
             Names of the frames. A frame that came before is counted once: samplers for several processes repeat some.
-            Differences over time follow the numbers in them, from batch to batch too.
+            Differences over time follow the numbers in them, from batch to batch too. Of C clips of T frames also (C,)
+            or (C, T); a frame is counted once at each horizon, since windows of one recording may overlap.
         **labels
             Labels of the poses by name, such as ``sequence=``: an array (M,), or one value for the batch.
 
@@ -188,17 +188,15 @@ class Evaluation:
 
     def _new_frames(self, data: PoseData, frame_id: npt.ArrayLike) -> PoseData:
         """Name the poses of a batch, and drop those that came before."""
-        names = np.atleast_1d(as_labels(frame_id, "frame_id", or_one=True))
-        if names.shape != (len(data.truth),):
-            raise PoseDataError(f"frame_id: {names.shape}; expected one name per pose, ({len(data.truth)},).")
+        names = frame_names(data, frame_id)
         if self._has_frames is False:
             raise PoseDataError("frame_id: given for this batch and not for the earlier ones; expected in every one.")
         if data.has_frame_id and {*names.tolist()} != {*data.frame_id.tolist()}:
             raise PoseDataError(f"frame_id: others than those in {data.names[1]}; expected one of the two.")
         names = data.frame_id if data.has_frame_id else names  # a file's are in the order of their numbers
         known = self._frames.keys() | self._frames_of_others if self._frames_of_others else self._frames
-        first = {name: row for row, name in reversed(list(enumerate(names.tolist()))) if name not in known}
         data = data.replace(frame_id=names, has_frame_id=True)
+        first = {name: row for row, name in reversed(list(enumerate(pose_names(data)))) if name not in known}
         return select_clips(data, np.sort(np.array([*first.values()], dtype=np.intp)))
 
     def add(
@@ -276,7 +274,7 @@ class Evaluation:
         self._accumulator = accumulator
         self._frame_check.add(data)
         if pending == "all":
-            self._frames |= dict.fromkeys(names := data.frame_id.tolist())
+            self._frames |= dict.fromkeys(names := pose_names(data))
             self._held = [*self._held, *names][-accumulator.n_pending :]
         return remark
 

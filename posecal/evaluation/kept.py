@@ -106,7 +106,8 @@ def _identity(shard: Shard) -> list[object] | None:
         return None
     described = sorted((name, _content(value)) for name, value in shard.described.items())
     kept = None if shard.kept is None else _digest(shard.kept)
-    return [*(identity_of(source) for source in sources), described, shard.first, kept]  # type: ignore[arg-type]
+    place = shard.first, shard.first_clip, shard.of_sequences
+    return [*(identity_of(source) for source in sources), described, *place, kept]  # type: ignore[arg-type]
 
 
 def _content(value: object, depth: int = 8) -> object:

@@ -46,10 +46,10 @@ class Leaderboard:
     def __str__(self) -> str:
         return self.render("text")
 
-    def sheets(self, words: Callable[[str], str] = for_python) -> list[Sheet]:
-        """Lay out the page of each test set; ``words`` says how remarks name options."""
+    def sheets(self, words: Callable[[str], str] = for_python, *, paper: bool = False) -> list[Sheet]:
+        """Lay out the page of each test set, also for a paper; ``words`` says how remarks name options."""
         return [
-            standings_sheet(test_set, self.entries[test_set], comparison, words)
+            standings_sheet(test_set, self.entries[test_set], comparison, words, paper=paper)
             for test_set, comparison in self.comparisons.items()
         ]
 
@@ -90,7 +90,7 @@ class Leaderboard:
             return "\n\n\n".join(sheet.text(width=width, colour=colour) for sheet in self.sheets(words))
         if form not in {"markdown", "latex"}:
             raise PoseDataError(f"format: {form!r} is not known. {did_you_mean(form, FORMATS)}")
-        return "\n\n".join(getattr(sheet, form)() for sheet in self.sheets(words))
+        return "\n\n".join(getattr(sheet, form)() for sheet in self.sheets(words, paper=form == "latex"))
 
     def _remarks(self, words: Callable[[str], str]) -> Iterator[tuple[str, str]]:
         for test_set, comparison in self.comparisons.items():

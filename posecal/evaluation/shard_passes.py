@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from contextlib import suppress
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from posecal.calibration.rank_tests import PreRank
+from posecal.data.clips import Clips, is_of_sequence, select_clips, with_names_of_set
 from posecal.data.draws import DrawnHypotheses
 from posecal.data.file_array import without_checksums
 from posecal.data.frame_numbers import STEPS
@@ -24,7 +27,7 @@ from posecal.engine.prepare import Prepared, lack_of_scored, prepare, select_sco
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec
 from posecal.engine.totals import Totals
-from posecal.errors import PosecalError, PoseDataError
+from posecal.errors import PosecalError, PoseDataError, option
 from posecal.evaluation.batches import Evaluation
 from posecal.evaluation.sources import Source, as_pose_data
 from posecal.metrics.sharpness import predicted_spread
@@ -53,6 +56,10 @@ class Shard:
         The options that describe the data.
     first : int
         How many poses lie in the shards before it, by which draws are seeded.
+    first_clip : int
+        How many clips lie in the shards before it, by which those without names are numbered.
+    of_sequences : bool
+        Whether clips are named after their sequences, since those of several have one name somewhere in the set.
     kept : array of int, optional
         Poses that no earlier shard has, where it shares some.
     """
@@ -63,16 +70,19 @@ class Shard:
     reference: Source | PoseData | None = None
     described: Mapping[str, Any] = field(default_factory=dict)
     first: int = 0
+    first_clip: int = 0
+    of_sequences: bool = False
     kept: Rows | None = None
 
     def open(self) -> PoseData:
         """Open the sources and match them, with the hypotheses of another model as their reference."""
         data = as_pose_data(starting_at(self.hypotheses, self.first), self.truth, self.described)
-        if data.clips is not None:
+        if data.clips is not None and not data.clips.has_axis:
             raise PoseDataError(
-                f"{self.name}: clips of predicted motion (axes with a T, or a label clip), which may lie in several "
-                "files; expected them in one call of evaluate, or in batches of whole clips."
+                f"{self.name}: clips by a label clip, which may lie in several files; expected {option('axes')} "
+                "with a T, such as NMTKD, so that each is whole, or all poses in one call of evaluate."
             )
+        data = with_names_of_set(data, self.first_clip, of_sequences=self.of_sequences)
         some = data.hypotheses
         if isinstance(some, ArrayHypotheses) and isinstance(some.array, DrawnHypotheses):
             drawn = replace(some.array, prediction=starting_at(some.array.prediction, self.first))
@@ -81,7 +91,11 @@ class Shard:
             own = dict.fromkeys(("scores", "weights", "log_prob", "dimensions"))  # of the model
             other = as_pose_data(self.reference, self.truth, {**self.described, **own})
             data = with_reference(data, other.replace(names=("reference", other.names[1])))  # of one name in all shards
-        return data if self.kept is None else data.select(self.kept)
+        return data if self.kept is None else select_clips(data, self.kept)
+
+    def of(self, data: PoseData) -> Shard:
+        """Give the shard of data that were opened."""
+        return Shard(self.name, data, None, first=self.first)
 
 
 @dataclass(frozen=True)
@@ -95,7 +109,7 @@ class Method:
     own_metrics : tuple of mappings
         The parts of the user's metrics, which other processes register; pickled as they are, they lose their functions.
     dropped : frozenset of str
-        Labels that split a sequence of the whole set, which nobody asked for.
+        Labels that split a sequence of the whole set, which nobody asked for; poses keep their clips.
     has_mask : bool
         Whether some joints don't count in some shard.
     prepared : Prepared, optional
@@ -123,7 +137,8 @@ class Method:
         data = select_scored(data if wants_reference(self.protocol) else data.replace(reference=None), self.protocol)
         if self.has_mask and data.where is None:
             data = data.replace(where=np.ones(data.truth.shape[:2], dtype=bool))
-        return data.replace(labels={k: values for k, values in data.labels.items() if k not in self.dropped})
+        kept = {k: values for k, values in data.labels.items() if k == "clip" or k not in self.dropped}
+        return data.replace(labels=kept)
 
     def register(self) -> None:
         """Register the user's metrics where they are not known yet."""
@@ -131,6 +146,16 @@ class Method:
         for parts in self.own_metrics:
             if parts["name"] not in known:
                 register(Metric(**parts))
+
+
+def sendable_metrics() -> tuple[Mapping[str, Any], ...]:
+    """Give the parts of the user's metrics that can be sent, for :meth:`Method.register`; others stay here."""
+    found = []
+    for metric in registered_metrics():
+        with suppress(Exception):  # whatever pickling a user's function raises
+            pickle.dumps(parts := {field.name: getattr(metric, field.name) for field in fields(metric)})
+            found.append(parts)
+    return tuple(found)
 
 
 @dataclass(frozen=True)
@@ -187,6 +212,12 @@ class Summary:
         The value of each label for each sequence, of labels that split none.
     sequences : tuple of str
         Sequences of poses that are scored, in the order of their first ones.
+    clips : Clips or None
+        What clips have in common; without the poses before them.
+    sequence_of_clip : mapping of str
+        By the name of a clip; empty where clips have numbers.
+    are_of_sequences : bool
+        Whether clips are named after their sequences.
     """
 
     spec: DataSpec
@@ -198,6 +229,9 @@ class Summary:
     pool: ClimatologyPool | None
     labels: Mapping[str, Mapping[str, str]]
     sequences: tuple[str, ...] = ()
+    clips: Clips | None = None
+    sequence_of_clip: Mapping[str, str] = field(default_factory=dict)
+    are_of_sequences: bool = False
 
     @property
     def n_scored(self) -> int:
@@ -227,7 +261,7 @@ def summarize(shard: Shard, method: Method, *, is_pooled: bool) -> Summary:
     with without_checksums():  # which the last pass compares
         data = shard.open()
     has_mask, keys = data.where is not None, pose_keys(data)
-    scored = method.open(replace(shard, hypotheses=data, truth=None, described={}, reference=None, kept=None))
+    scored = method.open(shard.of(data))
     labels: dict[str, dict[str, str]] = {}
     sequences: tuple[str, ...] = ()
     if "sequence" in scored.labels and len(scored.truth):
@@ -236,7 +270,9 @@ def summarize(shard: Shard, method: Method, *, is_pooled: bool) -> Summary:
         for label, values in scored.labels.items():
             if (values[first][inverse] == values).all():
                 labels[label] = dict(zip(names.tolist(), values[first].tolist(), strict=True))
-    stored = data.hypotheses
+    stored, clips = data.hypotheses, data.clips
+    are_named = clips is not None and "clip" not in clips.numbered
+    pairs = zip(data.labels["clip"].tolist(), data.labels["sequence"].tolist(), strict=True) if are_named else ()
     return Summary(
         spec=DataSpec.of(scored, has_mask=has_mask, preranks=tuple(method.preranks)),
         n_poses=len(data.truth),
@@ -247,6 +283,9 @@ def summarize(shard: Shard, method: Method, *, is_pooled: bool) -> Summary:
         pool=ClimatologyPool.of(data, keys) if is_pooled else None,
         labels=labels,
         sequences=sequences,
+        clips=None if clips is None else replace(clips, observed={}),
+        sequence_of_clip=dict(pairs),
+        are_of_sequences=are_named and is_of_sequence(data),
     )
 
 
@@ -280,12 +319,12 @@ def find_frames(shard: Shard, method: Method, sequences: frozenset[str]) -> Fram
         data = shard.open()
     rows = np.arange(len(data.truth))
     numbered = data.replace(labels={**data.labels, _ROW: rows.astype(np.str_)})
-    scored = method.open(replace(shard, hypotheses=numbered, truth=None, described={}, reference=None, kept=None))
+    scored = method.open(shard.of(numbered))
     number = np.full(len(rows), -1)
     number[scored.labels[_ROW].astype(np.intp)] = np.arange(len(scored.truth))
     rows = np.flatnonzero(np.isin(data.labels["sequence"], [*sequences]))
     others = np.setdiff1d(np.arange(len(scored.truth)), number[rows])
-    names = data.frame_id[rows] if data.has_frame_id else None
+    names = data.frame_id[rows] if data.has_frame_id and data.clips is None else None  # clips lie in their order
     return Frames(names, data.labels["sequence"][rows], data.order[rows], number[rows], others, scored.order[others])
 
 

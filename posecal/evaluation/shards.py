@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import builtins
 import os
-import pickle
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any, Literal, TypeVar
 
@@ -21,6 +19,7 @@ from posecal.data.remarks import Count, Remark, join_remarks
 from posecal.data.remote import is_address, name_of
 from posecal.engine.cells import SPREAD, label_name, spread_cuts
 from posecal.engine.merge import in_order_of_sequences, merge_tree
+from posecal.engine.metric import Statistic
 from posecal.engine.prepare import Prepared
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec
@@ -29,6 +28,7 @@ from posecal.errors import PosecalError, PoseDataError, option, raise_all
 from posecal.evaluation.batches import Evaluation
 from posecal.evaluation.kept import KeptResults
 from posecal.evaluation.options import check_callable
+from posecal.evaluation.shard_clips import refuse_shared_clips, with_clips_of_set
 from posecal.evaluation.shard_order import shared_sequences, tasks_of
 from posecal.evaluation.shard_passes import (
     Attempt,
@@ -41,6 +41,7 @@ from posecal.evaluation.shard_passes import (
     accumulate,
     find_frames,
     find_spreads,
+    sendable_metrics,
     summarize,
 )
 from posecal.evaluation.shard_summaries import (
@@ -53,6 +54,7 @@ from posecal.evaluation.shard_summaries import (
     splits_sequences,
 )
 from posecal.evaluation.sources import Progress, Source, check_descriptions
+from posecal.metrics.multimodal import NEEDS_TRUE_CLIPS
 from posecal.registry import registered_metrics, statistics_of, wants_reference
 from posecal.report.report import Report
 from posecal.stats.skill import ClimatologyPool
@@ -65,7 +67,7 @@ Pair = PoseData | tuple[Source | PoseData, Source]
 _POOLS = 16
 """How many parts of what climatology samples are put together at a time."""
 
-_ARRAYS = ("where", "labels", "occluded", "scores", "log_prob", "weights", "frame_id", "truth_frame_id")
+_ARRAYS = ("where", "labels", "occluded", "scores", "log_prob", "weights", "frame_id", "truth_frame_id", "observed")
 """Options that are of the poses of one shard."""
 
 
@@ -158,7 +160,7 @@ def evaluate_shards(
         evaluation.by,
         {} if preranks is None else dict(preranks),
         1 if threads is None and map is not builtins.map else threads,
-        _sendable_metrics(),
+        sendable_metrics(),
         gallery,
     )
     is_pooled = isinstance(reference, str) and wants
@@ -181,18 +183,20 @@ def evaluate_shards(
     if not any(summary.n_scored for summary in summaries):
         raise PoseDataError(summaries[0].lack)
     spec = common_spec(shards, summaries)
+    refuse_shared_clips(shards, summaries)
     if is_pooled:
         spec = replace(spec, reference="climatology", n_reference=spec.n_hypotheses)
     method = replace(method, has_mask=spec.has_mask, pool=ClimatologyPool.joined(pools) if is_pooled else None)
-    method = _with_findings(passes, shards, summaries, method, spec)
     statistics = statistics_of(method.protocol, spec, method.by, method.preranks, registered_metrics())
+    method = _with_findings(passes, shards, summaries, method, spec, statistics)
     frames: dict[int, Frames] = {}
     shared = shared_sequences(summaries)
-    if shared and any(statistic.earlier or statistic.by_segment or statistic.by_clip for statistic in statistics):
+    has_segments = any(statistic.by_segment for statistic in statistics)
+    has_steps = not spec.clip_length and any(statistic.earlier for statistic in statistics)  # none between clips
+    if shared and (has_segments or has_steps):
         holders = [n for n, summary in enumerate(summaries) if shared.intersection(summary.sequences)]
         order = partial(find_frames, method=replace(method, pool=None), sequences=shared)
         frames = dict(zip(holders, passes.run("ordering frames", order, [shards[n] for n in holders]), strict=True))
-    has_segments = any(statistic.by_segment or statistic.by_clip for statistic in statistics)
     tasks, of_order = tasks_of(shards, summaries, frames, has_segments=has_segments)
     total = merge_tree(passes.results(tasks, method))
     sequences = dict.fromkeys(name for summary in summaries for name in summary.sequences)
@@ -341,6 +345,11 @@ def _summaries(
     first = np.cumsum([0, *(summary.n_stored for summary in found)])
     shards[:] = [replace(shard, first=int(start)) for shard, start in zip(shards, first, strict=False)]
     refuse_left_out(shards, found)
+    shards[:] = with_clips_of_set(shards, found)
+    if any(shard.first_clip or shard.of_sequences for shard in shards):
+        pools.clear()
+        found = list(_without_pools(passes.attempts("naming clips", function, shards), pools))
+        refuse_failures([result for result in found if isinstance(result, Failure)])
     return found
 
 
@@ -350,6 +359,7 @@ def _with_findings(
     summaries: Sequence[Summary],
     method: Method,
     spec: DataSpec,
+    statistics: Sequence[Statistic],
 ) -> Method:
     """Put together what was found of all shards, and find the cuts of the predicted spread."""
     wanted = {*(label_name(entry) for entry in method.by), method.protocol.average, method.protocol.frames, "sequence"}
@@ -362,14 +372,6 @@ def _with_findings(
         find = partial(find_spreads, method=replace(method, pool=None))
         values = np.concatenate(passes.run("cutting the predicted spread", find, shards))
     prepared = Prepared.joined([summary.prepared for summary in summaries if summary.prepared is not None])
-    return replace(method, prepared=replace(prepared, cuts={entry: spread_cuts(entry, values) for entry in entries}))
-
-
-def _sendable_metrics() -> tuple[Mapping[str, Any], ...]:
-    """Give the parts of the user's metrics that can be sent; others must be registered where they are needed."""
-    found = []
-    for metric in registered_metrics():
-        with suppress(Exception):  # whatever pickling a user's function raises
-            pickle.dumps(parts := {field.name: getattr(metric, field.name) for field in fields(metric)})
-            found.append(parts)
-    return tuple(found)
+    cuts, unsummed = {entry: spread_cuts(entry, values) for entry in entries}, method.dropped & {"clip"}
+    clips = prepared.clips if any(statistic.name in NEEDS_TRUE_CLIPS for statistic in statistics) else None
+    return replace(method, prepared=replace(prepared, cuts=cuts, unsummed=unsummed, clips=clips))

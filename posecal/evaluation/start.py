@@ -64,7 +64,8 @@ def start_accumulator(
             )
         prepared = prepare(data)
     place = {} if prepared is None or prepared.first is None else {"first": prepared.first, "n_poses": prepared.n_poses}
-    index = CellIndex([entry for entry in by if entry != "occlusion"], protocol.average, [*data.labels], **place)
+    labels = [name for name in data.labels if prepared is None or name not in prepared.unsummed]
+    index = CellIndex([entry for entry in by if entry != "occlusion"], protocol.average, labels, **place)
     return Accumulator(spec, protocol, statistics, index, prepared=prepared, own_metrics=own, threads=threads)
 
 

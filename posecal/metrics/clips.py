@@ -27,9 +27,13 @@ from posecal.geometry.distances import half_mean_distances
 
 def pose_distances(block: Block, body: BoolArray | None = None) -> FloatArray:
     """Norm over joints and coordinates of each hypothesis minus the truth, (T, N), mm; NaN where no joint counts."""
-    counted = block.where if body is None else block.where & body
-    squares = np.einsum("tk,tkn->tn", counted.astype(np.float64), block.squared_errors)
-    return np.where(counted.any(axis=1, keepdims=True), np.sqrt(squares), np.nan)
+
+    def compute() -> FloatArray:
+        counted = block.where if body is None else block.where & body
+        squares = np.einsum("tk,tkn->tn", counted.astype(np.float64), block.squared_errors)
+        return np.where(counted.any(axis=1, keepdims=True), np.sqrt(squares), np.nan)
+
+    return block.share(("pose_distances", None if body is None else body.tobytes()), compute)
 
 
 def is_whole(block: Block, distances: FloatArray, length: int) -> bool:

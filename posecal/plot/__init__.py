@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+import textwrap
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -154,14 +155,14 @@ def draw(
         return figure
     together = len(reports) > 1 and kind in TOGETHER and not panels
     number = 1 if together else len(reports)
-    across = min(number, COLUMNS)
-    down = math.ceil(number / across)
+    down = math.ceil(number / COLUMNS)
+    across = math.ceil(number / down)
     wide, tall = (3.5, 3.5) if kind in {"reliability", "joints", "event"} else (4.4, 3.1)
     if number > 1 and kind != "joints":
         wide, tall = 0.8 * wide, 0.8 * tall
     longest = max(map(len, reports))
     in_a_row = max(1, min(len(reports), int((size or (wide, tall))[0] / (0.45 + 0.06 * longest))))  # names of a legend
-    extra = 0.3 * bool(title) + 0.2 * together * math.ceil(len(reports) / in_a_row)
+    extra = 0.3 * bool(title) + together * (0.1 + 0.15 * math.ceil(len(reports) / in_a_row))
     layout = "compressed" if kind in {"reliability", "event"} else "constrained"  # of axes that are squares
     with new_figure(size or (wide * across, tall * down + extra), style, title, layout=layout) as figure:
         axes = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
@@ -170,12 +171,15 @@ def draw(
             figure.set_label(caption(reports, kind, together=True))
             figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=in_a_row)
             return figure
-        for ax, (name, one) in zip(axes.flat, reports.items(), strict=False):
+        letters = max(1, int(10 * (size[0] / across if size else wide)))
+        for at, (ax, (name, one)) in enumerate(zip(axes.flat, reports.items(), strict=False)):
             KINDS[kind][0](one, ax=ax)
             if name:
-                ax.set_title(printable(name), fontsize="medium")
-            ax.label_outer()
+                ax.set_title(textwrap.fill(printable(name), letters), fontsize="medium")
             if number > 1:
+                lowest, first = at + across >= number, at % across == 0
+                ax.set(xlabel=ax.get_xlabel() if lowest else "", ylabel=ax.get_ylabel() if first else "")
+                ax.tick_params(labelbottom=lowest, labelleft=first)
                 for label in (ax.xaxis.label, ax.yaxis.label):
                     label.set_fontsize("small")
         figure.set_label(caption(reports, kind))

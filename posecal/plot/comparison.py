@@ -5,7 +5,10 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping
+from itertools import product
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from posecal.errors import PoseDataError, printable
 from posecal.plot.style import GREEN, given, ink, new_figure
@@ -59,32 +62,45 @@ def accuracy_and_calibration(comparison: PairedModels, *, ax: Axes | None = None
         if not math.isnan(interval.low):
             ax.plot([x, x], [interval.low, interval.high], color=ink(), lw=0.8, zorder=1)
         ax.plot(x, y, marker=markers[number % len(markers)], color=ink(), ms=5, ls="", gid=name)
+        about = ax.annotate(printable(name), (x, y), xytext=(6, 3), textcoords="offset points", fontsize="small")
+        about.set_in_layout(False)
     most = max(comparison.value("ece", name) for name in comparison.names)
     unit = comparison.metrics["min_mpjpe"].unit
     ax.set(xlabel="ECE (exchangeable)", ylabel=f"minMPJPE [{unit}]" if unit else "minMPJPE")
     right = 1.35 * max(most, 0.03 if math.isnan(limit) else limit)
     ax.set_xlim(0, right)
-    _label(ax, comparison)
     if not math.isnan(limit):
         within = limit > right / 2  # and no place beside it
         words = "calibrated, but for chance " if within else " ◂ calibrated, but for chance"
         side = "right" if within else "left"
         at = ax.get_xaxis_transform()
         ax.text(limit, 0.01, words, transform=at, ha=side, va="bottom", fontsize="small", color=GREEN)
+    _place_names(ax)
     return ax
 
 
-def _label(ax: Axes, comparison: PairedModels) -> None:
-    """Write each model's name beside its point: above it, below it or further down, where no other name stands."""
+def _place_names(ax: Axes) -> None:
+    """Put each model's name beside its point, where it covers the fewest names, bars and points of others."""
+    from matplotlib.text import Annotation
+    from matplotlib.transforms import Bbox
+
+    ax.autoscale_view()
     others: list[BboxBase] = []
-    for name in comparison.names:
-        at = comparison.value("ece", name), comparison.value("min_mpjpe", name)
-        text = ax.annotate(printable(name), at, xytext=(6, 3), textcoords="offset points", fontsize="small")
-        for rise in (3, -10, -22, 15):
-            text.set_position((6, rise))
-            if not any(text.get_window_extent().overlaps(other) for other in others):
-                break
-        others.append(text.get_window_extent())
+    for line in ax.lines:
+        places = ax.transData.transform(np.asarray(line.get_xydata()))
+        room = 4 if line.get_gid() else 2  # a point, or a bar
+        others.append(Bbox([places.min(axis=0) - room, places.max(axis=0) + room]))
+    others += [text.get_window_extent() for text in ax.texts if not isinstance(text, Annotation)]
+    for name in (text for text in ax.texts if isinstance(text, Annotation)):
+        covered = {}
+        for side, rise in product((6, -6), (3, -10, 15, -22, 27, -34)):
+            name.set(position=(side, rise), ha="left" if side > 0 else "right")
+            box = name.get_window_extent()
+            outside = box.x0 < ax.bbox.x0 or box.x1 > ax.bbox.x1
+            covered[side, rise] = outside * len(others) + box.count_overlaps(others)
+        best = min(covered, key=covered.__getitem__)
+        name.set(position=best, ha="left" if best[0] > 0 else "right")
+        others.append(name.get_window_extent())
 
 
 def draw_comparison(
@@ -120,6 +136,9 @@ def draw_comparison(
         for ax, (name, one) in zip(figure.subplots(1, len(shown), squeeze=False)[0], shown.items(), strict=True):
             accuracy_and_calibration(one, ax=ax)
             ax.set_title(printable(name), fontsize="medium")
+        figure.draw_without_rendering()  # lays the axes out
+        for ax in figure.axes:
+            _place_names(ax)
         signatures = dict.fromkeys(f"signature: {one.totals[0].signature}" for one in shown.values())
         figure.set_label("\n".join([CAPTION, *signatures]))
     return figure

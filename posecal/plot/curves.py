@@ -6,7 +6,7 @@ All but the reliability of an event take several reports, by the names of their 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from itertools import cycle
+from itertools import cycle, product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -97,8 +97,6 @@ def reliability(
     ax = given(ax)
     ax.fill_between([0, 1], [0, 1], 1, color=UNDER, alpha=0.07, lw=0, zorder=0)
     ax.fill_between([0, 1], 0, [0, 1], color=OVER, alpha=0.11, lw=0, zorder=0)
-    ax.text(0.04, 0.93, "underconfident", color=UNDER, va="top")
-    ax.text(0.96, 0.07, "overconfident", color=OVER_TEXT, ha="right")
     widest = np.nan
     for one, style, _ in _models(report, {"lw": 2, "zorder": 3}):
         wanted = definition or default_definition(one)
@@ -119,7 +117,27 @@ def reliability(
     ax.set(xlim=(0, 1), ylim=(0, 1), aspect="equal", xticks=np.arange(0, 1.1, 0.25), yticks=np.arange(0, 1.1, 0.25))
     ax.set_xlabel("share of hypotheses within the ball, q")
     ax.set_ylabel("share of truths within it, ω(q)")
+    _name_sides(ax)
     return ax
+
+
+def _name_sides(ax: Axes) -> None:
+    """Write what a curve above and below the diagonal is, where the fewest curves cross the words."""
+    for word, colour, over in (("underconfident", UNDER, False), ("overconfident", OVER_TEXT, True)):
+        text = ax.text(0.5, 0.5, word, color=colour, ha="right" if over else "left", va="bottom" if over else "top")
+        box = text.get_window_extent()
+        width, height = 1.1 * box.width / ax.bbox.width, 1.1 * box.height / ax.bbox.height
+        crossed = {}
+        for away, rise in product((0.04, 0.08, 0.13), np.arange(0.07, 0.4, 0.06)):
+            across = np.linspace(away - 0.03, away + width, 20)
+            crossed[away, rise] = 0.0
+            for line in ax.lines:
+                levels, shares = np.asarray(line.get_xydata(), dtype=np.float64).T
+                values = np.interp(1 - across if over else across, levels, shares)
+                values = values if over else 1 - values
+                crossed[away, rise] += line.get_linewidth() * (values.max() > rise and values.min() < rise + height)
+        away, rise = min(crossed, key=crossed.__getitem__)
+        text.set_position((1 - away, rise) if over else (away, 1 - rise))
 
 
 def default_definition(report: Report) -> Definition:

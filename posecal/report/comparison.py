@@ -65,8 +65,10 @@ def comparison_sheet(
     parts = {"primary metric": primary, "other metric": others}
     lay_out = _by_model if paper else _values
     tables = [lay_out(comparison, heading, metrics) for heading, metrics in parts.items() if metrics]
-    if len(names) > 2 or paper:
-        tables.append(pairs_table(comparison, primary, paper=paper))
+    if paper:
+        tables += paper_pairs(comparison, primary)
+    elif len(names) > 2:
+        tables.append(pairs_table(comparison, primary))
     return Sheet(
         f"{' against '.join(names)} · the same M = {first.poses.sum():,} poses, paired by {first.units()}",
         sentences=sentences(comparison),
@@ -116,20 +118,35 @@ def _by_model(comparison: PairedModels, heading: str, metrics: Iterable[Metric])
     return Table(title, headings, rows, best=best)
 
 
-def pairs_table(comparison: PairedModels, metrics: Iterable[Metric], *, paper: bool = False) -> Table:
+def pairs_table(comparison: PairedModels, metrics: Iterable[Metric]) -> Table:
     """Lay out the differences of every pair of models, or of the pairs with the best one."""
-    rows = []
-    for metric in metrics:
-        differences = comparison.differences_of(metric.name)
-        if len(differences) > MOST_PAIRS:
-            best = best_first(comparison, metric)[0]
-            differences = tuple(one for one in differences if best in (one.first, one.second))
-        label, unit, scale = as_printed(metric) if paper else (metric.label, metric.unit, 1.0)
-        rows += [(label, f"{one.first} − {one.second}", *_tested(one, unit, scale)) for one in differences]
-    if paper:  # which is better, the sign says; p alone is not what decides
-        rows = [(*row[:4], row[5]) for row in rows]
-        return Table("Pairs", ("metric", "models", "difference", "95 % interval", "adjusted p"), rows, ("models",))
+    rows = [
+        (metric.label, f"{one.first} − {one.second}", *_tested(one, metric.unit))
+        for metric in metrics
+        for one in _pairs(comparison, metric)
+    ]
     return Table("Pairs", ("pair", "models", *TESTED), rows, ("models", "better"))
+
+
+def paper_pairs(comparison: PairedModels, metrics: Iterable[Metric]) -> list[Table]:
+    """Lay out the differences for a paper, a table for each metric: which model is better, the sign says."""
+    tables = []
+    for metric in metrics:
+        label, unit, scale = as_printed(metric)
+        rows = []
+        for one in _pairs(comparison, metric):
+            value, interval, _, p, _ = _tested(one, unit, scale)
+            rows.append((f"{one.first} − {one.second}", f"{value} ({interval})" if interval else value, p))
+        tables.append(Table(f"Pairs, {label}", (label, "difference (95 % interval)", "adjusted p"), rows))
+    return tables
+
+
+def _pairs(comparison: PairedModels, metric: Metric) -> Sequence[Difference]:
+    differences = comparison.differences_of(metric.name)
+    if len(differences) <= MOST_PAIRS:
+        return differences
+    best = best_first(comparison, metric)[0]
+    return [one for one in differences if best in (one.first, one.second)]
 
 
 def best_first(comparison: PairedModels, metric: Metric) -> list[str]:

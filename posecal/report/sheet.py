@@ -6,7 +6,7 @@ What a terminal or a file of text can't show of names is escaped as the sheet is
 from __future__ import annotations
 
 import io
-import textwrap
+import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any
@@ -18,6 +18,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from posecal.errors import printable
+from posecal.report.latex import fitted, grid_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -25,32 +26,12 @@ if TYPE_CHECKING:
 GAP = 2
 """Columns of the terminal between two columns of a table."""
 
-_SYMBOLS = {
-    "↓": "downarrow",
-    "↑": "uparrow",
-    "ω": "omega",
-    "τ": "tau",
-    "∫": "int",
-    "≤": "le",
-    "√": "surd",
-    "‖": "Vert",
-    "…": "dots",
-}
-BOLD = "\ue010", "\ue011"
-"""Marks around bold text, of Unicode's private characters, until LaTeX is written."""
 
-STACKED = "\ue012", "\ue013", "\ue014"
-"""Begin, line break and end of a heading in several lines, until LaTeX is written."""
+_BOUND = re.compile(r"(?<=\d) (?=%)|(?<=\bp) (?=[=<] )|(?<=\bp [=<]) (?=\d)")
+"""Blanks at which a terminal's lines don't end."""
 
-MOST_LETTERS = 10, 40
-"""A longer heading of numbers has several lines in LaTeX, and a column of longer words breaks them."""
-
-LATEX = str.maketrans(
-    {"\u00a0": "~", "−": "$-$", "<": "$<$", ">": "$>$", **{letter: rf"$\{name}$" for letter, name in _SYMBOLS.items()}}
-    | dict(zip(BOLD, (r"\textbf{", "}"), strict=True))
-    | dict(zip(STACKED, (r"\shortstack[r]{", r"\\{}", "}"), strict=True))
-)
-"""Letters that LaTeX knows by other names."""
+_BLANK = "\ue000"
+"""Stands for them while lines are broken: rich breaks at every kind of blank."""
 
 
 def _escaped(value: Any, kept: str = "") -> Any:
@@ -191,18 +172,19 @@ class Sheet:
         """
         out = io.StringIO()
         console = Console(file=out, width=width, force_terminal=colour)
-        console.print(Text(self.title, style="bold"), *map(Text, self.words), sep="\n")
+        sentences = (Text(_BOUND.sub(_BLANK, words)) for words in self.words)
+        console.print(Text(self.title, style="bold"), *sentences, sep="\n")
         for part in (part for table in self.tables for part in table.parts(width)):
             console.print("", part, sep="\n")
         if self.definitions:
             console.print("", *(Text.assemble((term, "bold"), ": ", text) for term, text in self.definitions), sep="\n")
         if self.more:
-            console.print("", Text(self.more), sep="\n")
+            console.print("", Text(_BOUND.sub(_BLANK, self.more)), sep="\n")
         elif self.footer:
             console.print()
         if self.footer:
             console.print(Text(self.footer, style="dim"), soft_wrap=True)
-        return "\n".join(line.rstrip() for line in out.getvalue().splitlines())
+        return "\n".join(line.rstrip() for line in out.getvalue().replace(_BLANK, " ").splitlines())
 
     def markdown(self) -> str:
         """Write the sheet as Markdown, without a final line break."""
@@ -218,32 +200,15 @@ class Sheet:
         return "\n\n".join([*blocks, f"`{self.footer}`"] if self.footer else blocks)
 
     def latex(self) -> str:
-        """Write the tables as LaTeX tabulars (package booktabs), all else as comments."""
+        """Write the tables as LaTeX tabulars that fit a plain article (package booktabs), all else as comments."""
         lines = [f"% {text}" for text in (self.title, *self.words)]
         for table in self.tables:
-            frame: Any = table.frame(BOLD)
-            columns, headings = "", []
-            for column, (heading, is_number) in enumerate(table.columns):
-                headings.append(_stacked(heading) if is_number else heading)
-                cells = frame.iloc[:, column].str
-                if is_number:  # a hyphen is no minus
-                    frame.isetitem(column, cells.replace(r"(?<!\w)-(?=\d)", "−", regex=True))
-                long = not is_number and len(frame) > 0 and cells.len().max() > MOST_LETTERS[1]
-                columns += "r" if is_number else r"p{0.4\linewidth}" if long else "l"
-            frame.columns = headings
-            tabular = frame.to_latex(index=False, escape=True, column_format=columns)
-            lines += ["", f"% {table.title}", tabular.translate(LATEX).rstrip("\n")]
+            parts = fitted(grid_of(table.columns, table.rows, table.best))
+            for number, part in enumerate(parts, 1):
+                of = f" ({number} of {len(parts)})" if len(parts) > 1 else ""
+                lines += ["", f"% {table.title}{of}", part.tabular()]
         lines += ["", *(f"% {term}: {meaning}" for term, meaning in self.definitions), f"% {self.footer}"]
         return "\n".join(lines)
-
-
-def _stacked(heading: str) -> str:
-    """Break a long heading over lines, the direction with its unit."""
-    lines = textwrap.wrap(
-        heading.replace("] ", "]\u00a0"), MOST_LETTERS[0], break_long_words=False, break_on_hyphens=False
-    )
-    begin, line_break, end = STACKED
-    return f"{begin}{line_break.join(lines)}{end}" if len(lines) > 1 else heading
 
 
 def _escape(text: str) -> str:

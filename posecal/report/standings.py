@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from posecal.engine.metric import Metric
 from posecal.errors import for_python
-from posecal.report.comparison import definitions, pairs_table, sentences
-from posecal.report.format import ARROWS, MISSING, number, p_value, span
+from posecal.report.comparison import definitions, pairs_table, paper_pairs, sentences
+from posecal.report.format import ARROWS, MISSING, as_printed, number, p_value, span
 from posecal.report.sheet import Sheet, Table
 
 if TYPE_CHECKING:
@@ -30,7 +30,12 @@ _COMMIT = 16
 
 
 def standings_sheet(
-    test_set: str, entries: Sequence[Entry], comparison: Comparison, words: Callable[[str], str] = for_python
+    test_set: str,
+    entries: Sequence[Entry],
+    comparison: Comparison,
+    words: Callable[[str], str] = for_python,
+    *,
+    paper: bool = False,
 ) -> Sheet:
     """Lay out the models of a test set in the order of the comparison: numbers, sources and pairs.
 
@@ -44,6 +49,8 @@ def standings_sheet(
         One or more models.
     words : callable
         How remarks name options.
+    paper : bool
+        Whether units stand in headings, pairs in a table for each metric, and sources among the definitions.
 
     Returns
     -------
@@ -54,11 +61,16 @@ def standings_sheet(
     primary = [comparison.metrics[name] for name in comparison.primary]
     others = [comparison.metrics[name] for name in SHOWN if name in comparison.metrics]
     shown = [*primary, *(metric for metric in others if metric not in primary)]
-    tables, about = [_models(comparison, shown), _sources(entries)], []
+    tables, sources, about = [_models(comparison, shown, paper=paper)], _sources(entries), []
+    if not paper:
+        tables.append(sources)
     if len(comparison.names) > 1:
-        tables.append(pairs_table(comparison, primary))
+        tables += paper_pairs(comparison, primary) if paper else [pairs_table(comparison, primary)]
         ranks = f"by the {primary[0].label}: 1, and one more for each model that is better beyond chance."
         about = [("rank", ranks), *definitions(comparison, shown)]
+    if paper:
+        beside = sources.headings[1:]
+        about += [(name, ", ".join(map(" ".join, zip(beside, cells, strict=True)))) for name, *cells in sources.rows]
     brackets = "95 % intervals over sequences; of calibration errors p, alone, of the hypothesis that it is calibrated."
     return Sheet(
         f"{test_set} · M = {first.poses.sum():,} poses in {first.units()} · N = {first.spec.n_hypotheses}",
@@ -70,12 +82,12 @@ def standings_sheet(
     )
 
 
-def _models(comparison: Comparison, metrics: Sequence[Metric]) -> Table:
+def _models(comparison: Comparison, metrics: Sequence[Metric], *, paper: bool) -> Table:
     """Lay out a row for each model, with the rank by the first metric; the best ones of each metric are bold."""
     names = comparison.names
     ranks = [[comparison.rank(metric.name, name) for name in names] for metric in metrics]
     rows = [
-        (name, str(rank), *(_cell(comparison, metric, name) for metric in metrics))
+        (name, str(rank), *(_cell(comparison, metric, name, paper=paper) for metric in metrics))
         for name, rank in zip(names, ranks[0], strict=True)
     ]
     best = [
@@ -84,21 +96,24 @@ def _models(comparison: Comparison, metrics: Sequence[Metric]) -> Table:
         for row, rank in enumerate(of_metric)
         if rank == 1 < max(of_metric)
     ]
-    headings = ("model", "rank", *(f"{metric.label} {ARROWS[metric.direction]}".rstrip() for metric in metrics))
-    return Table("Models", headings, rows, best=best)
+    columns = (as_printed(m)[0] if paper else f"{m.label} {ARROWS[m.direction]}".rstrip() for m in metrics)
+    return Table("Models", ("model", "rank", *columns), rows, best=best)
 
 
-def _cell(comparison: Comparison, metric: Metric, model: str) -> str:
+def _cell(comparison: Comparison, metric: Metric, model: str, *, paper: bool) -> str:
     """Write a number with its interval, or with its p-value where it has a test."""
-    value = comparison.value(metric.name, model)
+    _, unit, scale = as_printed(metric) if paper else ("", metric.unit, 1.0)
+    value, ends, beside = scale * comparison.value(metric.name, model), _DIGITS, ""
     if metric.deviation is not None:
         p = comparison.test(metric.name, model).p
-        return number(value, metric.unit, _DIGITS) + ("" if math.isnan(p) else f" ({p_value(p)})")
-    interval = comparison.interval(metric.name, model)
-    if not interval.low < interval.high:  # unknown, or of a number that is the same for all sequences
-        return number(value, metric.unit, _DIGITS)
-    ends = interval.low, interval.high
-    return f"{number(value, metric.unit, ends)} ({span(*ends, metric.unit)})"
+        beside = "" if math.isnan(p) else p_value(p)
+    else:
+        interval = comparison.interval(metric.name, model)
+        if interval.low < interval.high:  # not unknown, nor of a number that is the same for all sequences
+            ends = scale * interval.low, scale * interval.high
+            beside = span(*ends, unit)
+    shown = number(value, unit, ends)
+    return (shown.removesuffix(f" {unit}") if paper else shown) + (f" ({beside})" if beside else "")
 
 
 def _sources(entries: Sequence[Entry]) -> Table:

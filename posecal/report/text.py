@@ -74,9 +74,8 @@ def report_sheet(
     for some in families:
         metrics = [metric for family in some for metric in shown if metric.family == family]
         if metrics:
-            tables.append(
-                _metrics(report, FAMILIES[some[0]] if len(some) == 1 else "Metric", metrics, what=all, paper=paper)
-            )
+            title = FAMILIES[some[0]] if len(some) == 1 else "Metric"
+            tables.append(_metrics(report, title, metrics, what=all and not paper, paper=paper))
     tables += [_by_label(report, label, paper=paper) for label in report.by]
     others = [metric.label for metric in known if metric not in shown]
     notes = list(remarks(report, words))
@@ -89,7 +88,9 @@ def report_sheet(
         sentences=list(report.summary),
         remarks=notes,
         tables=tables,
-        definitions=[(metric.label, report.definition(metric.name)) for metric in shown] if definitions else [],
+        definitions=[
+            (metric.label, report.definition(metric.name)) for metric in shown if definitions or (all and paper)
+        ],
         more=f"{words(option('all', True))}: what each number is, and {_listed(others)}." if others else "",
         footer=f"signature: {report.signature}",
     )
@@ -155,13 +156,21 @@ def _metrics(report: Report, title: str, metrics: list[Metric], *, what: bool, p
         label, unit, scale = as_printed(metric) if paper else (metric.label, metric.unit, 1.0)
         low, high = scale * interval[0], scale * interval[1]
         shown = (low, high) if metric.deviation is None else shown
-        value = number(scale * report[metric.name], unit, shown)
-        arrow = ARROWS[metric.direction]
-        if paper:
-            value, arrow = value.removesuffix(f" {unit}"), ""
-        rows.append((label, arrow, value, span(low, high, unit), *expected, brief))
+        value, ends = number(scale * report[metric.name], unit, shown), span(low, high, unit)
+        row = (label, ARROWS[metric.direction], value, ends, *expected, brief)
+        rows.append(_for_paper(row, unit) if paper else row)
+    if paper:
+        headings = (title, "", "value (95 % interval)", *headings[3:])
     kept = [k for k in range(len(headings)) if any(row[k] for row in rows) and (what or headings[k] != WHAT)]
     return Table(title, [headings[k] for k in kept], [tuple(row[k] for k in kept) for row in rows], ("", WHAT))
+
+
+def _for_paper(row: tuple[str, ...], unit: str) -> tuple[str, ...]:
+    """Make one column of a number and its interval, and of what a calibrated model has and its limit."""
+    label, _, value, ends, mean, limit, p, brief = row
+    value = value.removesuffix(f" {unit}") + (f" ({ends})" if ends else "")
+    mean += f" (up to {limit})" if limit not in {"", MISSING} else ""
+    return label, "", value, "", mean, "", p, brief
 
 
 def _by_label(report: Report, label: str, *, paper: bool) -> Table:

@@ -58,6 +58,7 @@ def remarks_on_numbers(totals: Totals, metrics: Mapping[str, Metric]) -> Iterato
         )
     if line := left_out(totals.protocol, totals.spec):
         yield line
+    yield from _of_segments(totals, metrics)
     if {*LIKELIHOODS} & metrics.keys():
         yield from _of_likelihood(totals)
     n, families = totals.spec.n_hypotheses, {metric.family for metric in metrics.values()}
@@ -110,6 +111,18 @@ def remarks_on_chance(
         )
     elif remark := remark_on_differences(*differences(), chance):
         yield remark
+
+
+def _of_segments(totals: Totals, metrics: Mapping[str, Metric]) -> Iterator[str]:
+    """Count the poses of segments that can't be aligned."""
+    of_segments = [metric for metric in metrics.values() if metric.statistic.by_segment]
+    poses = int(totals.poses.sum())
+    for left in sorted({poses - totals.count(metric.statistic) for metric in of_segments} - {0}):
+        labels = [metric.label for metric in of_segments if poses - totals.count(metric.statistic) == left]
+        yield (
+            f"{', '.join(labels)}: {Count(left, 'pose')} of {poses:,} left out: without a joint that counts, or in a "
+            "segment with fewer than three joints to align."
+        )
 
 
 def _of_poses_without_spread(totals: Totals) -> Iterator[str]:

@@ -1,6 +1,7 @@
 """Many files as one test set: the same numbers, the time with more workers, the merge of many results, and a large set.
 
     python tests/benchmarks/shards.py equality              # every row against one run, by shards and executors
+    python tests/benchmarks/shards.py clips                 # the same of clips of predicted motion
     python tests/benchmarks/shards.py workers --most 4      # time against the number of processes
     python tests/benchmarks/shards.py merge --shards 10000  # time and memory of merging saved results
     python tests/benchmarks/shards.py sizes                 # what a cell and a pose take, and the time of each pass
@@ -38,6 +39,7 @@ from posecal.engine.pose_hashes import MOST_HASHES
 from posecal.engine.totals import Totals
 from posecal.evaluation.shard_passes import Method, Shard, Task, accumulate, summarize
 from posecal.stats.skill import MOST_POSES
+from tests.helpers import sharded_clips
 from tests.helpers.sharded import OPTIONS, cuts, frames, largest_difference
 
 JOINTS = posecal.JOINT_SETS["h36m-17"]
@@ -75,6 +77,20 @@ def equality(most: int) -> None:
         with executor(kind) as apply:
             for name, parts in shards.items():
                 found = posecal.evaluate_shards([world.data(rows) for rows in parts], map=apply, **OPTIONS)
+                rows, difference = largest_difference(one, found)
+                print(f"| {name} | {kind} | {rows} | {difference:.1e} |", flush=True)
+
+
+def clips() -> None:
+    """Compare every row of the full report of clips by horizon with one run."""
+    print("| 16 clips in shards | executor | rows | largest relative difference |\n|---|---|---|---|")
+    for kind in ("this process", "2 processes", "Dask, 2 workers"):
+        with executor(kind) as apply:
+            for name, parts in sharded_clips.CUTS.items():
+                order = np.concatenate([np.arange(sharded_clips.C)[part] for part in parts])
+                one = posecal.evaluate(sharded_clips.clips(order), **sharded_clips.OPTIONS)
+                shards = [sharded_clips.clips(part) for part in parts]
+                found = posecal.evaluate_shards(shards, map=apply, **sharded_clips.OPTIONS)
                 rows, difference = largest_difference(one, found)
                 print(f"| {name} | {kind} | {rows} | {difference:.1e} |", flush=True)
 
@@ -211,7 +227,7 @@ def large(gigabytes: int, processes: int) -> None:
 def main() -> None:
     """Run what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("equality", "workers", "merge", "sizes", "large"))
+    parser.add_argument("what", choices=("equality", "clips", "workers", "merge", "sizes", "large"))
     parser.add_argument("--poses", type=int, default=2400, help="of equality, and of each of 8 shards of workers")
     parser.add_argument("--most", type=int, default=4, help="workers")
     parser.add_argument("--shards", type=int, default=10_000, help="results that are merged")
@@ -219,6 +235,8 @@ def main() -> None:
     options = parser.parse_args()
     if options.what == "equality":
         equality(options.poses)
+    elif options.what == "clips":
+        clips()
     elif options.what == "workers":
         workers(options.most, options.poses)
     elif options.what == "merge":

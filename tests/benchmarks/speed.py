@@ -5,7 +5,7 @@
 On N=200, M=2000, K=16, float32 (77 MB): the median of some runs of each way, and ratios. Every fast number is compared
 with the plain one's before it is timed. Then the walk over the blocks beside the whole report, made of arrays and
 printed, for this and for other shapes (many poses, many joints, many groups and sequences, these also at half their
-size), and batches beside one call. Times on one thread are of the processor.
+size), batches beside one call, and clips by horizon. Times on one thread are of the processor.
 """
 
 from __future__ import annotations
@@ -217,6 +217,20 @@ def batches(times: int) -> None:
     row("N=200, M=2,560, K=16: 40 batches of 64 poses", took, took / one, "calls")
 
 
+def horizons(times: int) -> None:
+    """Time 3,000 clips of 25 frames by horizon, where each clip is a sequence and where clips are of 60 recordings."""
+    clips, frames = 3000, 25
+    x, y = Shape(10, clips * frames, 16).poses()
+    x, y = x.reshape(10, clips, frames, 16, 3), y.reshape(clips, frames, 16, 3)
+    for number in (clips, 60):
+        labels = {"sequence": np.arange(clips) * number // clips}
+        data = posecal.PoseData(x, y, unit="mm", axes="NMTKD", root_joint="none", labels=labels)
+        whole = seconds(lambda data=data: str(posecal.evaluate(data, threads=1)), times)
+        row(f"N=10, 3,000 clips of T=25, K=16, {number:,} sequences: the report", whole, 1, "reports")
+        took = seconds(lambda data=data: str(posecal.evaluate(data, by="horizon", threads=1)), times)
+        row(f"N=10, 3,000 clips of T=25, K=16, {number:,} sequences: by horizon", took, took / whole, "reports")
+
+
 def against_plain(times: int) -> None:
     """Compare with the plain NumPy formulas, in numbers and in time."""
     x, y = REPORTS[0].poses()
@@ -241,6 +255,7 @@ PARTS: dict[str, Callable[[int], None]] = {
     "families": families,
     "reports": reports,
     "batches": batches,
+    "horizons": horizons,
 }
 
 

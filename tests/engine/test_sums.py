@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from posecal.engine.sums import compact, mean_of, mean_of_known, slices, split_by, sum_by
+from posecal.engine.sums import add_rows, compact, mean_of, mean_of_known, slices, split_by, sum_by
 
 
 @pytest.mark.parametrize(
@@ -54,6 +54,25 @@ def test_rows_are_summed_by_their_codes(codes: list[int]) -> None:
     np.testing.assert_array_equal(found, expected)
     assert found.dtype == values.dtype
     np.testing.assert_array_equal(values, before)
+
+
+@pytest.mark.parametrize(
+    "codes", [[*range(3, 12)], [*range(0, 20, 2)], [*range(10), *range(4, 12)], [3, 1, 3, 0], [7] * 9, []]
+)
+@pytest.mark.parametrize("shape", [(), (3, 2)])
+def test_rows_are_added_to_a_total_as_numpy_adds_them(codes: list[int], shape: tuple[int, ...]) -> None:
+    random = np.random.default_rng(0)
+    found, values = random.normal(size=(20, *shape)), random.normal(size=(len(codes), *shape))
+    expected = found.copy()
+    np.add.at(expected, np.array(codes, dtype=np.intp), values)
+    add_rows(found, np.array(codes, dtype=np.intp), values)
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_many_rows_in_a_row_of_one_code_are_summed() -> None:
+    values = np.arange(24.0).reshape(12, 2)
+    found = sum_by(np.repeat([2, 0, 1, 2], 3), 3, values)
+    np.testing.assert_array_equal(found, [values[3:6].sum(0), values[6:9].sum(0), (values[:3] + values[9:]).sum(0)])
 
 
 def test_a_mean_is_the_sum_over_the_number_and_unknown_without_one() -> None:

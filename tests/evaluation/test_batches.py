@@ -138,6 +138,22 @@ def test_the_report_may_be_asked_for_between_batches(world: Arrays) -> None:
         evaluation.compute()
 
 
+def test_sums_that_were_given_stay_as_they_are() -> None:
+    random = np.random.default_rng(0)
+    truth = random.normal(0, 300, (4096, 3, 3)).astype("f4")  # several blocks, so that none of these poses is pending
+    evaluation = posecal.Evaluation(unit="mm", axes="NMKD", metrics="mpjpe, ece")
+    hypotheses = truth + random.normal(0, 50, (3, 4096, 3, 3)).astype("f4")
+    evaluation.update(hypotheses, truth, sequence="one")
+    first = evaluation.totals()
+    before = {name: sums.copy() for name, sums in first.sums.items()}
+    for _ in range(2):
+        evaluation.update(hypotheses + 20, truth + 1, sequence="one")
+    for name, sums in before.items():
+        np.testing.assert_array_equal(first.sums[name], sums)
+    assert first.poses.tolist() == [4096]
+    assert evaluation.totals().poses.tolist() == [3 * 4096]
+
+
 def test_another_layout_is_declared_once(world: Arrays) -> None:
     evaluation = posecal.Evaluation(unit="m", axes="MNKD", joints=JOINTS)
     for hypotheses, truth, extra in batches(world, [25], "sequence"):

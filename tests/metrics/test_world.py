@@ -110,3 +110,13 @@ def test_an_interval_is_over_sequences(arrays: tuple[Array, Array], monkeypatch:
     low, high = report(arrays, metrics="wa_mpjpe").interval("wa_mpjpe")
     assert low < errors.mean() < high
     assert np.sqrt(low * high) == pytest.approx(errors.mean())
+
+
+def test_poses_of_segments_that_cannot_be_aligned_are_counted(arrays: tuple[Array, Array]) -> None:
+    where = np.ones((M, K), dtype=bool)
+    where[6:7, 2:] = where[10:, 1:] = False  # the last segments of 3: of one two joints count, of the other one
+    found = report(arrays, protocol=Protocol(segment=3, metrics="mpjpe, w_mpjpe"), where=where)
+    assert found.count("mpjpe") == M
+    assert found.count("w_mpjpe") == M - 2
+    (remark,) = [line for line in found.remarks if "fewer than three joints to align" in line]
+    assert remark.startswith(f"W-MPJPE: 2 poses of {M} left out")

@@ -76,3 +76,13 @@ def test_names_of_models_at_one_point_do_not_overlap(ax: Axes) -> None:
     extents = [text.get_window_extent() for text in ax.texts if text.get_text() in names]
     assert len(extents) == 4
     assert not any(one.overlaps(other) for one, other in combinations(extents, 2))
+
+
+def test_names_of_models_cover_no_bar_of_another_where_there_is_room() -> None:
+    totals = [report_of(spread).totals for spread in (1.0, 0.8, 0.6, 0.5)]
+    (ax,) = draw_comparison(compare_totals(totals, names := ["a long name", "another name", "third", "fourth"])).axes
+    extents = [text.get_window_extent() for text in ax.texts if text.get_text() in names]
+    bars = [line.get_window_extent() for line in ax.lines if line.get_gid() not in names]
+    assert (len(extents), len(bars)) == (4, 4)
+    assert not any(extent.overlaps(bar) for extent in extents for bar in bars)
+    assert all(ax.bbox.x0 < extent.x0 and extent.x1 < ax.bbox.x1 for extent in extents)

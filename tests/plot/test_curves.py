@@ -68,6 +68,19 @@ def test_the_dark_line_is_the_curve_that_the_ece_is_made_from(ax: Axes) -> None:
     assert line(ax, "summary").get_label() == "median of joints"
 
 
+@pytest.mark.parametrize("spread", [0.3, 1.0, 3.0])
+def test_no_curve_crosses_the_words_of_the_two_sides(spread: float, ax: Axes) -> None:
+    reliability({"one": report_of(spread), "other": report_of(1.0)}, ax=ax)
+    ax.figure.draw_without_rendering()  # type: ignore[union-attr]
+    for text in ax.texts:
+        box = text.get_window_extent().transformed(ax.transData.inverted())
+        across = np.linspace(box.x0, box.x1, 200)
+        for curve in (line(ax, "summary one"), line(ax, "summary other"), line(ax, "diagonal")):
+            values = np.interp(across, *np.asarray(curve.get_xydata()).T)
+            assert values.max() < box.y0 or values.min() > box.y1
+    assert {text.get_text() for text in ax.texts} == {"underconfident", "overconfident"}
+
+
 def test_there_is_a_faint_line_behind_it_for_every_joint_but_the_root(ax: Axes) -> None:
     report = report_of()
     reliability(report, ax=ax)

@@ -1,5 +1,6 @@
 """Pictures become files: with a caption that holds definition and signature, whole, and the same bytes each time."""
 
+from itertools import combinations
 from pathlib import Path
 
 import matplotlib as mpl
@@ -205,6 +206,20 @@ def test_the_models_lines_are_those_of_their_own_figures_and_the_band_is_the_wid
     corners = np.asarray(band.get_paths()[0].vertices)
     lowest = corners[np.isclose(corners[:, 0], 0.5), 1].min()
     np.testing.assert_allclose(lowest, max(0.0, 0.5 - widest * 0.5))
+
+
+def test_panels_are_even_with_ticks_below_each_column_and_long_names_in_lines() -> None:
+    name = "a-name-that-is-longer-than-its-panel-is-wide"
+    figure = draw({f"{name}-{number}": report_of() for number in range(5)}, panels=True)
+    places = [ax.get_subplotspec() for ax in figure.axes[:5]]
+    assert [(place.rowspan.start, place.colspan.start) for place in places] == [(0, 0), (0, 1), (0, 2), (1, 0), (1, 1)]
+    below = [bool(ax.get_xlabel()) for ax in figure.axes[:5]]
+    assert below == [ax.xaxis.get_tick_params()["labelbottom"] for ax in figure.axes[:5]]
+    assert below == [False, False, True, True, True]
+    assert [bool(ax.get_ylabel()) for ax in figure.axes[:5]] == [True, False, False, True, False]
+    figure.draw_without_rendering()
+    extents = [ax.title.get_window_extent() for ax in figure.axes[:3]]
+    assert not any(one.overlaps(other) for one, other in combinations(extents, 2))
 
 
 @pytest.mark.parametrize(("kind", "panels"), [("reliability", True), ("errors", True), ("joints", False)])

@@ -116,3 +116,18 @@ def test_the_tidy_rows_hold_every_metric_of_every_model(comparison: Comparison) 
     interval = comparison.interval("min_mpjpe", "off")
     assert (row["low"], row["high"], row["unit"], row["primary"]) == (interval.low, interval.high, "mm", False)
     assert np.isnan(row["p"])
+
+
+def test_a_paper_has_units_in_headings_a_table_for_each_metric_and_sources_as_definitions(
+    sheet: Sheet, comparison: Comparison
+) -> None:
+    entries = entries_of(comparison)
+    paper = standings_sheet("16 people", entries, comparison, paper=True)
+    models, *pairs = paper.tables
+    assert models.headings == ("model", "rank", "energy score [mm] ↓", "ECE ↓", "minMPJPE [mm] ↓", "signed area")
+    assert models.rows == [tuple(cell.replace(" mm", "") for cell in row) for row in sheet.tables[0].rows]
+    assert [table.headings[0] for table in pairs] == ["energy score [mm] ↓", "ECE ↓"]
+    said = dict(paper.definitions)
+    assert all(
+        entries[0].source in said[name] and entries[0].hypotheses_sha256[:12] in said[name] for name in comparison.names
+    )
