@@ -244,9 +244,13 @@ def _no_number(curves: FloatArray) -> FloatArray:
     return np.full(curves.shape[:-1], np.nan)
 
 
+SINCE = "; NaN, since "
+"""Stands in the definition of a number before the reason that it has no value."""
+
+
 def unresolved(n_hypotheses: float) -> str:
     """Say why coverage is not known at a level."""
-    return f"; NaN, since no ball of N={n_hypotheses:.3g} hypotheses holds this share of them"
+    return f"{SINCE}no ball of N={n_hypotheses:.3g} hypotheses holds this share of them"
 
 
 def unresolved_coverages(n_hypotheses: float) -> list[int]:

@@ -19,10 +19,14 @@ from posecal.data.arguments import checked
 from posecal.data.arrays import BoolArray, FloatArray
 from posecal.engine.block import Block
 from posecal.engine.per_pose import per_pose
+from posecal.engine.weighted import effective_number, weighted_quantiles
 from posecal.errors import PoseDataError
 
 LEAST = 10
 """The fewest hypotheses among which modes are looked for."""
+
+LEAST_WEIGHTED = 20
+"""The smallest effective number of weighted hypotheses among which they are."""
 
 EXPLAINED = 0.8
 """Two modes explain more of the variance along their axis than this; a Gaussian's halves explain 2/π."""
@@ -120,28 +124,52 @@ def _cut(ordered: FloatArray) -> tuple[BoolArray, npt.NDArray[np.intp], FloatArr
     return several, cut, high - low
 
 
-def two_modes(ordered: FloatArray, axis: npt.NDArray[np.intp]) -> BoolArray:
+def two_modes(
+    ordered: FloatArray, axis: npt.NDArray[np.intp], weights: FloatArray | None = None, period: float | None = None
+) -> BoolArray:
     """Find two modes along one coordinate, by some of the ordered hypotheses: in little time, and less surely.
 
     Parameters
     ----------
     ordered : array (B, K, D, N)
-        Each coordinate of the hypotheses in ascending order.
+        Each coordinate of the hypotheses in ascending order; with weights in the order of the hypotheses.
     axis : array of int (B, K)
         The coordinate.
+    weights : array (B, N), optional
+        The weight of each hypothesis; equal ones by default.
+    period : float, optional
+        After how much the coordinate repeats: it is then cut open where hypotheses leave the widest gap.
 
     Returns
     -------
     bool array (B, K)
-        None where N is below :data:`LEAST`.
+        None where N, with weights the effective one, is below :data:`LEAST`, with weights :data:`LEAST_WEIGHTED`, and
+        where more than half of the hypotheses are copies of others: of few draws groups appear by chance.
     """
     B, K, _, N = ordered.shape
     if N < LEAST:
         return np.zeros((B, K), dtype=bool)
-    step = max(1, N // POINTS)
-    points = ordered[np.arange(B)[:, None], np.arange(K), axis][..., (N - 1) % step // 2 :: step].astype(np.float64)
+    points: FloatArray = ordered[np.arange(B)[:, None], np.arange(K), axis].astype(np.float64)
+    if weights is not None:
+        shares = tuple(((np.arange(POINTS) + 0.5) / POINTS).tolist())
+        points = weighted_quantiles(points, weights[:, None], shares)
+    if period is not None:
+        points = _cut_open(points, period)
+    if weights is None:
+        enough = 2 * (np.diff(points, axis=-1) != 0).sum(axis=-1) + 2 >= N
+        step = max(1, N // POINTS)
+        points = points[..., (N - 1) % step // 2 :: step]
+    else:
+        enough = (effective_number(weights) >= LEAST_WEIGHTED)[:, None]
     points -= points.mean(axis=-1, keepdims=True)
-    return _cut(points.reshape(B * K, -1))[0].reshape(B, K)
+    return np.asarray(_cut(points.reshape(B * K, -1))[0].reshape(B, K) & enough)
+
+
+def _cut_open(points: FloatArray, period: float) -> FloatArray:
+    """Cut ascending points of a circle, (..., N), where the gap between two neighbours is widest; ascending again."""
+    gaps = np.diff(points, axis=-1, append=points[..., :1] + period)
+    at = gaps.argmax(axis=-1)[..., None] + 1 + np.arange(points.shape[-1])
+    return np.asarray(np.take_along_axis(points, at % points.shape[-1], axis=-1) + period * (at >= points.shape[-1]))
 
 
 def centres_of_modes(block: Block, joints: BoolArray) -> FloatArray:

@@ -44,14 +44,14 @@ def standardized_errors(block: Block, joints: BoolArray) -> FloatArray:
     -------
     array (B, K, 5)
         Whether hypotheses differ, whether ℓ is known, ℓ and ℓ², all 0 where it is not, and whether hypotheses have
-        :func:`two_modes`, of which nothing is known of angles and with weights; NaN for joints that don't count.
+        :func:`two_modes`; NaN for joints that don't count.
     """
     n, ordered = block.n_hypotheses, block.sorted
     quarter = (n - 1) // 4
     width = ordered[..., n - 1 - quarter] - ordered[..., quarter]
     spread, error = (np.einsum("bkd,bkd->bk", v, v, dtype=np.float64) for v in (width, block.shortest(block.median)))
-    plain = block.period is None and block.weights is None
-    modes = two_modes(ordered, width.argmax(axis=-1)) if plain else np.zeros(spread.shape, dtype=bool)
+    points = ordered if block.weights is None else block.offsets
+    modes = two_modes(points, width.argmax(axis=-1), block.weights, block.period)
     known = (spread > 0) & (error > 0)
     logs = np.zeros(spread.shape)
     logs[known] = np.maximum(np.log(error[known] / spread[known]) / 2, SMALLEST)

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from posecal.calibration.modes import share_with_modes
+from posecal.calibration.modes import LEAST, share_with_modes
 from posecal.calibration.standardized import MODES
 from posecal.engine.bounds import UNBOUNDED, Bounds, to_scale
 from posecal.stats.heterogeneity import SequenceAreas, sequences_differ
 from posecal.stats.resampling import LEVEL, STRONG
-from posecal.stats.uncertainty import effective_hypotheses, freedom_of, weights_allow_no_test
+from posecal.stats.uncertainty import bias_of_weights, effective_hypotheses, freedom_of, weights_allow_no_test
 
 if TYPE_CHECKING:
     from posecal.report.report import Report
@@ -69,6 +69,8 @@ class Estimate:
         Degrees of freedom of the interval.
     bounds : tuple of two float
         Smallest and largest possible value.
+    slack : float
+        By so much a calibrated model's may differ from what is best, with weights.
     """
 
     label: str
@@ -78,11 +80,12 @@ class Estimate:
     best: float
     freedom: float = math.nan
     bounds: Bounds = UNBOUNDED
+    slack: float = 0.0
 
     @property
     def excludes(self) -> int:
         """Give -1 where the whole interval lies below what is best, 1 where above, and 0 where neither is known."""
-        return int(self.low > self.best) - int(self.high < self.best)
+        return int(self.low > self.best + self.slack) - int(self.high < self.best - self.slack)
 
     def excludes_at_99(self) -> bool:
         """Whether its 99 % interval does as well: wider on the number's own scale by the ratio of Student's quantiles.
@@ -92,9 +95,9 @@ class Estimate:
         from scipy.special import stdtrit
 
         near = self.low if self.value > self.best else self.high
-        if math.isnan(near) or math.isnan(self.freedom):
+        if not self.excludes or math.isnan(self.freedom):
             return False
-        ends = np.array([self.value, near, self.best])
+        ends = np.array([self.value, near, self.best + math.copysign(self.slack, self.value - self.best)])
         scaled = to_scale(ends, self.bounds)
         value, near, best = scaled if np.isfinite(scaled).all() else ends
         wider = float(stdtrit(self.freedom, 0.995) / stdtrit(self.freedom, 0.975))
@@ -278,11 +281,11 @@ def evidence_of(report: Report) -> Evidence:
     shown = [name for name in report.headline_metrics if name.startswith(prefix)]
     evidence = Evidence(
         ece=ece,
-        area=_estimate(report, "signed_area", 0.0),
+        area=_estimate(report, "signed_area"),
         units=totals.units(test.sequences),
         n_units=test.sequences,
         floor=report["ece_floor_95"] if math.isnan(test.p) else math.nan,
-        coverage=tuple(_estimate(report, name, int(name.rpartition("_")[2]) / 100) for name in shown),
+        coverage=tuple(_estimate(report, name) for name in shown),
         balls="intervals" if prefix != "coverage_" else "balls",
         sequences=_sequences(report),
         joints=dict(_joints(report)),
@@ -300,10 +303,11 @@ def evidence_of(report: Report) -> Evidence:
     return replace(evidence, mean_of_joints=NullComparison(report["ece_mean"], mean.mean, mean.high, mean.p))
 
 
-def _estimate(report: Report, name: str, best: float) -> Estimate:
+def _estimate(report: Report, name: str) -> Estimate:
     metric = report.metrics[name]
-    about = freedom_of(report.totals, metric), metric.bounds
-    return Estimate(metric.label, report[name], *report.interval(name), best, *about)
+    freedom, slack = freedom_of(report.totals, metric), bias_of_weights(report.totals)
+    low, high = report.interval(name)
+    return Estimate(metric.label, report[name], low, high, metric.calibrated, freedom, metric.bounds, slack)
 
 
 def _joints(report: Report) -> Iterator[tuple[str, Joint]]:
@@ -339,10 +343,11 @@ def _modes(report: Report) -> dict[str, float]:
     """Give the joints at which two modes are beyond chance, and in which share of their poses they have two."""
     totals, deviation = report.totals, report.metrics["ece"].deviation
     statistic = None if deviation is None else deviation.errors
-    if totals.spec.is_ragged or statistic is None or statistic.name not in totals.sums:
+    if statistic is None or statistic.name not in totals.sums:
         return {}
     sums, counts = (part.sum(axis=0) for part in totals.of_cells(statistic, None))
     if sums.shape[-1] <= MODES:
         return {}
-    share, limit = share_with_modes(sums[..., MODES], counts, totals.spec.n_hypotheses)
+    n = LEAST if totals.spec.is_ragged or totals.spec.has_weights else totals.spec.n_hypotheses
+    share, limit = share_with_modes(sums[..., MODES], counts, n)
     return {joint: float(s) for joint, s, most in zip(totals.spec.joints, share, limit, strict=True) if s > most}

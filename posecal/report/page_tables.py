@@ -101,7 +101,7 @@ def metric_table(report: Report) -> PageTable:
             if not math.isnan(high):
                 interval = f"to {number(high, '', (0.0, min(high, ROUNDED[1])))} if calibrated"
         drawn = _drawn(value, (low, high), axis, _best(metric), is_null=tested)
-        first = Cell(metric.label, hint=metric.definition), Cell(text, _key(value))
+        first = Cell(metric.label, hint=report.definition(name)), Cell(text, _key(value))
         rows.append([*first, Cell(interval, _key(high - low), drawn), test, Cell(BETTER[metric.direction])])
         rows[-1].append(Cell(metric.brief))
     columns = [("metric", False), ("value", True), ("95 % interval", False), ("p", True), ("best", False)]

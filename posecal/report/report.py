@@ -30,6 +30,7 @@ from posecal.report.table import (
     as_json,
     auxiliary_number,
     auxiliary_rows,
+    definition_of,
     tidy_rows,
 )
 from posecal.report.text import report_sheet, short_title
@@ -239,9 +240,9 @@ class Report:
 
     def rank_tests(self) -> dict[str, tuple[Null, float]]:
         """Give each rank test with its p-value, adjusted for their number (Holm)."""
-        names = [name for name, metric in self.metrics.items() if metric.family == "rank_tests"]
-        nulls = [self.test(name) for name in names]
-        return dict(zip(names, zip(nulls, holm([null.p for null in nulls]), strict=True), strict=True))
+        tests = {name: self.test(name) for name, metric in self.metrics.items() if metric.family == "rank_tests"}
+        adjusted = holm([test.p for test in tests.values()])
+        return {name: (test, p) for (name, test), p in zip(tests.items(), adjusted, strict=True)}
 
     def joint_tests(self) -> dict[str, tuple[float, float]]:
         """Test the calibration curve of each joint.
@@ -275,12 +276,9 @@ class Report:
         return int(at_joints[self._joint(joint)] if at_joints.ndim else at_joints)
 
     def definition(self, name: str, group: str | None = None) -> str:
-        """Give the definition of a number, in one line."""
+        """Give the definition of a number, in one line, and why it is NaN where it is."""
         metric, _ = self._find(name, group)
-        if name not in self.auxiliary:
-            return metric.definition
-        row = self.auxiliary[name]
-        return row.definition + self.once(("value", name, group), lambda: auxiliary_number(self, row, group))[1]
+        return definition_of(self, metric, name, group)
 
     # --- written ----------------------------------------------------------------------------------------------
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+from posecal.calibration.error import COVERAGES
 from posecal.report.evidence import NEITHER, OVER, UNDER, Evidence, Rule, side_of
 from posecal.report.format import counted, p_value, several, span
 from posecal.stats.heterogeneity import CROWDED, WIDE
@@ -48,6 +49,11 @@ def _one_sided(e: Evidence) -> bool:
 def _share(e: Evidence) -> str:
     """What the balls of 90 % hold, as a sentence; of the largest level that is known where that one is not."""
     for row in sorted(e.coverage, key=lambda row: (row.best != 0.9, -row.best)):
+        if not math.isnan(row.value) and round(100 * row.best, 6) not in COVERAGES:
+            return (
+                f" From the least hypothesis to the largest lie {100 * row.value:.0f}\u00a0% of the truths, of a "
+                f"calibrated model {100 * row.best:.0f}\u00a0%."
+            )
         if not math.isnan(row.value):
             return f" The {100 * row.best:.0f}\u00a0% {e.balls} hold {100 * row.value:.0f}\u00a0% of the truths."
     return ""
@@ -121,7 +127,7 @@ def _two_modes(e: Evidence) -> str:
 
 def _intervals(e: Evidence) -> str:
     many = "" if len(e.excluded) == 1 else "s"
-    rows = " and ".join(f"{row.label} ({span(row.low, row.high)}; best: {row.best:g})" for row in e.excluded)
+    rows = " and ".join(f"{row.label} ({span(row.low, row.high)}; best: {row.best:.3g})" for row in e.excluded)
     known = sum(not math.isnan(row.low) for row in (e.area, *e.coverage))
     chance = f"; of {known} intervals one may do so by chance" if known > len(e.excluded) == 1 else ""
     return f"Yet the 95\u00a0% interval{many} of {rows} exclude{'' if many else 's'} what is best{chance}."
@@ -206,15 +212,19 @@ def _labels(tests: list[tuple[str, str, float]]) -> str:
     return ", ".join(label for label, _, _ in tests)
 
 
+def _spread_alone(e: Evidence) -> str:
+    """Say that a wrong spread explains rejections, where something speaks for one."""
+    advice = " A wrong spread alone can cause that: rerun them once it is recalibrated."
+    return advice if e.side != NEITHER and (e.ece.p < LEVEL or e.excluded) else ""
+
+
 def _rank_tests_too(e: Evidence) -> str:
-    advice = "" if e.side == NEITHER else " A wrong spread alone can cause that: rerun them once it is recalibrated."
-    return f"Rank tests reject as well: {_labels(_rejected(e, STRONG))}.{advice}"
+    return f"Rank tests reject as well: {_labels(_rejected(e, STRONG))}.{_spread_alone(e)}"
 
 
 def _rank_tests_alone(e: Evidence) -> str:
-    rejected = _rejected(e, STRONG)
-    meanings = "; ".join(dict.fromkeys(meaning for _, meaning, _ in rejected))
-    return f"Rank tests reject what the ECE can't see ({_labels(rejected)}): {meanings}."
+    meanings = "; ".join(dict.fromkeys(meaning for _, meaning, _ in _rejected(e, STRONG)))
+    return f"Rank tests show more than the ECE ({_labels(_rejected(e, STRONG))}): {meanings}.{_spread_alone(e)}"
 
 
 def _rank_tests_weakly(e: Evidence) -> str:
@@ -354,7 +364,10 @@ RULES = (
         "rank tests without power",
         "so few sequences that no rank test can have an adjusted p below 0.05",
         _without_power,
-        lambda e: f"{e.units.capitalize()} are too few for {counted(len(e.rank_tests), 'rank test')} to reject.",
+        lambda e: (
+            f"{e.units.capitalize()} {'is' if e.n_units == 1 else 'are'} too few for "
+            f"{counted(len(e.rank_tests), 'rank test')} to reject."
+        ),
     ),
     Rule(
         "rank tests",

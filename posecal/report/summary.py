@@ -7,14 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from posecal.calibration.ranks import DEFINITIONS
-from posecal.calibration.standardized import NAME
 from posecal.data.frames import DIFFERENT_FRAMES
 from posecal.engine.totals import Totals
+from posecal.engine.weighted import effective_number
 from posecal.errors import first_few, for_python
 from posecal.metrics.occlusion import occlusion_words
+from posecal.report.absent import NO_RANK, joints_without_a_rank, remarks_on_absence
 from posecal.report.evidence import differences_of, evidence_of
 from posecal.report.sentences import sentences
+from posecal.stats.jackknife import FEWEST
 from posecal.stats.remarks import remarks_on_chance, remarks_on_numbers, remarks_on_sequences
 from posecal.stats.resampling import MIN_SEQUENCES, STRONG
 from posecal.stats.uncertainty import (
@@ -52,9 +53,12 @@ def _of_statistics(report: Report) -> Iterator[str]:
     if sequences < MIN_SEQUENCES:
         yield (
             f"{units} allow{'s' * (sequences == 1)} no test: even if all err alike, chance would do that in "
-            f"{2 / 2**sequences:.0%} of cases. At least {MIN_SEQUENCES} are needed for a p-value."
+            f"{2 / 2**sequences:.0%} of cases. At least {MIN_SEQUENCES} are needed for a p-value"
+            f"{f', {FEWEST} for an interval' * (sequences < FEWEST)}."
         )
-    elif sequences < FEW_SEQUENCES and _is_tested(report):
+    if sequences >= FEWEST and effective_number(np.bincount(totals.sequence_of, totals.poses).astype(np.float64)) < 2:
+        yield "one sequence holds so many of the poses that sequences count as fewer than two: there are no intervals."
+    if MIN_SEQUENCES <= sequences < FEW_SEQUENCES and _is_tested(report):
         yield _of_symmetry(report)
     if "occlusion" in report.by:
         yield occlusion_words(totals.protocol, totals.spec)
@@ -66,29 +70,18 @@ def _of_statistics(report: Report) -> Iterator[str]:
 def _of_what_is_unknown(report: Report) -> Iterator[str]:
     """Give the reasons of calibration numbers that are NaN, or are of fewer joints."""
     totals, metrics = report.totals, report.metrics
-    empty = _joints_without_a_rank(totals)
-    if empty and len(empty) == totals.counts[NAME].any(axis=0).sum():
-        yield "all hypotheses equal the truth at every joint that counts: no calibration can be measured."
-        return
-    if empty:
+    empty, everywhere = joints_without_a_rank(totals)
+    if everywhere:
+        yield f"{NO_RANK}: no calibration can be measured."
+    elif empty:
         yield (
             f"at {first_few(empty, 6)} all hypotheses equal the truth in every pose: no calibration can be measured "
             "there, and its summaries over joints leave them out."
         )
     tested = next((metric for metric in metrics.values() if metric.deviation is not None), None)
-    if tested is not None and not _is_summarized(report) and are_points(totals, tested):
+    if not everywhere and tested is not None and not _is_summarized(report) and are_points(totals, tested):
         yield "the hypotheses of each pose are all the same: they have no spread that could be tested."
-    if "tarp_box" in metrics and not report.count("tarp_box") and totals.poses.any():
-        yield "tarp_box: no value, because the true poses of the other sequences have no range; expected several."
-
-
-def _joints_without_a_rank(totals: Totals) -> list[str]:
-    """Name the joints at which the truth has no rank in any pose, because all hypotheses equal it."""
-    counts, ranks = totals.counts, f"inside_{DEFINITIONS[0]}"
-    if not {NAME, ranks} <= counts.keys():
-        return []
-    empty = np.asarray(counts[NAME].any(axis=0) & ~counts[ranks][:, :-1].any(axis=0))
-    return [totals.spec.joints[k] for k in np.flatnonzero(empty)]
+    yield from remarks_on_absence(report)
 
 
 def _is_tested(report: Report) -> bool:

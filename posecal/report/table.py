@@ -19,6 +19,7 @@ from posecal.data.arrays import FloatArray
 from posecal.data.texts import frame_of, json_lines, printable_table
 from posecal.engine.metric import Direction, Metric
 from posecal.errors import PoseDataError, for_python
+from posecal.report.absent import why_absent, with_reason
 from posecal.report.format import counted
 from posecal.report.summary import remarks
 from posecal.stats.uncertainty import effective_hypotheses, effective_sample_size, unbiased_squared_error
@@ -240,6 +241,16 @@ def auxiliary_number(report: Report, row: AuxiliaryRow, group: str | None) -> tu
     return floor.mean if row.key == "floor" else floor.high, detail
 
 
+def definition_of(report: Report, metric: Metric, name: str, group: str | None) -> str:
+    """Define a number of a metric or beside it, and say why it is NaN where it is."""
+    definition = metric.definition
+    if name in report.auxiliary:
+        row = report.auxiliary[name]
+        detail = report.once(("value", name, group), lambda: auxiliary_number(report, row, group))[1]
+        definition = row.definition + detail
+    return with_reason(definition, why_absent(report, name, group))
+
+
 def tidy_rows(report: Report) -> Iterator[Row]:
     """Give every number of a report: by group, each metric with the numbers beside it; then each metric at each joint.
 
@@ -273,7 +284,8 @@ def _is_test_of_ece(report: Report, row: AuxiliaryRow, group: str) -> bool:
 
 def _row(report: Report, entry: Metric | AuxiliaryRow, group: str | None = None, joint: str | None = None) -> Row:
     name, value = entry.name, report.value(entry.name, group, joint)
-    about = entry.unit, entry.direction, report.definition(name, group), report.count(name, group, joint)
+    definition = with_reason(report.definition(name, group), "it is not defined for these poses" * math.isnan(value))
+    about = entry.unit, entry.direction, definition, report.count(name, group, joint)
     return Row(name, entry.label, group, joint, value, *about, *report.interval(name, group, joint))
 
 

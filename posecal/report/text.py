@@ -14,6 +14,7 @@ from posecal.engine.metric import Metric
 from posecal.engine.presets import PRESETS
 from posecal.engine.protocol import CHOICES, Protocol
 from posecal.errors import for_python, option
+from posecal.report.absent import why_absent
 from posecal.report.format import ARROWS, MISSING, NONE, as_printed, counted, number, short_number, short_p, span
 from posecal.report.sheet import Sheet, Table
 from posecal.report.summary import remarks
@@ -87,7 +88,9 @@ def report_sheet(
         sentences=list(report.summary),
         remarks=notes,
         tables=tables,
-        definitions=[(metric.label, metric.definition) for metric in shown] if definitions or (all and paper) else [],
+        definitions=[
+            (metric.label, report.definition(metric.name)) for metric in shown if definitions or (all and paper)
+        ],
         more=f"{words(option('all', True))}: what each number is, and {_listed(others)}." if others else "",
         footer=f"signature: {report.signature}",
     )
@@ -148,6 +151,8 @@ def _metrics(report: Report, title: str, metrics: list[Metric], *, what: bool, p
                 expected = (number(test.mean, "", shown), number(test.high, "", shown), short_p(p))
             if f"{metric.name}_floor" in report.auxiliary and len(report.totals.spec.joints) <= MESH:
                 brief += f"; calibrated, independent frames: {report[f'{metric.name}_floor']:.4f}"
+        if reason := why_absent(report, metric.name):
+            brief += f"; none, since {reason}"
         label, unit, scale = as_printed(metric) if paper else (metric.label, metric.unit, 1.0)
         low, high = scale * interval[0], scale * interval[1]
         shown = (low, high) if metric.deviation is None else shown

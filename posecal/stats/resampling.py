@@ -181,6 +181,7 @@ def sign_flips(
     offset: FloatArray | None = None,
     errors: FloatArray | None = None,
     n: float = np.inf,
+    slack: float = 0.0,
     draws: int = DRAWS,
     seed: int = 0,
 ) -> Null:
@@ -206,6 +207,8 @@ def sign_flips(
         Sums of standardized errors, of these curves or of the joints that they are all about.
     n : float
         N, the mean effective number of hypotheses.
+    slack : float
+        By so much a calibrated model's error may be larger than by chance: p is that of the error less this.
     draws : int
         Sign patterns. Where 2\ :sup:`S - 1` is no more, all of them are tried. For more than some 52 curves there are
         fewer: as many as give :data:`MAX_VALUES` mean deviations, and at least :data:`MIN_DRAWS`.
@@ -274,7 +277,7 @@ def sign_flips(
         return Null(float(own[0]), np.nan, np.nan, np.nan, np.nan, sequences)
     signs = _signs(sequences, n_draws(min(draws, NULL_DRAWS), D[0].size), seed)
     calibrated = calibrated_deviations(D, counts, offset, errors, n)
-    observed, p = float(own[0]), float(_share_as_large(own))
+    observed, p = float(own[0]), float(_share_as_large(own, slack))
     if np.isnan(calibrated).any():
         return Null(observed, np.nan, np.nan, p, np.nan, sequences)
     null, sup = np.concatenate(_reduce_flips(error_and_sup, calibrated, counts, signs, offset), axis=1)
@@ -290,13 +293,19 @@ def sign_flips(
 
 
 def sign_flips_of_each(
-    deviations: FloatArray, counts: Counts, *, offset: FloatArray | None = None, draws: int = DRAWS, seed: int = 0
+    deviations: FloatArray,
+    counts: Counts,
+    *,
+    offset: FloatArray | None = None,
+    slack: float = 0.0,
+    draws: int = DRAWS,
+    seed: int = 0,
 ) -> FloatArray:
     """Give the p-value of each curve's own calibration error, as :func:`sign_flips` of it alone has it.
 
     Parameters
     ----------
-    deviations, counts, offset, draws, seed
+    deviations, counts, offset, slack, draws, seed
         As for :func:`sign_flips`; curves over the same sequences share their sign patterns.
 
     Returns
@@ -314,7 +323,7 @@ def sign_flips_of_each(
         for curves in np.split(members, range(MAX_CURVES, len(members), MAX_CURVES)):
             some = np.ix_(used, curves)
             errors = _reduce_flips(_error_of_each, deviations[some], counts[some], signs, offset)
-            p[curves] = _share_as_large(np.concatenate(errors))
+            p[curves] = _share_as_large(np.concatenate(errors), slack)
     return p
 
 
@@ -322,9 +331,12 @@ def _error_of_each(mean: FloatArray) -> FloatArray:
     return np.asarray(np.abs(mean, out=mean).mean(axis=1))
 
 
-def _share_as_large(errors: FloatArray) -> FloatArray:
-    """Share of sign patterns (patterns, …) at which an error is at least as large as at the first, but for rounding."""
-    return np.asarray((errors >= errors[0] * (1 - 1e-5) - ROUNDING).mean(axis=0))
+def _share_as_large(errors: FloatArray, slack: float) -> FloatArray:
+    """Share of sign patterns (patterns, …) at which an error is as large as the first less the slack, but for rounding.
+
+    The first, observed one included.
+    """
+    return np.asarray((errors >= errors[0] * (1 - 1e-5) - ROUNDING - slack).mean(axis=0))
 
 
 # --- p-values -----------------------------------------------------------------------------------------------------

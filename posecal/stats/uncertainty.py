@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -26,6 +27,9 @@ from posecal.stats.jackknife import (
     sequence_sizes,
 )
 from posecal.stats.resampling import LEVEL, Null, counting, n_patterns, sign_flips, sign_flips_of_each, thin
+
+BIAS = 0.6
+"""Over the effective number of hypotheses this is the largest ECE of weighted ones that are calibrated."""
 
 FEW_DRAWS = 500
 """Sign patterns of each p-value without a sequence."""
@@ -103,7 +107,9 @@ def null(totals: Totals, metric: Metric, cells: Cells = None) -> Null:
     whole = replace(metric.deviation, first=None, last=None)
     errors = _errors_of(totals, metric, cells, curves)
     n = effective_hypotheses(totals)
-    test = sign_flips(deviations, counts, whole, offset=metric.offset, errors=errors, n=n)
+    test = sign_flips(
+        deviations, counts, whole, offset=metric.offset, errors=errors, n=n, slack=bias_of_weights(totals)
+    )
     if are_points(totals, metric, cells) or weights_allow_no_test(totals):
         return Null(test.observed, math.nan, math.nan, math.nan, math.nan, test.sequences)
     return test
@@ -148,7 +154,8 @@ def p_without_each(totals: Totals, metric: Metric) -> FloatArray:
     deviations, counts = sequence_deviations(totals, metric.statistic, None, metric.offset, judged)
     over = replace(metric.deviation, first=None, last=None)
     others = (np.arange(len(counts)) != s for s in range(len(counts)))
-    nulls = (sign_flips(deviations[s], counts[s], over, offset=metric.offset, draws=FEW_DRAWS) for s in others)
+    flips = partial(sign_flips, offset=metric.offset, draws=FEW_DRAWS, slack=bias_of_weights(totals))
+    nulls = (flips(deviations[s], counts[s], over) for s in others)
     return np.array([each.p for each in nulls])
 
 
@@ -171,7 +178,8 @@ def joint_p_values(totals: Totals, metric: Metric, cells: Cells = None) -> Float
     if few or are_points(totals, metric, cells) or weights_allow_no_test(totals):
         return np.full(len(totals.spec.joints), np.nan)
     deviations, counts = sequence_deviations(totals, metric.statistic, cells, metric.offset)
-    return sign_flips_of_each(deviations[:, :-1], counts[:, :-1], offset=metric.offset)
+    slack = bias_of_weights(totals)
+    return sign_flips_of_each(deviations[:, :-1], counts[:, :-1], offset=metric.offset, slack=slack)
 
 
 def effective_sample_size(totals: Totals, statistic: Statistic, cells: Cells = None) -> float:
@@ -199,6 +207,11 @@ def weights_allow_no_test(totals: Totals) -> bool:
     No p-value knows of that: ranks of weighted hypotheses are right only in the limit of a large effective number.
     """
     return totals.spec.has_weights and effective_hypotheses(totals) < FEW_HYPOTHESES
+
+
+def bias_of_weights(totals: Totals) -> float:
+    """Give the largest ECE that unequal weights leave a calibrated model of endless data; 0 without."""
+    return BIAS / effective_hypotheses(totals) if totals.spec.has_weights else 0.0
 
 
 def unbiased_squared_error(totals: Totals, statistic: Statistic, cells: Cells = None) -> float:

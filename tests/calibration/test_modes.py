@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from posecal.calibration import joint_modes
-from posecal.calibration.modes import LEAST, Modes, centres_of_modes, chance_limit, split_modes
+from posecal.calibration.modes import LEAST, LEAST_WEIGHTED, Modes, centres_of_modes, chance_limit, split_modes
 from posecal.calibration.modes import two_modes as along_one_axis
 from posecal.engine.block import Block
 from posecal.errors import PoseDataError
@@ -143,3 +143,62 @@ def test_and_modes_eight_deviations_apart_on_the_coordinate_that_is_asked_for(N:
     assert along_one_axis(x, np.full((1, 300), 2)).mean() > 0.9
     assert along_one_axis(x, np.zeros((1, 300), dtype=int)).mean() < chance_limit(N)
     assert not along_one_axis(x[..., :9], np.full((1, 300), 2)).any()
+
+
+def of_angles(x: Array) -> Array:
+    """Whether rows of angles (R, N), degrees, have two modes, as a block finds it."""
+    block = Block(x.T[:, :, None, None], np.zeros((len(x), 1, 1)), period=360.0)
+    return along_one_axis(block.sorted, np.zeros((len(x), 1), dtype=int), period=block.period)[:, 0]
+
+
+@pytest.mark.parametrize("N", [10, 20, 50, 200])
+def test_angles_without_two_directions_show_modes_seldom_wherever_the_circle_is_cut(N: int) -> None:
+    random = np.random.default_rng(N)
+    about = random.uniform(-180, 180, (1000, 1))
+    for concentration in (0.0, 0.5, 2.0, 10.0):
+        directions = np.degrees(random.vonmises(0, concentration, (1000, N)))
+        assert of_angles(about + directions).mean() < chance_limit(N)
+    assert of_angles(about + random.uniform(-90, 90, (1000, N))).mean() < chance_limit(N)
+
+
+@pytest.mark.parametrize("apart", [120, 180])  # of opposite directions no mean says where to cut
+@pytest.mark.parametrize("N", [10, 20, 50, 200])
+def test_two_directions_are_found_also_where_they_are_opposite(N: int, apart: int) -> None:
+    random = np.random.default_rng(N)
+    second = random.random((1000, N)) < 0.5
+    x = random.uniform(-180, 180, (1000, 1)) + apart * second + random.normal(0, 15, (1000, N))
+    assert of_angles(x).mean() > 0.9
+
+
+def of_weighted(x: Array, weights: Array) -> Array:
+    return along_one_axis(x[:, None, None], np.zeros((len(x), 1), dtype=int), weights)[:, 0]
+
+
+@pytest.mark.parametrize(("N", "concentration"), [(30, 5.0), (60, 1.0), (200, 0.3), (200, 0.12)])
+def test_weighted_hypotheses_have_modes_where_their_weights_do(N: int, concentration: float) -> None:
+    random = np.random.default_rng(N)
+    weights = random.dirichlet(np.full(N, concentration), 1000)
+    few = 1 / (weights**2).sum(axis=1) < LEAST_WEIGHTED
+    for one in (random.normal(size=(1000, N)), random.uniform(-3, 3, (1000, N))):
+        assert of_weighted(one, weights).mean() < chance_limit(LEAST_WEIGHTED) / 2
+    both = random.normal(size=(1000, N)) + 8 * (random.random((1000, N)) < 0.5)
+    assert of_weighted(both, weights)[~few].mean() > 0.95
+    assert not of_weighted(both, weights)[few].any()
+
+
+def test_hypotheses_of_small_weight_are_no_mode() -> None:
+    x = np.concatenate([np.random.default_rng(0).normal(size=(100, 50)), np.full((100, 50), 20.0)], axis=1)
+    x[:, 50:] += np.random.default_rng(1).normal(size=(100, 50))
+    weights = np.repeat([[0.0195] * 50 + [0.0005] * 50], 100, axis=0)
+    assert not of_weighted(x, weights).any()
+    assert of_weighted(x, np.full((100, 100), 0.01)).all()
+
+
+def test_copies_of_few_draws_are_no_modes() -> None:
+    random = np.random.default_rng(0)
+    drawn = random.normal(size=(2000, 1, 1, 10))
+    axis = np.zeros((2000, 1), dtype=int)
+    assert along_one_axis(np.sort(drawn), axis).mean() > chance_limit(200)  # as often as of ten, not of 200
+    assert not along_one_axis(np.sort(np.repeat(drawn, 20, axis=-1)), axis).any()
+    apart = np.sort(np.repeat(random.normal(size=(100, 1, 1, 20)) + 20 * (np.arange(20) % 2), 2, axis=-1))
+    assert along_one_axis(apart, axis[:100]).mean() > 0.9  # half of them are

@@ -9,7 +9,7 @@ import posecal
 from posecal.calibration.rank_tests import RANK_TESTS, weights_of_ranks
 from posecal.calibration.ranks import LEVELS, inside, rank_weights
 from posecal.engine.block import Block
-from tests.evidence.weights import TABLES, importance_draws, mixture
+from tests.evidence.weights import TABLES, importance_draws, mixture, p_values
 
 Array = np.ndarray[Any, Any]
 
@@ -70,7 +70,7 @@ def test_the_error_at_components_of_a_mixture_is_at_most_the_share_of_the_truth(
 
 @pytest.mark.slow
 def test_the_tables_say_what_the_page_says() -> None:
-    rows = {table.name: table.rows(table.replicates // 20) for table in TABLES}
+    rows = {table.name: table.rows(table.replicates // 20) for table in TABLES if table.name != "weights-levels"}
     for _, number, before, now, right in rows["weights-calibration"][:9]:
         assert float(now) < 0.25 / float(number) + 0.03
         assert float(before) > 0.06
@@ -83,3 +83,10 @@ def test_the_tables_say_what_the_page_says() -> None:
         if "× 1.2" in name:
             assert abs(float(now) - right) < 5 * error
         assert float(now) < float(before)
+
+
+@pytest.mark.slow
+def test_an_allowance_keeps_weighted_draws_of_a_proposal_from_being_rejected() -> None:
+    before, now = p_values(8, 20, True, 1.5, 100, "ece", seed=0)
+    assert (now["ece"] > before["ece"]).all()
+    assert (now["ece"] >= 0.05).all()

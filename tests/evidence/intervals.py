@@ -21,6 +21,8 @@ METRICS = (
     "energy_score",
     "spread_error_correlation",
     "ause",
+    "aurc",
+    "nll",
 )
 DESIGNS = (Design(6), Design(10), Design(20), Design(6, half_in_one=True), Design(10, half_in_one=True))
 BATCH = 200
@@ -31,8 +33,8 @@ OF_ACTIONS = Design(10, average="action"), Design(10, half_in_one=True, average=
 
 def true_values(sequences: int = 40_000) -> dict[str, float]:
     """Give each number over so many sequences of two frames each."""
-    hypotheses, truth = clips([2] * sequences, seed=9)
-    report = report_of(pairs_of(hypotheses, truth), ", ".join(METRICS))
+    hypotheses, truth, log_prob = clips([2] * sequences, seed=9)
+    report = report_of(pairs_of(hypotheses, truth, log_prob=log_prob), ", ".join(METRICS))
     return {name: report[name] for name in METRICS}
 
 

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from typing import Any
+from unittest import mock
 
 import numpy as np
 
 import posecal
 from posecal.metrics import crps, energy_score
+from posecal.stats import uncertainty
+from posecal.stats.resampling import LEVEL, holm
+from posecal.stats.uncertainty import BIAS
 from tests.evidence import Table
+from tests.helpers.clip_worlds import autoregressive
 
 Array = np.ndarray[Any, Any]
 
@@ -97,6 +102,59 @@ def copies(replicates: int) -> list[tuple[str, ...]]:
     ]
 
 
+DESIGNS = {"8 × 20, AR(1) .95": (8, 20, True), "20 × 20, AR(1) .95": (20, 20, True), "20 × 100": (20, 100, False)}
+"""Sequences, frames of each, and whether these are correlated."""
+
+BATCH = 20
+"""So many data sets are evaluated at once."""
+
+
+def p_values(
+    sequences: int, frames: int, correlated: bool, width: float, N: int, metrics: str, seed: int
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Give the p-values of some data sets of weighted draws of a proposal, (data sets,) by metric.
+
+    Without what posecal allows for, and with it.
+    """
+    x, y, w = importance_draws(seed, N, BATCH * sequences * frames, width)
+    if correlated:
+        centre = np.random.default_rng(seed).normal(0, 300, y.shape)
+        other = np.random.default_rng([seed, 1])  # the first draws of one generator are the centres
+        y = centre + SCALE * autoregressive([frames] * BATCH * sequences, y.shape[1:], other)
+    number = np.arange(BATCH * sequences).repeat(frames)
+    labels = {"sequence": number, "set": number // sequences}
+    options: dict[str, Any] = {"unit": "mm", "axes": "NMKD", "root_joint": "none", "threads": 1}
+    totals = posecal.evaluate(x, y, weights=w, labels=labels, by=["set"], metrics=metrics, **options).totals
+    found = []
+    for allowed in (0.0, BIAS):
+        with mock.patch.object(uncertainty, "BIAS", allowed):
+            report = posecal.Report(totals, by=["set"])
+            tested = [name for name, metric in report.metrics.items() if metric.deviation is not None]
+            sets = [group for group in report.groups if group is not None]
+            found.append({name: np.array([report.test(name, group).p for group in sets]) for name in tested})
+    return found[0], found[1]
+
+
+def levels(replicates: int) -> list[tuple[str, ...]]:
+    """How often weighted draws of a proposal, which are calibrated, are rejected at 5 %, before and now."""
+    rows = []
+    for width, N in ((1.2, 50), (1.5, 100)):
+        cells: list[list[str]] = [[], []]
+        for design in DESIGNS.values():
+            each = [p_values(*design, width, N, "ece, rank_tests", seed) for seed in range(replicates // BATCH)]
+            shares = []
+            for found in zip(*each, strict=True):
+                p = {name: np.concatenate([some[name] for some in found]) for name in found[0]}
+                ranks = np.array([p[name] for name in p if not name.startswith("ece")])
+                adjusted = np.min([holm(column.tolist()) for column in ranks.T], axis=1)
+                shares.append([f"{(values < LEVEL).mean():.0%}" for values in (p["ece"], adjusted)])
+            for row, (before, now) in zip(cells, zip(*shares, strict=True), strict=True):
+                row.append(f"{before} → {now}")
+        about = f"proposal × {width:g}, N = {N}, effective {_number(importance_draws(0, N, 2000, width)[2])}"
+        rows += [(f"{what}, {about}", *row) for what, row in zip(("ECE", "any of 7 rank tests"), cells, strict=True)]
+    return rows
+
+
 _BEFORE = "weights ignored (0.1.0)"
 TABLES = [
     Table(
@@ -109,4 +167,5 @@ TABLES = [
         copies,
         4_000,
     ),
+    Table("weights-levels", ("rejected at 5 %, before → now", *DESIGNS), levels, 100),
 ]

@@ -57,8 +57,10 @@ def autoregressive(lengths: Sequence[int], shape: tuple[int, ...], random: np.ra
     return np.concatenate(parts)
 
 
-def clips(lengths: Sequence[int], seed: int, N: int = 4, K: int = 3) -> tuple[Array, Array]:
+def clips(lengths: Sequence[int], seed: int, N: int = 4, K: int = 3) -> tuple[Array, Array, Array]:
     """Draw hypotheses and truths of sequences: the model knows half of what makes a sequence difficult.
+
+    The third array is the log density of the model's Gaussian at each truth, nats.
 
     The scale of the truth about the model's mean is 40 mm times a log-normal number for each sequence, of which the
     logarithm has a standard deviation of 0.5; the model's own is 40 mm times the root of that number, times another
@@ -69,7 +71,8 @@ def clips(lengths: Sequence[int], seed: int, N: int = 4, K: int = 3) -> tuple[Ar
     truth = 40 * np.exp(log_scale)[:, None, None] * autoregressive(lengths, (K, 3), random)
     spread = 40 * np.exp(log_scale / 2 + 0.2 * autoregressive(lengths, (), random))[:, None, None]
     hypotheses = spread * random.standard_normal((N, len(truth), K, 3))
-    return hypotheses.astype(np.float32), truth.astype(np.float32)
+    log_prob = -((truth / spread) ** 2 / 2 + np.log(spread) + np.log(2 * np.pi) / 2).sum(axis=(1, 2))
+    return hypotheses.astype(np.float32), truth.astype(np.float32), log_prob
 
 
 def data_sets(design: Design, replicates: int, metrics: str, seed: int) -> tuple[Totals, list[npt.NDArray[np.intp]]]:
@@ -81,7 +84,8 @@ def data_sets(design: Design, replicates: int, metrics: str, seed: int) -> tuple
         "replicate": np.char.mod("%04d", number // design.sequences),
         "action": np.char.mod("%d", number % 2),
     }
-    pairs = pairs_of(*clips(lengths, seed), labels=labels)
+    hypotheses, truth, log_prob = clips(lengths, seed)
+    pairs = pairs_of(hypotheses, truth, labels=labels, log_prob=log_prob)
     report = report_of(pairs, metrics, by=["replicate"], average=design.average)
     cells = [cells for group, cells in report.groups.items() if group is not None and cells is not None]
     return report.totals, cells

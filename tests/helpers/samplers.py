@@ -51,6 +51,7 @@ def pairs_of(
     root_joint: str | None = "none",
     occluded: npt.NDArray[np.bool_] | None = None,
     where: npt.NDArray[np.bool_] | None = None,
+    log_prob: Array | None = None,
 ) -> PoseData:
     """Matched poses in mm."""
     return PoseData(
@@ -61,6 +62,7 @@ def pairs_of(
         root_joint=root_joint,
         labels=labels,
         occluded=occluded,
+        log_prob=log_prob,
         unit="mm",
         axes="NMKD",
     )

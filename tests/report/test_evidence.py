@@ -56,6 +56,15 @@ def test_the_99_percent_interval_is_wider_by_the_ratio_of_student_quantiles() ->
     assert not area_of(0.0314, 0.0114, 0.0514, math.nan).excludes_at_99()
 
 
+def test_an_interval_within_what_weights_allow_excludes_nothing() -> None:
+    area = replace(area_of(-0.03, -0.035, -0.025, 39), slack=0.02)
+    assert (area.excludes, area.excludes_at_99()) == (-1, True)
+    assert (replace(area, slack=0.0255).excludes, replace(area, slack=0.0255).excludes_at_99()) == (0, False)
+    assert (replace(area, slack=0.024).excludes, replace(area, slack=0.024).excludes_at_99()) == (-1, False)
+    inside = replace(area_of(0.002, 0.001, 0.003, 39), slack=0.02)
+    assert (inside.excludes, inside.excludes_at_99()) == (0, False)
+
+
 @pytest.mark.parametrize("joint", [None, "Head"])
 def test_the_99_percent_interval_is_that_of_sequences_of_unequal_lengths_on_its_own_scale(joint: str | None) -> None:
     """As the jackknife has it with Student's quantile of 99.5 % in place of 97.5 %."""
@@ -138,3 +147,39 @@ def test_sequences_are_tested_whichever_side_they_lie_on() -> None:
         assert found.lowest[1] < found.highest[1]
         assert (found.highest[1] > 0) is both
         assert found.p < 0.2
+
+
+def depth_flips_at_one_joint() -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    random = np.random.default_rng(5)
+    x, y = random.normal(0, 10, (60, 80, 2, 1)), random.normal(0, 10, (80, 2, 1))
+    x[:, :, 1] += random.choice([-60, 60], (60, 80, 1))
+    y[:, 1] += random.choice([-60, 60], (80, 1))
+    return x, y
+
+
+@pytest.mark.parametrize("what", ["plain", "angles", "weights", "some absent"])
+def test_two_modes_are_named_of_angles_and_of_weighted_and_absent_hypotheses_too(what: str) -> None:
+    x, y = depth_flips_at_one_joint()
+    labels, options = {"sequence": np.arange(80) // 10}, {}
+    if what == "weights":
+        options["weights"] = np.random.default_rng(6).dirichlet(np.full(60, 2.0), 80).T
+    if what == "some absent":
+        x[40:, ::3] = np.nan
+    unit = "deg" if what == "angles" else "mm"
+    found = evidence_of(posecal.evaluate(x, y, unit=unit, axes="NMKD", labels=labels, root_joint="none", **options))
+    assert found.modes == {"joint 1": 1.0}
+
+
+@pytest.mark.parametrize("n", [2, 5, 10])
+def test_intervals_of_few_hypotheses_are_held_against_what_so_few_can_hold(n: int) -> None:
+    random, shape = np.random.default_rng(n), (400, 2, 1)
+    x, y = random.normal(0, 10, (n, *shape)), random.normal(0, 10, shape)
+    report = posecal.evaluate(x, y, unit="deg", axes="NMKD", labels={"sequence": np.arange(400) // 20})
+    attained = (n - 1) / (n + 1)
+    assert [row.best for row in evidence_of(report).coverage] == pytest.approx([min(0.5, attained), attained])
+    (sentence,) = report.summary  # none of an interval that excludes what is best
+    held = 100 * report["interval_coverage_90"]
+    assert sentence.endswith(
+        f"From the least hypothesis to the largest lie {held:.0f}\u00a0% of the truths, of a calibrated model "
+        f"{100 * attained:.0f}\u00a0%."
+    )

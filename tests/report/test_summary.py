@@ -74,7 +74,7 @@ def test_what_only_rank_tests_reject_is_said_with_its_meaning() -> None:
     x = random.normal(0, 40, (N, M, K, 3))  # the model's do not
     first, *_, last = summarize(report(x, y, "default, rank_tests"))
     assert first.startswith("No miscalibration shown on average")
-    assert last.startswith("Rank tests reject what the ECE can't see (")
+    assert last.startswith("Rank tests show more than the ECE (")
     assert "pair distance" in last
     assert "joints move together less or more than they should" in last
 

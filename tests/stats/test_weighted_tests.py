@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Any
 
@@ -9,8 +10,11 @@ import numpy as np
 import pytest
 
 import posecal
+from posecal.engine.metric import Deviation
 from posecal.errors import PoseDataError
-from posecal.stats.uncertainty import joint_p_values
+from posecal.stats.resampling import sign_flips, sign_flips_of_each
+from posecal.stats.uncertainty import BIAS, joint_p_values
+from tests.evidence.weights import importance_draws
 from tests.helpers.samplers import gaussian
 
 Array = np.ndarray[Any, Any]
@@ -50,6 +54,57 @@ def test_a_large_effective_number_is_tested() -> None:
     assert report["effective_hypotheses"] > 20
     assert report.test("ece").p > 0
     assert not any("0.6 /" in remark for remark in report.remarks)
+
+
+def proposal(width: float, spread: float, seed: int = 0) -> posecal.Report:
+    """2,000 poses of draws of a proposal so many times as wide as what the weights turn them to, and of its spread."""
+    x, y, w = importance_draws(seed, 60, 2000, width)
+    centre = x.mean(axis=0)
+    labels = {"sequence": np.arange(2000) // 50}
+    return posecal.evaluate(
+        centre + spread * (x - centre),
+        y,
+        weights=w,
+        unit="mm",
+        axes="NMKD",
+        root_joint="none",
+        labels=labels,
+        metrics="default, rank_tests",
+        threads=1,
+    )
+
+
+def test_what_weights_add_to_the_ece_of_a_calibrated_model_is_not_taken_for_an_error() -> None:
+    """Without the allowance p of the ECE is below 0.05 in about half of such data sets."""
+    for seed in range(2):
+        report = proposal(1.4, 1.0, seed)
+        assert 20 < report["effective_hypotheses"] < 40
+        assert report["ece"] < BIAS / report["effective_hypotheses"]
+        assert report["ece_p"] == 1
+        assert min(p for _, p in report.rank_tests().values()) > 0.05
+        assert not any("beyond chance" in line or line.startswith("Yet") for line in report.summary)
+
+
+def test_a_wrong_spread_of_weighted_hypotheses_is_found_all_the_same() -> None:
+    report = proposal(1.4, 0.7)
+    assert report["ece_p"] < 0.01
+    assert report.summary[0].startswith("Overconfident, beyond chance")
+    assert all(p < 0.05 for _, p in report.joint_tests().values())
+
+
+def test_an_allowance_counts_sign_patterns_that_come_within_it() -> None:
+    deviations = np.random.default_rng(0).normal(0.1, 0.3, (8, 2, 21))
+    counts = np.ones((8, 2), dtype=int)
+    signs = np.array(list(itertools.product([1], *[[1, -1]] * 7)))
+    means = np.einsum("bs,sjq->bjq", signs, deviations) / 8
+    errors = np.abs(np.median(means, axis=1)).mean(axis=1)
+    of_each = np.abs(means).mean(axis=2)
+    for slack in (0.0, 0.02, 0.05):
+        test = sign_flips(deviations, counts, Deviation(over="median"), slack=slack)
+        assert test.p == pytest.approx((errors >= errors[0] - slack - 1e-9).mean())
+        assert test.observed == pytest.approx(errors[0], rel=1e-5)
+        alone = sign_flips_of_each(deviations, counts, slack=slack)
+        np.testing.assert_allclose(alone, (of_each >= of_each[0] - slack - 1e-9).mean(axis=0))
 
 
 def test_a_comparison_of_few_weighted_hypotheses_names_none_better_but_by_accuracy() -> None:
