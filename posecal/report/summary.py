@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 FEW_SEQUENCES = 20
 """With fewer sequences than this the report says what p-values assume: rare bad ones may be missing from so few."""
 
-_SYMMETRY = "p-values assume that sequences err to either side alike"
+_SYMMETRY = "p assumes that sequences err to either side alike"
 
 
 def remarks(report: Report, words: Callable[[str], str] = for_python) -> tuple[str, ...]:
@@ -99,7 +99,7 @@ def _of_symmetry(report: Report) -> str:
         return f"{_SYMMETRY}."
     low, high = (f"{p:.2f}" if p >= STRONG else f"below {STRONG:g}" for p in (known.min(), known.max()))
     moves = f"stays {high}" if low == high else f"is {low} to {high}"
-    return f"{_SYMMETRY}; with any one left out, p of the ECE {moves}."
+    return f"{_SYMMETRY}; without any one, the ECE's {moves}."
 
 
 def summarize(report: Report) -> list[str]:

@@ -127,8 +127,8 @@ def remark_on_differences(areas: SequenceAreas, p: float, chance: str = COLUMNS)
     found = areas.areas
     if p >= LEVEL or len(found) < 2 or np.ptp(found) < 2 * WIDE or 12 * found.var() * areas.frames <= CROWDED:
         return ""
-    shown = "which can't be tested here" if np.isnan(p) else f"of which there is weak evidence (p = {p:.3f})"
-    return f"if sequences differ, {shown}, {chance} too large."
+    shown = "not testable here" if np.isnan(p) else f"weak evidence, p = {p:.3f}"
+    return f"if sequences differ ({shown}), {chance} too large."
 
 
 def sequences_differ_p(totals: Totals, statistic: Statistic) -> float:

@@ -255,7 +255,7 @@ def judge(sentence: str, world: World, law: Law, report: Report) -> str:
         return _of_joints(sentence, law)
     if "median over joints" in sentence:
         return RIGHT if law.mean_of_joints > 0 else WRONG if sentence.startswith("The median") else CAUTIOUS
-    if sentence.startswith(("Rank tests reject", "Weak evidence from")):
+    if sentence.startswith(("Rank tests", "Weak evidence from")):
         return RIGHT if off else CAUTIOUS if sentence.startswith("Weak") else WRONG
     if sentence.startswith("No rank test"):
         return RIGHT if not off else CAUTIOUS

@@ -214,10 +214,10 @@ def test_six_sequences_are_enough_for_a_test(number: int, few: bool) -> None:
 
 def test_below_twenty_sequences_what_p_values_assume_is_remarked_on_and_how_that_of_the_ece_moves() -> None:
     report = report_of()
-    (remark,) = (remark for remark in report.remarks if remark.startswith("p-values assume"))
+    (remark,) = (remark for remark in report.remarks if remark.startswith("p assumes"))
     p = p_without_each(report.totals, report.metrics["ece"])
     low, high = (f"{value:.2f}" if value >= 0.01 else "below 0.01" for value in (p.min(), p.max()))
-    words = f"either side alike; with any one left out, p of the ECE is {low} to {high}."
+    words = f"either side alike; without any one, the ECE's is {low} to {high}."
     assert remark.endswith(words)
 
 
@@ -232,5 +232,5 @@ def test_p_values_of_six_to_nineteen_sequences_have_the_remark(sequences: int, a
         axes="NMKD",
         root_joint="none",
     )
-    remarks = [remark for remark in report.remarks if remark.startswith("p-values assume")]
-    assert (len(remarks), sum("left out" in remark for remark in remarks)) == (assumed, moves)
+    remarks = [remark for remark in report.remarks if remark.startswith("p assumes")]
+    assert (len(remarks), sum("without any one" in remark for remark in remarks)) == (assumed, moves)

@@ -171,9 +171,9 @@ def test_what_a_calibrated_sampler_shows_is_said_to_be_of_sequences_that_differ_
 
     assert remark(0.0099, 0.1) == f"sequences differ (p = 0.010): {COLUMNS} of a model whose sequences differ as much."
     assert remark(0.0009).startswith("sequences differ (p < 0.001)")
-    assert remark(0.01) == f"if sequences differ, of which there is weak evidence (p = 0.010), {COLUMNS} too large."
+    assert remark(0.01) == f"if sequences differ (weak evidence, p = 0.010), {COLUMNS} too large."
     assert remark(0.05) == ""
-    assert remark(math.nan) == f"if sequences differ, which can't be tested here, {COLUMNS} too large."
+    assert remark(math.nan) == f"if sequences differ (not testable here), {COLUMNS} too large."
     assert remark(0.049, 0.1, 0.301) != ""
     assert [remark(0.049, -0.099, frames=99), remark(math.nan, frames=24.9)] == ["", ""]
     assert remark_on_differences(SequenceAreas((), np.zeros(0), math.nan), math.nan) == ""
