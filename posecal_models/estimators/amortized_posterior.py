@@ -2,7 +2,7 @@ r"""The reference estimator: an amortised posterior over the pose, given any sub
 
 Two parts. A linear Gaussian posterior whose natural parameters add up over the keypoints at hand, fitted in closed
 form; with no keypoint it is the prior. And a residual network that reads all keypoints by name and corrects it: a
-mixture of Gaussians with full covariance, in the coordinates in which the first part is standard normal.
+Gaussian with full covariance, or a mixture of several, in the coordinates in which the first part is standard normal.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class AmortizedPosterior(nn.Module):
         keypoints: tuple[str, ...] | None = None,
         *,
         dimensions: int = 0,
-        components: int = 4,
+        components: int = 1,
         width: int = 600,
         residuals: int = 3,
         position: bool = True,
