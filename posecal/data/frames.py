@@ -22,12 +22,13 @@ DIFFERENT_FRAMES = "coordinate frames differ"
 _POSES, _HYPOTHESES, _JOINTS = 64, 32, 4096
 """How many are looked at, joints of all poses together."""
 
-_LARGE, _REMOVES, _AGREE, _FEWEST = 0.3, 0.6, 0.75, 5
-"""A mean error above this share of the size of the poses, of which one change removes this share, is suspicious, if in
-this share of at least so many poses …"""
+_LARGE, _REMOVES, _FEWEST = 0.3, 0.6, 5
+"""A mean error above this share of the size of the poses, of which one change removes this share, is suspicious, if of
+at least so many poses …"""
 
-_BETTER = 0.75, 0.5
-"""… the error falls below this share of what it was: by axes and sides, as some poses are nearly symmetric, or else."""
+_AGREE, _BETTER = (0.75, 0.9), (0.75, 0.5)
+"""… these shares have errors below these shares of what they were: by axes, sides and order, as some poses are nearly
+symmetric, and by a shift or a factor."""
 
 _KNOWN = 0.5
 """Poses of which fewer joints are known than this share are not looked at."""
@@ -106,9 +107,9 @@ class FrameCheck:
         changes = [*_changes(x, y, joints, is_absolute=root is None), *_fitted_changes(x, y, joints, root)]
         after = {words: _errors(changed, y) for words, changed in changes}
         words = min(after, key=lambda key: after[key].mean() * (1 + len(key) / 50))  # of the best, the simplest
-        better = _BETTER[words.startswith("a ")]  # a shift or a factor
-        left, agree = after[words].mean(), (after[words] < better * errors).mean()
-        if left > (1 - _REMOVES) * errors.mean() or agree < _AGREE:
+        is_fitted = words.startswith("a ")  # a shift or a factor
+        left, agree = after[words].mean(), (after[words] < _BETTER[is_fitted] * errors).mean()
+        if left > (1 - _REMOVES) * errors.mean() or agree < _AGREE[is_fitted]:
             return []
         found = f"{errors.mean():,.0f} into {left:,.0f} {unit} ({len(x)} frames looked at)"
         return [

@@ -30,6 +30,9 @@ _BYTES = 8 * 1024 * 1024
 _FEWEST_COORDINATES = 9
 """Hypotheses of fewer may be equal by chance."""
 
+_REMEMBERED = 65_536
+"""Of so many poses, the first ones, it is known whether the hypotheses of a later one are theirs."""
+
 _ROUNDED = 0.01
 """A hypothesis so many times nearer to the truth than most, in every coordinate, is the truth in fewer digits."""
 
@@ -40,6 +43,7 @@ _OF_FRAMES = {
     "points": "every hypothesis is one point. Are these frames without a prediction? Leave them out.",
     "same": "all hypotheses are the same. A sampler gives different ones.",
     "size": f"hypotheses are over {_FACTOR:g} times larger or smaller than the truth. Are all in one unit?",
+    "repeated": "the hypotheses are those of an earlier frame. Were they stored twice, or beside other frames?",
     "truth": "a hypothesis equals the truth. Is the truth among the samples?",
     "few": "so few joints count that any pose fits them after alignment: aligned numbers (PA-, CPS) are of the others.",
 }
@@ -73,6 +77,7 @@ class PoseRemarks:
         self._first: dict[str, list[str]] = {}
         self._looks = (Fills(), Repeats()), (Fills(), Repeats())  # at hypotheses, at truth
         self._poses, self._names, self._step, self._distinct = 0, ("", ""), 1, 0
+        self._seen: set[float] = set()  # a number of the hypotheses of each pose
 
     def add(self, names: tuple[str, str], chunk: Chunk, frames: npt.NDArray[np.str_], spec: DataSpec) -> None:
         """Look at more poses.
@@ -111,6 +116,7 @@ class PoseRemarks:
             self._note("some points", points & ~empty, frames)
             self._note("score 0", _without_weight(chunk.scores, there), frames)
             self._note_equal(x, where, there & ~points, frames)
+            self._note_repeated(x, where, there & ~points, frames)
             root = root_joints(spec.root)
             self._note_truth(x, y, where, frames, root)
             if x.shape[2] >= FEWEST_JOINTS and x.shape[3] > 1:
@@ -183,6 +189,27 @@ class PoseRemarks:
             some_equal = repeated & ~same
             self._note("equal", some_equal, frames)
             self._distinct += int((counted & ~some_equal)[:, some_equal.any(axis=0)].sum())
+
+    def _note_repeated(
+        self, x: FloatArray, where: BoolArray | None, counted: BoolArray, frames: npt.NDArray[np.str_]
+    ) -> None:
+        """Count poses whose hypotheses are all those of an earlier one, among the first :data:`_REMEMBERED`."""
+        n, m, k, d = x.shape
+        if n * k * d < 2 * _FEWEST_COORDINATES:
+            return
+        some = x[:, :, [k // 2, k - 1]].astype(np.float64)
+        factors = np.random.default_rng(0).normal(size=(n, 1, 2, d))
+        keys = (some * factors).sum(axis=(2, 3)).sum(axis=0)
+        looked_at = counted.all(axis=0) & (keys != 0)
+        if where is not None:
+            looked_at &= where[:, k // 2] & where[:, k - 1]
+        found = np.zeros(m, dtype=bool)
+        for row in np.flatnonzero(looked_at).tolist():
+            key = float(keys[row])
+            found[row] = key in self._seen
+            if len(self._seen) < _REMEMBERED:
+                self._seen.add(key)
+        self._note("repeated", found, frames)
 
     def _note_truth(
         self, x: FloatArray, y: FloatArray, where: BoolArray | None, frames: npt.NDArray[np.str_], root: list[int]

@@ -142,6 +142,18 @@ def test_the_truth_in_fewer_digits_or_elsewhere_is_found_and_a_sharp_model_is_no
     assert said(sharp, Y, words) == said(X[:1], Y, words) == []
 
 
+def test_hypotheses_of_an_earlier_frame_are_counted_also_in_batches() -> None:
+    x, words = X.copy(), "the hypotheses are those of an earlier frame. Were they stored twice, or beside other frames?"
+    assert said(x, Y, words) == []
+    x[:, 60:63] = x[:, 7:10]
+    remark = f"hypotheses: in 3 of 90 frames (first: 60, 61, 62) {words}"
+    assert said(x, Y, words) == [remark]
+    of_batches, _ = in_parts(x, Y, 30)
+    assert [found.startswith("hypotheses: in 3 of 90 frames") for found in of_batches if words in found] == [True]
+    x[1, 60:63] += 9  # others beside the same are others
+    assert said(x, Y, words) == []
+
+
 def test_frames_whose_hypotheses_are_in_another_unit_are_counted() -> None:
     x = X.copy()
     x[:, 30:45] /= 1000
