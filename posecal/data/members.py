@@ -71,8 +71,8 @@ def unread_remarks(poses: StoredPoses, shape: tuple[int, ...]) -> list[str]:
         if key not in names and _MARKS_OF_MANY.search(key) and {*size} <= {1, *shape, *poses.array.shape}
     ]
     if others:
-        marks = " may mark what does not count. Mark joints by valid (M, K), and absent hypotheses by weights (N, M) of 0."
-        remarks.append(Remark(which, ": not read: ", Example(first_few(others)), marks))
+        words = " may mark what does not count. Joints are marked by valid (M, K), absent hypotheses by weights of 0."
+        remarks.append(Remark(which, ": not read: ", Example(first_few(others)), words))
     marks = [k for k, v in poses.labels.items() if _MARKS.search(k) and v.shape == shape[:1] and len(np.unique(v)) == 2]
     if marks:
         label = " (M,) is a label; the poses that count are marked by valid (M,). Rename what is meant."

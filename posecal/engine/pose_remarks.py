@@ -214,7 +214,7 @@ class PoseRemarks:
     def _note_truth(
         self, x: FloatArray, y: FloatArray, where: BoolArray | None, frames: npt.NDArray[np.str_], root: list[int]
     ) -> None:
-        """Count poses of which a hypothesis is the truth at the joints that count, relative to the root, but rounded."""
+        """Count poses of which a hypothesis is the rounded truth, relative to the root, at the joints that count."""
         k, d = y.shape[1:]
         if k * d < _FEWEST_COORDINATES:
             return

@@ -32,7 +32,7 @@ def test_masks_of_unknown_names_are_named(tmp_path: Path, name: str) -> None:
 
 def test_masks_of_coordinates_and_of_hypotheses_are_named(tmp_path: Path) -> None:
     """As mmpose and padded batches have them."""
-    said = " may mark what does not count. Mark joints by valid (M, K), and absent hypotheses by weights (N, M) of 0."
+    said = " may mark what does not count. Joints are marked by valid (M, K), absent hypotheses by weights of 0."
     of_all = np.repeat(SEEN[..., None], 3, axis=2)
     (of_truth,) = remarks(tmp_path, {"joints_3d_visible": of_all, "other": of_all})
     assert of_truth == f"gt.npz: not read: joints_3d_visible {of_all.shape}{said}"
