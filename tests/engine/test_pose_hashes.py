@@ -75,7 +75,8 @@ def test_repeated_poses_are_remarked_on() -> None:
     evaluation = posecal.Evaluation(axes="NMKD", unit="mm", root_joint="none")
     for rows in ([*range(10)], [*range(10, 17), 0, 1, 2]):  # three to fill the batch
         evaluation.update(HYPOTHESES[:, rows], TRUTH[rows])
-    (remark,) = evaluation.totals().remarks
+    of_hypotheses, remark = evaluation.totals().remarks
+    assert of_hypotheses.startswith("hypotheses: in 3 of 20 frames (first: 17, 18, 19) the hypotheses are those of an")
     assert remark.startswith("truth: 3 of 20 frames with truth and labels of another count twice. Were they repeated")
 
 
