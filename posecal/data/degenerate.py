@@ -28,6 +28,9 @@ _FEWEST_COORDINATES = 6
 _FILL = 1000.0
 """Three coordinates of this size, in any unit, are not equal by chance."""
 
+_APART = 2.0
+"""A joint of a body is not so many times as far from others as these are from each other; one that is 0 may be."""
+
 _FACTORS = np.sqrt([2.0, 3.0, 5.0])
 """What coordinates are weighted by, so that sums of other coordinates are equal by chance only."""
 
@@ -170,7 +173,7 @@ class Fills:
         counted : bool array (N, M)
             The poses that count.
         resting : sequence of int
-            Joints that may be 0.
+            Joints that may be 0, unless they are far from the others.
         joints : sequence of str
             K names.
         """
@@ -180,7 +183,7 @@ class Fills:
             self._range = min(low, float(np.nanmin(poses))), max(high, float(np.nanmax(poses)))
         equal = poses[..., 0] == poses[..., 1]
         for joint in resting:
-            equal[:, :, joint] &= poses[:, :, joint, 0] != 0
+            equal[:, :, joint] &= (poses[:, :, joint, 0] != 0) | _is_apart(poses, joint)
         found = np.flatnonzero(equal)
         if not len(found):
             return
@@ -216,6 +219,15 @@ class Fills:
             or (number > 1 and (self._d > 2 or value in self._range))
             or (self._d > 2 and abs(value) >= _FILL)
         ]
+
+
+def _is_apart(poses: FloatArray, joint: int) -> BoolArray:
+    """Find poses (N, M, K, D) of which a joint is over twice as far from some others as these are from each other."""
+    k = poses.shape[2]
+    a, b, c = (poses[:, :, (joint + step) % k] for step in (max(1, k // 3), max(1, 2 * k // 3), k - 1))
+    sides = [np.linalg.norm(one - other, axis=-1) for one, other in ((a, b), (b, c), (c, a))]
+    away = [np.linalg.norm(other - poses[:, :, joint], axis=-1) for other in (a, b, c)]
+    return np.asarray(np.minimum.reduce(away) > _APART * np.maximum.reduce(sides))
 
 
 class Repeats:

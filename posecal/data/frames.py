@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from itertools import permutations, product
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from posecal.data.arrays import FloatArray
 from posecal.data.joint_names import letters, side_of
@@ -21,12 +22,13 @@ DIFFERENT_FRAMES = "coordinate frames differ"
 _POSES, _HYPOTHESES, _JOINTS = 64, 32, 4096
 """How many are looked at, joints of all poses together."""
 
-_LARGE, _REMOVES, _AGREE, _FEWEST = 0.3, 0.6, 0.9, 5
-"""A mean error above this share of the size of the poses, of which one change removes this share, is suspicious, if in
-this share of at least so many poses …"""
+_LARGE, _REMOVES, _FEWEST = 0.3, 0.6, 5
+"""A mean error above this share of the size of the poses, of which one change removes this share, is suspicious, if of
+at least so many poses …"""
 
-_BETTER = 0.75, 0.5
-"""… the error falls below this share of what it was: by axes and sides, as some poses are nearly symmetric, or else."""
+_AGREE, _BETTER = (0.75, 0.9), (0.75, 0.5)
+"""… these shares have errors below these shares of what they were: by axes, sides and order, as some poses are nearly
+symmetric, and by a shift or a factor."""
 
 _KNOWN = 0.5
 """Poses of which fewer joints are known than this share are not looked at."""
@@ -37,6 +39,12 @@ _FAR = 1.0
 _OF_A_MODEL = 2.4
 """A model may be wrong by a factor up to this; beyond, units differ (2.54 from inches, 10 from centimetres)."""
 
+_ORDERED = 64
+"""Of more joints, another order is not looked for: where they lie close, one that fits better is found by chance."""
+
+_ALONG = 0.97
+"""A rotation whose largest cosines all reach this follows the axes, and is named by them."""
+
 _AXES = "xyz"
 
 
@@ -44,7 +52,7 @@ class FrameCheck:
     """The mean hypothesis and the truth of some poses, and a simple change that removes most of a large error.
 
     Errors are compared as they stand and after each change: axes negated or exchanged, left and right joints exchanged,
-    both, a shift where no root is subtracted, and a factor.
+    both, the joints in another order, one rotation of all poses, a shift where no root is subtracted, and a factor.
     """
 
     def __init__(self) -> None:
@@ -96,12 +104,12 @@ class FrameCheck:
         size, errors = np.sqrt(np.nanmean((centred**2).sum(axis=2))), _errors(x, y)
         if errors.mean() < _LARGE * size:
             return []
-        changes = _changes(x, y, joints, is_absolute=root is None)
+        changes = [*_changes(x, y, joints, is_absolute=root is None), *_fitted_changes(x, y, joints, root)]
         after = {words: _errors(changed, y) for words, changed in changes}
         words = min(after, key=lambda key: after[key].mean() * (1 + len(key) / 50))  # of the best, the simplest
-        better = _BETTER[words.startswith("a ")]  # a shift or a factor
-        left, agree = after[words].mean(), (after[words] < better * errors).mean()
-        if left > (1 - _REMOVES) * errors.mean() or agree < _AGREE:
+        is_fitted = words.startswith("a ")  # a shift or a factor
+        left, agree = after[words].mean(), (after[words] < _BETTER[is_fitted] * errors).mean()
+        if left > (1 - _REMOVES) * errors.mean() or agree < _AGREE[is_fitted]:
             return []
         found = f"{errors.mean():,.0f} into {left:,.0f} {unit} ({len(x)} frames looked at)"
         return [
@@ -150,6 +158,27 @@ def _changes(
     factor = float(np.nansum(x * y) / square) if square > 0 else 1.0
     if factor > 0 and not 1 / _OF_A_MODEL < factor < _OF_A_MODEL:
         yield f"a factor of {factor:.3g}", x * factor
+
+
+def _fitted_changes(
+    x: FloatArray, y: FloatArray, joints: tuple[str, ...], root: AnyRoot
+) -> Iterator[tuple[str, FloatArray]]:
+    """Give the joints of poses (M, K, D) in the order that fits best, and the poses turned by one rotation."""
+    known = np.isfinite(x).all(axis=(1, 2))  # as y is known where x is
+    x0, y0 = x - _mean(x, axis=1), y - _mean(y, axis=1)
+    if known.any() and 3 < len(joints) <= _ORDERED:
+        distances = np.linalg.norm(x0[known][:, :, None] - y0[known][:, None], axis=-1).mean(axis=0)
+        order = linear_sum_assignment(distances.T)[1]
+        moved = [f"{joints[j]} for {joints[k]}" for k, j in enumerate(order.tolist()) if j != k]
+        if moved:
+            others = f" and {len(moved) - 2} more joints" if len(moved) > 2 else ""
+            ordered = x[:, order] if root is None else x[:, order] - origin(x[:, order], root)
+            yield f"taking {', '.join(moved[:2])}{others}", ordered
+    left, _, right = np.linalg.svd(np.einsum("mkd,mke->de", np.nan_to_num(x0), np.nan_to_num(y0)))
+    left[:, -1] *= np.linalg.det(left @ right)
+    rotation = left @ right
+    if np.abs(rotation).max(axis=0).min() < _ALONG:
+        yield "one rotation of all poses", x @ rotation if root is not None else x0 @ rotation + _mean(y, axis=1)
 
 
 def _changes_of_axes(d: int) -> Iterator[tuple[str, list[int], FloatArray]]:

@@ -17,6 +17,9 @@ from posecal.errors import PosecalError, attempt, first_few
 _MARKS = re.compile("mask|valid|missing|annotated|ignore", re.IGNORECASE)
 """Names that labels of two values may have where they stand for poses that do not count."""
 
+_MARKS_OF_MANY = re.compile(f"{_MARKS.pattern}|visib|occlu|confiden", re.IGNORECASE)
+"""Names of arrays that may mark joints, coordinates or hypotheses."""
+
 _LOOKED_AT = 10_000
 """Names of frames whose order is looked at."""
 
@@ -57,11 +60,19 @@ def read_members(
 
 
 def unread_remarks(poses: StoredPoses, shape: tuple[int, ...]) -> list[str]:
-    """Remark on members of unknown names with a value for each of (M, K) joints, or that mark some of M poses."""
+    """Remark on members of unknown names that are of (M, K) joints, or whose names are those of marks."""
     names = [key for key, size in poses.unread.items() if math.prod(size) == math.prod(shape)]
     which, first = Example(poses.name), Example(first_few(names))
     known = " (M, K); of that shape, valid, occluded and visible are. Rename what is meant."
     remarks: list[str] = [Remark(which, ": not read: ", first, known)] if names else []
+    others = [
+        f"{key} {size}"
+        for key, size in poses.unread.items()
+        if key not in names and _MARKS_OF_MANY.search(key) and {*size} <= {1, *shape, *poses.array.shape}
+    ]
+    if others:
+        words = " may mark what does not count. Joints are marked by valid (M, K), absent hypotheses by weights of 0."
+        remarks.append(Remark(which, ": not read: ", Example(first_few(others)), words))
     marks = [k for k, v in poses.labels.items() if _MARKS.search(k) and v.shape == shape[:1] and len(np.unique(v)) == 2]
     if marks:
         label = " (M,) is a label; the poses that count are marked by valid (M,). Rename what is meant."

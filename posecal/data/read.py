@@ -159,11 +159,12 @@ def _read_datasets(path: Path, dataset: str, role: Role) -> StoredPoses:
 def _unread(headers: Mapping[str, Header], chosen: str) -> dict[str, tuple[int, ...]]:
     """Give the shapes of the arrays of numbers that evaluations don't read; what a file is trained with is no such."""
     known = {chosen, *_RESERVED, *_NAMES["hypotheses"], *_NAMES["truth"]}
+    known |= {"keypoints_2d", "keypoints_observed", "keypoints_sigma"}
     known |= {"confidence"} if "valid" in headers else set()  # of convert, which makes valid of it
     return {
         key: shape
         for key, (shape, _, dtype) in headers.items()
-        if key not in known and not key.startswith("keypoints_") and len(shape) > 1 and dtype.kind in "biuf"
+        if key not in known and len(shape) > 1 and dtype.kind in "biuf"
     }
 
 

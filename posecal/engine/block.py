@@ -22,7 +22,7 @@ from posecal.data.root import AnyRoot
 from posecal.engine.circular import circular_mean, turns_of_pool, unwrapped, wrapped
 from posecal.engine.coordinate_range import CoordinateRange, coordinate_range
 from posecal.engine.memory import reuse_freed_memory
-from posecal.engine.offsets import offsets_from_truth, relative_to_root
+from posecal.engine.offsets import far_roots, offsets_from_truth, relative_to_root
 from posecal.engine.weighted import LEAST_SPREAD, effective_counts, effective_number, weighted_median
 from posecal.errors import PoseDataError
 
@@ -176,9 +176,9 @@ class Block:
     @cached_property
     def non_finite(self) -> BoolArray:
         """The poses and joints, (B, K), at which a coordinate that counts is NaN, infinite or too large."""
-        if np.einsum("bkn->", self.squared_errors) < LARGEST**2:  # one fast pass; true of nearly every block
-            return np.zeros_like(self.where)
-        return np.asarray(is_outside(self.offsets).any(axis=(2, 3)))
+        far = far_roots(self.stored[0], self.where, self.root)
+        is_near = np.einsum("bkn->", self.squared_errors) < LARGEST**2  # one fast pass; true of nearly every block
+        return far if is_near else np.asarray(far | is_outside(self.offsets).any(axis=(2, 3)))
 
     @cached_property
     def reference(self) -> Block | None:

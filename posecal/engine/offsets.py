@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from posecal.data.arrays import FloatArray, working_dtype
-from posecal.data.root import AnyRoot, Root, origin
+from posecal.data.arrays import BoolArray, FloatArray, working_dtype
+from posecal.data.degenerate import is_outside
+from posecal.data.root import AnyRoot, Root, origin, root_joints
 
 
 def offsets_from_truth(hypotheses: FloatArray, truth: FloatArray, root: AnyRoot) -> FloatArray:
@@ -25,3 +26,15 @@ def relative_to_root(truth: FloatArray, root: AnyRoot, dtype: np.dtype[np.floati
     with np.errstate(invalid="ignore", over="ignore"):
         wide = truth.astype(working_dtype(truth.dtype), copy=False)
         return (wide if root is None else wide - origin(wide, root)).astype(dtype)
+
+
+def far_roots(hypotheses: FloatArray, where: BoolArray, root: AnyRoot) -> BoolArray:
+    """Find the poses and joints, (B, K), at which the root of a hypothesis, (N, B, K, D), is NaN or too far away.
+
+    A hypothesis that is far away as a whole, such as one of a fill value, is near relative to its root, and takes the
+    precision of what is computed beside it.
+    """
+    found = np.zeros_like(where)
+    for joint in root_joints(root):
+        found[:, joint] = is_outside(hypotheses[:, :, joint]).any(axis=(0, 2)) & where[:, joint]
+    return found

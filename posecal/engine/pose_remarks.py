@@ -30,6 +30,12 @@ _BYTES = 8 * 1024 * 1024
 _FEWEST_COORDINATES = 9
 """Hypotheses of fewer may be equal by chance."""
 
+_REMEMBERED = 65_536
+"""Of so many poses, the first ones, it is known whether the hypotheses of a later one are theirs."""
+
+_ROUNDED = 0.01
+"""A hypothesis so many times nearer to the truth than most, in every coordinate, is the truth in fewer digits."""
+
 _FACTOR = 100.0
 """Hypotheses so many times as large as the truth, or as small, are in another unit."""
 
@@ -37,6 +43,7 @@ _OF_FRAMES = {
     "points": "every hypothesis is one point. Are these frames without a prediction? Leave them out.",
     "same": "all hypotheses are the same. A sampler gives different ones.",
     "size": f"hypotheses are over {_FACTOR:g} times larger or smaller than the truth. Are all in one unit?",
+    "repeated": "the hypotheses are those of an earlier frame. Were they stored twice, or beside other frames?",
     "truth": "a hypothesis equals the truth. Is the truth among the samples?",
     "few": "so few joints count that any pose fits them after alignment: aligned numbers (PA-, CPS) are of the others.",
 }
@@ -70,6 +77,7 @@ class PoseRemarks:
         self._first: dict[str, list[str]] = {}
         self._looks = (Fills(), Repeats()), (Fills(), Repeats())  # at hypotheses, at truth
         self._poses, self._names, self._step, self._distinct = 0, ("", ""), 1, 0
+        self._seen: set[float] = set()  # a number of the hypotheses of each pose
 
     def add(self, names: tuple[str, str], chunk: Chunk, frames: npt.NDArray[np.str_], spec: DataSpec) -> None:
         """Look at more poses.
@@ -108,10 +116,12 @@ class PoseRemarks:
             self._note("some points", points & ~empty, frames)
             self._note("score 0", _without_weight(chunk.scores, there), frames)
             self._note_equal(x, where, there & ~points, frames)
-            self._note_truth(x, y, where, frames)
+            self._note_repeated(x, where, there & ~points, frames)
+            root = root_joints(spec.root)
+            self._note_truth(x, y, where, frames, root)
             if x.shape[2] >= FEWEST_JOINTS and x.shape[3] > 1:
                 self._note("size", _differ_in_size(x[0], y, where) & ~points[0], frames)
-                keys, root = joint_keys(spec.joints), root_joints(spec.root)
+                keys = joint_keys(spec.joints)
                 resting = root or [keys.index("Hip") if "Hip" in keys else 0]
                 for some, others, counted, fills, repeats in (
                     (x, y, there & ~points, *self._looks[0]),
@@ -180,18 +190,45 @@ class PoseRemarks:
             self._note("equal", some_equal, frames)
             self._distinct += int((counted & ~some_equal)[:, some_equal.any(axis=0)].sum())
 
-    def _note_truth(self, x: FloatArray, y: FloatArray, where: BoolArray | None, frames: npt.NDArray[np.str_]) -> None:
-        """Count poses of which a hypothesis equals the truth at the joints that count."""
+    def _note_repeated(
+        self, x: FloatArray, where: BoolArray | None, counted: BoolArray, frames: npt.NDArray[np.str_]
+    ) -> None:
+        """Count poses whose hypotheses are all those of an earlier one, among the first :data:`_REMEMBERED`."""
+        n, m, k, d = x.shape
+        if n * k * d < 2 * _FEWEST_COORDINATES:
+            return
+        some = x[:, :, [k // 2, k - 1]].astype(np.float64)
+        factors = np.random.default_rng(0).normal(size=(n, 1, 2, d))
+        keys = (some * factors).sum(axis=(2, 3)).sum(axis=0)
+        looked_at = counted.all(axis=0) & (keys != 0)
+        if where is not None:
+            looked_at &= where[:, k // 2] & where[:, k - 1]
+        found = np.zeros(m, dtype=bool)
+        for row in np.flatnonzero(looked_at).tolist():
+            key = float(keys[row])
+            found[row] = key in self._seen
+            if len(self._seen) < _REMEMBERED:
+                self._seen.add(key)
+        self._note("repeated", found, frames)
+
+    def _note_truth(
+        self, x: FloatArray, y: FloatArray, where: BoolArray | None, frames: npt.NDArray[np.str_], root: list[int]
+    ) -> None:
+        """Count poses of which a hypothesis is the rounded truth, relative to the root, at the joints that count."""
         k, d = y.shape[1:]
         if k * d < _FEWEST_COORDINATES:
             return
         true = y.astype(x.dtype, copy=False)
         ignored = np.zeros(y.shape[:2], dtype=bool) if where is None else ~where
-        may = np.ones(x.shape[:2], dtype=bool)
-        for j in (k // 2, k - 1):  # few poses are left to look at closely
-            may &= (x[:, :, j, 0] == true[:, j, 0]) | ignored[:, j]
-        numbers, rows = np.nonzero(may)
-        equal = ((x[numbers, rows] == true[rows]) | ignored[rows][..., None]).all(axis=(1, 2))
+        shift = x[:, :, root[0], 0] - true[:, root[0], 0] if root else np.zeros((), dtype=x.dtype)
+        away = np.abs(x[:, :, [k // 2, k - 1], 0] - true[:, [k // 2, k - 1], 0] - shift[..., None])
+        near = _ROUNDED * np.sort(away[..., 1], axis=0)[len(x) // 2]
+        may = ((away <= near[:, None]) | ignored[:, [k // 2, k - 1]]).all(axis=2)
+        numbers, rows = np.nonzero(may)  # few are left to look at closely
+        offsets = x[numbers, rows] - true[rows]
+        if root:
+            offsets -= offsets[:, root[:1]]
+        equal = ((np.abs(offsets) <= near[rows][:, None, None]) | ignored[rows][..., None]).all(axis=(1, 2))
         found = np.zeros(len(y), dtype=bool)
         found[rows[equal]] = True
         self._note("truth", found & ~ignored.all(axis=1), frames)

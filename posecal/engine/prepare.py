@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -208,7 +209,8 @@ def _with_trials(data: PoseData, protocol: Protocol) -> PoseData:
     values, inverse = np.unique(data.labels[name], return_inverse=True)
     first = np.array([value.split()[0] if value.split() else value for value in values.tolist()])
     if protocol.trials == "together":
-        return data.replace(labels={**data.labels, name: first[inverse]})
+        remarks = (*data.remarks, *_numbered_remarks(name, np.unique(first).tolist()))
+        return data.replace(labels={**data.labels, name: first[inverse]}, remarks=remarks)
     words, counts = np.unique(first, return_counts=True)
     if (counts > 1).any():
         shared = values[first == words[counts > 1][0]].tolist()
@@ -217,8 +219,20 @@ def _with_trials(data: PoseData, protocol: Protocol) -> PoseData:
             Example(first_few(shared)),
             f"). {option('trials', 'together')} takes those as one.",
         )
-        data = data.replace(remarks=(*data.remarks, remark))
-    return data
+        return data.replace(remarks=(*data.remarks, remark))
+    return data.replace(remarks=(*data.remarks, *_numbered_remarks(name, values.tolist())))
+
+
+def _numbered_remarks(name: str, values: Sequence[str]) -> list[str]:
+    """Remark on some labels that differ in case or in a number at their end alone, unless all do, as numbers do."""
+    stems = [re.sub(r"[\W_]*\d+$", "", value).casefold() for value in values]
+    alike = next((stem for stem in stems if stems.count(stem) > 1), "")
+    if not alike or len({*stems}) == 1:
+        return []
+    shared = first_few([value for value, stem in zip(values, stems, strict=True) if stem == alike])
+    words = f"average: values of {name} that differ in case or in a number at their end alone ("
+    end = ") are taken as several. Where they are trials of one, give them one name."
+    return [Remark(words, Example(shared), end)]
 
 
 def _with_counting_root(data: PoseData, *, is_masked: bool) -> PoseData:

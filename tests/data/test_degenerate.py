@@ -135,6 +135,17 @@ def test_fill_values_are_refused_in_one_call_and_in_batches(value: float) -> Non
         evaluated(hypotheses(), y)
 
 
+@pytest.mark.parametrize("value", [1e8, 1e20, float(np.finfo(np.float32).max)])
+def test_a_hypothesis_that_is_far_away_as_a_whole_is_refused(value: float) -> None:
+    """Relative to its root it is near, and what it does to sums would change the numbers of the others."""
+    x = hypotheses()
+    x[3, 4] = value
+    with pytest.raises(PoseDataError, match=r"^hypotheses has .*beyond 10 km.* \(first: frame 4, joint Hip\)"):
+        evaluated(x, truth())
+    with pytest.raises(PoseDataError, match=r"^hypotheses: .*beyond 10 km .* \(first: pose 4, joint 0\)"):
+        posecal.metrics.mpjpe(x, truth(), root=0)
+
+
 @pytest.mark.parametrize("value", [1.1e5, -1e9])
 def test_angles_beyond_many_turns_are_refused(value: float) -> None:
     y = np.random.default_rng(0).uniform(-180, 180, (30, 3, 1))

@@ -54,6 +54,28 @@ def test_exchanged_sides_are_named_in_any_spelling() -> None:
     assert ": exchanging left and right joints and negating z in hypotheses turns" in both
 
 
+@pytest.mark.parametrize("root", ["Hip", "none"])
+def test_another_order_of_the_joints_is_named_by_what_undoes_it(root: str) -> None:
+    """In names, or where joints are numbered; the root may be among them."""
+    x, y = model()
+    order = np.roll(np.arange(17), 5)
+    undo = [int(np.flatnonzero(order == k)[0]) for k in (0, 1)]
+    found = remark_of(x[:, :, order], y, root_joint=root)
+    words = ", ".join(f"{JOINTS[j]} for {JOINTS[k]}" for k, j in enumerate(undo))
+    assert f": taking {words} and 15 more joints in hypotheses turns" in found
+    numbered = remark_of(x[:, :, SIDES], y, joints=None, root_joint="none" if root == "none" else 0)
+    assert ": taking joint 4 for joint 1, joint 5 for joint 2 and 10 more joints in hypotheses turns" in numbered
+
+
+@pytest.mark.parametrize("root", ["Hip", "none"])
+def test_one_rotation_of_all_poses_is_named_where_no_axes_are_exchanged(root: str) -> None:
+    x, y = model()
+    turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
+    turn *= np.linalg.det(turn)
+    there = y @ turn + [0, 0, 50.0]
+    assert ": one rotation of all poses in hypotheses turns" in remark_of(x, there, root_joint=root)
+
+
 def test_a_factor_and_a_shift_are_named() -> None:
     x, y = model()
     assert ": a factor of 0.098" in remark_of(x * 10, y)
@@ -90,6 +112,8 @@ def test_hypotheses_that_are_absent_are_left_out() -> None:
 def test_a_mirrored_person_is_named_although_some_poses_are_nearly_symmetric(seed: int) -> None:
     x, y = model(seed)
     assert "negating y in hypotheses" in remark_of(x * [1, -1, 1], y)
+    augmented = remark_of(x[:, :, SIDES] * [1, -1, 1], y)  # by an augmentation that nothing undid
+    assert ": exchanging left and right joints and negating y in hypotheses" in augmented
 
 
 def test_small_batches_are_looked_at_together() -> None:

@@ -30,6 +30,16 @@ def test_masks_of_unknown_names_are_named(tmp_path: Path, name: str) -> None:
     assert remarks(tmp_path, {}, {name: SEEN[..., None] * 0.5}) == [f"hyps.npz: {said.format(name)}"]
 
 
+def test_masks_of_coordinates_and_of_hypotheses_are_named(tmp_path: Path) -> None:
+    """As mmpose and padded batches have them."""
+    said = " may mark what does not count. Joints are marked by valid (M, K), absent hypotheses by weights of 0."
+    of_all = np.repeat(SEEN[..., None], 3, axis=2)
+    (of_truth,) = remarks(tmp_path, {"joints_3d_visible": of_all, "other": of_all})
+    assert of_truth == f"gt.npz: not read: joints_3d_visible {of_all.shape}{said}"
+    assert remarks(tmp_path, {}, {"mask": np.ones((5, M))}) == [f"hyps.npz: not read: mask (5, {M}){said}"]
+    assert "keypoints_visible (M, K)" in remarks(tmp_path, {"keypoints_visible": SEEN})[0]
+
+
 def test_labels_that_look_like_masks_of_poses_are_named(tmp_path: Path) -> None:
     (said,) = remarks(tmp_path, {"mask": SEEN[:, 0], "hard": SEEN[:, 1], "is_valid": np.ones(M)})
     assert said == (

@@ -75,7 +75,8 @@ def test_repeated_poses_are_remarked_on() -> None:
     evaluation = posecal.Evaluation(axes="NMKD", unit="mm", root_joint="none")
     for rows in ([*range(10)], [*range(10, 17), 0, 1, 2]):  # three to fill the batch
         evaluation.update(HYPOTHESES[:, rows], TRUTH[rows])
-    (remark,) = evaluation.totals().remarks
+    of_hypotheses, remark = evaluation.totals().remarks
+    assert of_hypotheses.startswith("hypotheses: in 3 of 20 frames (first: 17, 18, 19) the hypotheses are those of an")
     assert remark.startswith("truth: 3 of 20 frames with truth and labels of another count twice. Were they repeated")
 
 
@@ -164,3 +165,17 @@ def test_many_parts_are_put_together_and_hold_the_same_hashes(monkeypatch: pytes
         module.add_hashes(parts, row[None])
         assert len(parts) <= 4
     np.testing.assert_array_equal(smallest_hashes(parts), smallest_hashes([hashes]))
+
+
+def test_clips_that_come_twice_are_said_to_whatever_their_numbers() -> None:
+    """A sampler for several processes repeats whole clips to fill its last batch."""
+    rows = [*range(6), 0, 1]
+    x, y = HYPOTHESES.reshape(6, 8, 5, 5, 3)[:, rows], TRUTH.reshape(8, 5, 5, 3)[rows]
+    described: dict[str, Any] = {"axes": "NMTKD", "truth_axes": "MTKD", "unit": "mm", "root_joint": "none"}
+    found = [
+        [remark for remark in posecal.evaluate(x[:, :end], y[:end], **described).remarks if "count twice" in remark]
+        for end in (6, 8)
+    ]
+    assert found[0] == []
+    assert len(found[1]) == 1
+    assert found[1][0].startswith("truth: 10 of 40 frames with truth and labels of another count twice.")

@@ -121,13 +121,37 @@ def test_angles_of_which_all_hypotheses_are_the_same_are_counted() -> None:
 def test_the_truth_among_the_hypotheses_is_found() -> None:
     x = X.copy()
     x[3, 40:52] = Y[40:52]
-    x[3, 51, 8, 1] += 1e-3
+    x[3, 51, 8, 1] += 5
     where = np.ones((LONG, K), dtype=bool)
     where[40, 5], x[3, 40, 5] = False, 1.0
     words = "a hypothesis equals the truth. Is the truth among the samples?"
     assert said(x, Y, "hypotheses:", where=where) == [f"hypotheses: in 11 of 90 frames (first: 40, 41, 42) {words}"]
     assert said(Y[None], Y, "hypotheses:") == [f"hypotheses: in 90 of 90 frames (first: 0, 1, 2) {words}"]
     assert said(Y[None].astype(np.float32), Y, "equals the truth")
+
+
+def test_the_truth_in_fewer_digits_or_elsewhere_is_found_and_a_sharp_model_is_not() -> None:
+    """Positions are relative to the root, so that the truth in the camera's frame and about its root are one."""
+    words = "a hypothesis equals the truth"
+    x = np.concatenate([X, (Y / 1000).astype(np.float16)[None] * 1000.0])
+    assert said(x, Y, words)
+    elsewhere = np.concatenate([X, Y[None] - Y[:, :1]])
+    assert said(elsewhere, Y, words)
+    assert said(elsewhere, Y, words, root_joint="none") == []
+    sharp = np.concatenate([X, Y[None] + _RANDOM.normal(0, 2, Y.shape)])
+    assert said(sharp, Y, words) == said(X[:1], Y, words) == []
+
+
+def test_hypotheses_of_an_earlier_frame_are_counted_also_in_batches() -> None:
+    x, words = X.copy(), "the hypotheses are those of an earlier frame. Were they stored twice, or beside other frames?"
+    assert said(x, Y, words) == []
+    x[:, 60:63] = x[:, 7:10]
+    remark = f"hypotheses: in 3 of 90 frames (first: 60, 61, 62) {words}"
+    assert said(x, Y, words) == [remark]
+    of_batches, _ = in_parts(x, Y, 30)
+    assert [found.startswith("hypotheses: in 3 of 90 frames") for found in of_batches if words in found] == [True]
+    x[1, 60:63] += 9  # others beside the same are others
+    assert said(x, Y, words) == []
 
 
 def test_frames_whose_hypotheses_are_in_another_unit_are_counted() -> None:
@@ -261,6 +285,19 @@ def test_joints_that_are_0_in_every_frame_are_counted_but_roots() -> None:
     x[:, :, 5] = 0
     (remark,) = said(x, Y, "exactly")
     assert remark.startswith(f"hypotheses: joints are exactly 0 in 720 hypotheses (first: {JOINTS[5]}).")
+
+
+def test_a_root_that_is_0_far_from_its_pose_is_a_fill_value() -> None:
+    """Of poses in the camera's frame; where poses are relative to the root, or stand at the origin, it is none."""
+    there = np.array([300.0, -200, 4000])
+    y, x = Y + there, X + there
+    assert said(x, y, "exactly") == []
+    y[[3, 8], 0] = 0
+    (remark,) = said(x, y, "exactly")
+    assert remark.startswith("truth: joints are exactly 0 in 2 of 90 poses (first: Hip).")
+    x[:5, 7, 0] = 0
+    assert said(x, y, "exactly")[0].startswith("hypotheses: joints are exactly 0 in 5 hypotheses (first: Hip).")
+    assert said(X, np.where(np.arange(LONG)[:, None, None] < 3, Y - Y[:, :1], Y), "exactly") == []
 
 
 def test_counts_of_every_kind_add_up_over_batches_and_results() -> None:

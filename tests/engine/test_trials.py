@@ -43,6 +43,27 @@ def test_trials_that_are_apart_are_remarked_on() -> None:
     ) in apart.remarks
 
 
+@pytest.mark.parametrize(
+    ("spellings", "shown"),
+    [
+        (["Eat", "Eat_1", "Sit"], "Eat, Eat_1"),
+        (["Eat", "Sit-1", "Sit-22"], "Sit-1, Sit-22"),
+        (["eat.54138969", "Eat", "Sit"], "Eat, eat.54138969"),
+        (["TS1", "TS2", "TS3"], ""),  # all have numbers for names
+        (["1", "2", "3"], ""),
+        (["Eat", "Sit", "Stand"], ""),
+    ],
+)
+@pytest.mark.parametrize("trials", ["apart", "together"])
+def test_trials_in_other_spellings_are_remarked_on(spellings: list[str], shown: str, trials: Any) -> None:
+    x, y = gaussian(3, 6, 30, 5)
+    how = posecal.Protocol(average="action", trials=trials, metrics="mpjpe")
+    labels = {"action": np.repeat(spellings, 10)}
+    said = posecal.evaluate(x, y, unit="mm", axes="NMKD", root_joint="none", labels=labels, protocol=how).remarks
+    found = [remark.split("(")[1].split(")")[0] for remark in said if remark.startswith("average:")]
+    assert found == ([shown] if shown else [])
+
+
 def test_sequences_are_never_taken_together() -> None:
     x, y = gaussian(3, 6, len(LABELS), 5)
     how = posecal.Protocol(average="sequence", trials="together", metrics="min_mpjpe")
