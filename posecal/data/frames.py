@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from itertools import permutations, product
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from posecal.data.arrays import FloatArray
 from posecal.data.joint_names import letters, side_of
@@ -164,6 +163,8 @@ def _fitted_changes(
     x: FloatArray, y: FloatArray, joints: tuple[str, ...], root: AnyRoot
 ) -> Iterator[tuple[str, FloatArray]]:
     """Give the joints of poses (M, K, D) in the order that fits best, and the poses turned by one rotation."""
+    from scipy.optimize import linear_sum_assignment
+
     known = np.isfinite(x).all(axis=(1, 2))  # as y is known where x is
     x0, y0 = x - _mean(x, axis=1), y - _mean(y, axis=1)
     if known.any() and 3 < len(joints) <= _ORDERED:

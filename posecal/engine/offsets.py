@@ -36,5 +36,6 @@ def far_roots(hypotheses: FloatArray, where: BoolArray, root: AnyRoot) -> BoolAr
     """
     found = np.zeros_like(where)
     for joint in root_joints(root):
-        found[:, joint] = is_outside(hypotheses[:, :, joint]).any(axis=(0, 2)) & where[:, joint]
+        wide = hypotheses[:, :, joint].astype(working_dtype(hypotheses.dtype), copy=False)
+        found[:, joint] = is_outside(wide).any(axis=(0, 2)) & where[:, joint]
     return found
