@@ -230,7 +230,7 @@ class Matcher:
             raise PoseDataError(f"valid: no joint of {self.truth.name} is valid; expected some.")
         if poses:
             names = self._frame_names(rows[~counts])
-            first = Example(first_few(names))
+            first = Example.of(names)
             self.remarks.append(
                 Remark("valid: ", Count(poses, "frame"), " without a valid joint (first: ", first, "); left out.")
             )

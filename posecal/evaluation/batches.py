@@ -208,6 +208,7 @@ class Evaluation:
         complete: bool = False,
         n_given: int | None = None,
         has_mask: bool | None = None,
+        of_set: bool = False,
     ) -> None:
         """Add pose data.
 
@@ -225,6 +226,8 @@ class Evaluation:
             How many poses came, those among them that were dropped; as many by default.
         has_mask : bool, optional
             Of poses that :func:`posecal.engine.prepare.select_scored` gave: whether the user masks joints.
+        of_set : bool
+            Whether these are a part of a set of which others count, so that none of these needs to.
 
         Raises
         ------
@@ -237,7 +240,7 @@ class Evaluation:
         data, place = (data, self._place) if complete else continued(data, n_given, self._place)
         if has_mask is None:
             has_mask, data = data.where is not None, select_scored(data, self.protocol)
-        if (lack := lack_of_scored(data, self.protocol)) and complete:
+        if (lack := "" if of_set else lack_of_scored(data, self.protocol)) and complete:
             raise PoseDataError(lack)
         remarks = [*data.remarks]
         if len(data.truth):

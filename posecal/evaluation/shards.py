@@ -180,7 +180,7 @@ def evaluate_shards(
         find = partial(summarize, method=method, is_pooled=is_pooled)
         summaries = list(_without_pools(passes.attempts("summing up once more", find, shards), pools))
         refuse_failures([result for result in summaries if isinstance(result, Failure)])
-    if not any(summary.n_scored for summary in summaries):
+    if all(summary.lack for summary in summaries):
         raise PoseDataError(summaries[0].lack)
     spec = common_spec(shards, summaries)
     refuse_shared_clips(shards, summaries)
