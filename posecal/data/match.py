@@ -69,10 +69,8 @@ class Matcher:
             self._look_at_truth_alone()
             raise_all(self.problems)
         assert layouts is not None
-        self.layouts = layouts
-        self.shape = self.layouts[0].shape(hypotheses.array.shape)
-        self.true_shape = self.layouts[1].shape(truth.array.shape)
-        self.clip_length = clip_length(layouts, hypotheses, truth)
+        self.layouts, self.clip_length = layouts, clip_length(layouts, hypotheses, truth)
+        self.shape, self.true_shape = layouts[0].shape(hypotheses.array.shape), layouts[1].shape(truth.array.shape)
         self.hypotheses = with_frames_of_clips(hypotheses, self.shape[1], self.clip_length)
         self.truth = with_frames_of_clips(truth, self.true_shape[0], self.clip_length)
         if 0 in hypotheses.array.shape + truth.array.shape:

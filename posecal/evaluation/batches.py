@@ -299,9 +299,8 @@ class Evaluation:
         if not (parts := self._parts()):
             raise PoseDataError("evaluation: no batch so far; expected at least one update before compute.")
         totals = parts[0] if len(parts) == 1 else merge_totals(parts)
-        totals.n_frames = self._n_frames
-        remarks = [*self._remarks, *self._frame_check.remarks(), *totals.remarks]
-        totals.remarks = join_remarks(remarks, self._n_frames if self._batches > 1 else None)
+        remarks, n = [*self._remarks, *self._frame_check.remarks(), *totals.remarks], self._n_frames
+        totals.n_frames, totals.remarks = n, join_remarks(remarks, n if self._batches > 1 else None)
         return totals
 
     def _parts(self) -> list[Totals]:
