@@ -137,7 +137,7 @@ class PoseMetric(TorchMetric):
         PoseDataError
             As :meth:`posecal.Evaluation.compute`, and as its ``merge``.
         """
-        scalars = self.evaluation.compute().scalars()
+        scalars = self._result().scalars()
         return {name: torch.tensor(value, dtype=self.dtype, device=self.device) for name, value in scalars.items()}
 
     def report(self) -> Report:
@@ -154,7 +154,16 @@ class PoseMetric(TorchMetric):
             As :meth:`compute`.
         """
         with self.sync_context(dist_sync_fn=self.dist_sync_fn, should_sync=self.sync_on_compute):
+            return self._result()
+
+    def _result(self) -> Report:
+        """Give the report of what is gathered; where that fails, go back to the own batches, as a sync does not."""
+        try:
             return self.evaluation.compute()
+        except PoseDataError:
+            if self._is_synced:
+                self.unsync()
+            raise
 
     def reset(self) -> None:
         """Forget all batches."""

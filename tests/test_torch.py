@@ -276,6 +276,17 @@ def test_a_process_may_have_no_batch(poses: dict[str, Any]) -> None:
         assert_numbers(metric.compute(), expected(poses))
 
 
+@pytest.mark.parametrize("call", ["compute", "report"])
+@pytest.mark.filterwarnings("ignore:The ``compute`` method")  # before update
+def test_a_refused_compute_leaves_a_metric_that_goes_on(poses: dict[str, Any], call: str) -> None:
+    metric = new(**gathered_with(new()))
+    with pytest.raises(PoseDataError, match=r"^evaluation: no batch so far"):
+        getattr(metric, call)()
+    for part in BATCHES:
+        metric.update(*batch(poses, part)[0], **batch(poses, part)[1])
+    assert_numbers(metric.compute(), expected(poses))
+
+
 def test_frames_that_a_sampler_repeats_are_counted_once(poses: dict[str, Any]) -> None:
     """Process 0 has 14, 13 and 13 poses; process 1 has one of them again, as a sampler pads its share."""
     others = {name: values[26:] for name, values in poses.items()}

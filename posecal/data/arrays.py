@@ -118,8 +118,8 @@ def as_text(array: npt.NDArray[Any], name: str) -> npt.NDArray[np.str_]:
     return array.astype(np.str_)
 
 
-def as_labels(values: object, name: str, *, or_one: bool = False) -> npt.NDArray[np.str_]:
-    """Convert a label of every pose, or one for all poses, into text.
+def as_labels(values: object, name: str, *, or_one: bool = False, or_clips: bool = False) -> npt.NDArray[np.str_]:
+    """Convert a label of every pose, of every frame of clips (C, T), or one for all poses, into text.
 
     Raises
     ------
@@ -129,13 +129,14 @@ def as_labels(values: object, name: str, *, or_one: bool = False) -> npt.NDArray
     array = as_array(values, name)
     if array.dtype.kind in "OT" and all(isinstance(value, str) for value in array.flat):
         array = array.astype(np.str_)
-    if array.ndim != 1 - (or_one and array.ndim == 0) or array.dtype.kind not in LABEL_KINDS:
+    is_shaped = array.ndim == 1 or (or_one and array.ndim == 0) or (or_clips and array.ndim == 2)
+    if not is_shaped or array.dtype.kind not in LABEL_KINDS:
         raise PoseDataError(f"{name}: {array.dtype} {array.shape}; expected one word or whole number per pose, (M,).")
     return as_text(array, name)
 
 
 def as_label_arrays(labels: object, name: str) -> dict[str, npt.NDArray[np.str_]]:
-    """Convert labels by name, each of every pose or one for all poses, into text.
+    """Convert labels by name, each of every pose, of every frame of clips or one for all poses, into text.
 
     Raises
     ------
@@ -146,7 +147,8 @@ def as_label_arrays(labels: object, name: str) -> dict[str, npt.NDArray[np.str_]
         what = f"{name}: {type(labels).__name__}"
         raise PoseDataError(f"{what}; expected a mapping of names, such as sequence, to values.")
     problems: list[str | PosecalError] = []
-    arrays = {str(key): attempt(problems, partial(as_labels, or_one=True), labels[key], str(key)) for key in labels}
+    convert = partial(as_labels, or_one=True, or_clips=True)
+    arrays = {str(key): attempt(problems, convert, labels[key], str(key)) for key in labels}
     raise_all(problems)
     return {key: array for key, array in arrays.items() if array is not None}
 

@@ -13,7 +13,7 @@ from posecal.data.arrays import FloatArray, as_array, as_labels
 from posecal.data.layout import Layout
 from posecal.data.remarks import Count, Example, Remark
 from posecal.data.stored_poses import Labels, Rows, StoredPoses, in_millimetres
-from posecal.errors import PosecalError, PoseDataError, first_few
+from posecal.errors import PosecalError, PoseDataError
 
 if TYPE_CHECKING:
     from posecal.data.pose_data import PoseData
@@ -220,7 +220,7 @@ def short_clip_remarks(clips: Clips | None, clip: Names | None) -> list[str]:
     short = names[counts < clips.length].tolist()
     if not short:
         return []
-    first = Example(f"{first_few(short)}")
+    first = Example.of(short)
     return [
         Remark(
             "clip: ",

@@ -22,7 +22,7 @@ from posecal.data.frame_numbers import order_by_number
 from posecal.data.joint_names import match_joints, remarks_on_matched, remarks_on_names
 from posecal.data.layout import TRUTH, Layout, plausible_layouts
 from posecal.data.log_density import log_density
-from posecal.data.members import both, frame_id_remarks, read_members, unread_remarks
+from posecal.data.members import both, frame_id_remarks, read_members, unread_remarks, with_frames_of_clips
 from posecal.data.own_skeleton import parents_among
 from posecal.data.remarks import Count, Example, Remark
 from posecal.data.root import choose_root, origin, part_of_root, root_name
@@ -69,10 +69,10 @@ class Matcher:
             self._look_at_truth_alone()
             raise_all(self.problems)
         assert layouts is not None
-        self.layouts = layouts
-        self.shape = self.layouts[0].shape(hypotheses.array.shape)
-        self.true_shape = self.layouts[1].shape(truth.array.shape)
-        self.clip_length = clip_length(layouts, hypotheses, truth)
+        self.layouts, self.clip_length = layouts, clip_length(layouts, hypotheses, truth)
+        self.shape, self.true_shape = layouts[0].shape(hypotheses.array.shape), layouts[1].shape(truth.array.shape)
+        self.hypotheses = with_frames_of_clips(hypotheses, self.shape[1], self.clip_length)
+        self.truth = with_frames_of_clips(truth, self.true_shape[0], self.clip_length)
         if 0 in hypotheses.array.shape + truth.array.shape:
             raise_all(empty_problem(poses) for poses in (hypotheses, truth) if 0 in poses.array.shape)
 
@@ -230,7 +230,7 @@ class Matcher:
             raise PoseDataError(f"valid: no joint of {self.truth.name} is valid; expected some.")
         if poses:
             names = self._frame_names(rows[~counts])
-            first = Example(first_few(names))
+            first = Example.of(names)
             self.remarks.append(
                 Remark("valid: ", Count(poses, "frame"), " without a valid joint (first: ", first, "); left out.")
             )

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from posecal.data.arrays import BoolArray, checked_mask
 from posecal.data.remarks import Example, Remark
 from posecal.data.stored_poses import Labels, Rows, StoredPoses
 from posecal.errors import PosecalError, attempt, first_few
+
+T = TypeVar("T", bound=np.generic)
 
 _MARKS = re.compile("mask|valid|missing|annotated|ignore", re.IGNORECASE)
 """Names that labels of two values may have where they stand for poses that do not count."""
@@ -59,6 +63,25 @@ def read_members(
     )
 
 
+def with_frames_of_clips(poses: StoredPoses, number: int, clip_length: int | None) -> StoredPoses:
+    """Give what is declared of C clips of T frames, (C, T) or (C, T, K), as that of M = C · T poses."""
+    if clip_length is None or clip_length == 1:
+        return poses
+    clips = number // clip_length, clip_length
+
+    def flat(values: npt.NDArray[T]) -> npt.NDArray[T]:
+        return values.reshape(number, *values.shape[2:]) if values.shape[:2] == clips else values
+
+    return replace(
+        poses,
+        labels={name: flat(values) for name, values in poses.labels.items()},
+        marks={name: flat(values) for name, values in poses.marks.items()},
+        frame_id=None if poses.frame_id is None else flat(poses.frame_id),
+        valid=None if poses.valid is None else flat(poses.valid),
+        where=None if poses.where is None else flat(poses.where),
+    )
+
+
 def unread_remarks(poses: StoredPoses, shape: tuple[int, ...]) -> list[str]:
     """Remark on members of unknown names that are of (M, K) joints, or whose names are those of marks."""
     names = [key for key, size in poses.unread.items() if math.prod(size) == math.prod(shape)]
@@ -102,6 +125,13 @@ def _labels(poses: StoredPoses, number: int, clip_length: int | None, problems: 
     """Give the labels that have a value for each pose, or each clip; all of those must that can only be labels."""
     labels = {name: values if values.ndim else np.full(number, values) for name, values in poses.labels.items()}
     n_clips = number // (clip_length or 1)
+    problems += [
+        f"{poses.name}: {name} {values.shape}; expected one for each pose, (M,) = ({number},)"
+        + (f", or each frame of clips, (C, T) = ({n_clips}, {clip_length})." if clip_length else ".")
+        for name, values in labels.items()
+        if values.ndim > 1
+    ]
+    labels = {name: values for name, values in labels.items() if values.ndim == 1}
     labels = {k: np.repeat(v, number // n_clips) if len(v) == n_clips != number else v for k, v in labels.items()}
     or_clips = f", or of the {n_clips:,} clips" * (n_clips != number)
     problems += [

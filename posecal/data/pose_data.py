@@ -61,8 +61,8 @@ class PoseData:
         each part (``RWrist,LWrist``), or ``none``. By default the hip, the one joint whose truth is 0 throughout, the
         root of the joint set, or the midpoint of the hips.
     labels : mapping, optional
-        Labels of the truth's poses, such as ``sequence`` and ``action``: arrays (M,), or one value for all poses.
-        They replace labels of a file.
+        Labels of the truth's poses, such as ``sequence`` and ``action``: arrays (M,), or one value for all poses; of C
+        clips of T frames (``axes`` with a T) also (C,) or (C, T), and masks (C, T, K). They replace labels of a file.
     occluded : bool array (M, K), optional
         The joints whose keypoints were not visible, of the truth; instead of a file's.
     scores : array (N, M), optional
@@ -241,8 +241,8 @@ class PoseData:
             "weights": (as_weights, weights),
             "where": (as_array, where),
             "observed": (real_array, observed),
-            "frame_id": (as_labels, frame_id),
-            "truth_frame_id": (as_labels, truth_frame_id),
+            "frame_id": (partial(as_labels, or_clips=True), frame_id),
+            "truth_frame_id": (partial(as_labels, or_clips=True), truth_frame_id),
         }
         arrays: dict[str, Any] = {}
         for name, (convert, value) in arguments.items():

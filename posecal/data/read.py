@@ -218,9 +218,10 @@ def _declared(
         return attempt(problems, lambda: convert(load(key), f"{name}: {key}")) if key in headers else None
 
     labels = {
-        key: read(as_labels, key)
+        key: read(_label, key)
         for key, (shape, _, dtype) in headers.items()
-        if key not in (*_RESERVED, chosen) and len(shape) == 1 and (key in COMMON_LABELS or key not in larger)
+        if key not in (*_RESERVED, chosen) and (key in COMMON_LABELS or key not in larger)
+        if len(shape) == 1 or (len(shape) == 2 and key in COMMON_LABELS)
         if dtype.kind in LABEL_KINDS or (dtype.hasobject and key in COMMON_LABELS)
     }
     marks = {key: read(as_marks, key) for key in _MARKS}
@@ -272,6 +273,11 @@ def _word(array: npt.NDArray[Any], name: str) -> str:
     if array.size != 1:
         raise PoseDataError(f"{name}: {array.size} values; expected one word.")
     return str(as_text(array.ravel(), name)[0])
+
+
+def _label(array: npt.NDArray[Any], name: str) -> npt.NDArray[np.str_]:
+    """Read a label of each pose, or of each frame of clips; a row or a column is one of each pose."""
+    return as_labels(array.ravel() if 1 in array.shape else array, name, or_clips=True)
 
 
 def _parents(array: npt.NDArray[Any], name: str) -> tuple[int | str, ...]:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
+
+from posecal.errors import first_few
 
 
 @dataclass(frozen=True)
@@ -33,12 +35,37 @@ class Count:
 
 @dataclass(frozen=True)
 class Example:
-    """Text that differs between remarks of one kind; that of the first is kept."""
+    """Text that differs between remarks of one kind; that of the first is kept.
+
+    Attributes
+    ----------
+    text : str
+        The text.
+    names : int
+        How many things it names; 0 for text that names none.
+    more : int
+        How many things of the remark it does not name.
+
+    Examples
+    --------
+    >>> str(Example.of(["a", "b", "c", "d"]) + Example.of(["e", "f"]))
+    'a, b, c and 3 more'
+    """
 
     text: str
+    names: int = 0
+    more: int = 0
+
+    @classmethod
+    def of(cls, names: Sequence[object], few: int = 3) -> Example:
+        """Name the first few things, and count the others."""
+        return cls(first_few(names[:few], few), min(len(names), few), max(0, len(names) - few))
+
+    def __add__(self, other: Any) -> Example:
+        return replace(self, more=self.more + (other.names + other.more if self.names else 0))
 
     def __str__(self) -> str:
-        return self.text
+        return f"{self.text} and {self.more:,} more" if self.more else self.text
 
 
 class Remark(str):
@@ -75,7 +102,8 @@ class Remark(str):
 
     def with_counts(self, other: Remark) -> Remark:
         """Add the counts of another remark of this kind."""
-        return Remark(*(a + b if isinstance(a, Count) else a for a, b in zip(self.parts, other.parts, strict=True)))
+        pairs = zip(self.parts, other.parts, strict=True)
+        return Remark(*(a if isinstance(a, str) else a + b for a, b in pairs))
 
     def with_total(self, number: int) -> Remark:
         """Set of how many frames the counts are."""

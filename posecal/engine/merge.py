@@ -143,7 +143,7 @@ def _cut_sequences(parts: Sequence[Totals]) -> str:
         return Remark(
             Count(len(cut), "sequence lies", "sequences lie"),
             " in several results (first: ",
-            Example(first_few(cut)),
+            Example.of(cut),
             "): no difference over time and no segment reaches over a cut.",
         )
     return ""

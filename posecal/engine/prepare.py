@@ -245,13 +245,12 @@ def _with_counting_root(data: PoseData, *, is_masked: bool) -> PoseData:
         lost |= ~data.where[:, joints].all(axis=1) & data.where.any(axis=1)
     if not lost.any():
         return data
-    frames = first_few(data.frame_id[lost].tolist())
     root = root_name(data.root, data.joints)
     remark = Remark(
         f"the root {root} does not count in ",
         Count(int(lost.sum()), "frame", of=len(lost)),
         " (first: ",
-        Example(frames),
+        Example.of(data.frame_id[lost].tolist()),
         "): left out, since their positions are relative to it.",
     )
     return data.select(~lost).replace(remarks=(*data.remarks, remark))
@@ -274,7 +273,7 @@ def _without_lone_roots(
         f"only the root {root_name(data.root, data.joints)} counts in ",
         Count(int(alone.sum()), "frame", of=len(alone)),
         " (first: ",
-        Example(first_few(data.frame_id[alone].tolist())),
+        Example.of(data.frame_id[alone].tolist()),
         "): left out, since its error is 0 relative to itself.",
     )
     return data.replace(remarks=(*data.remarks, remark)), where & ~alone[:, None]

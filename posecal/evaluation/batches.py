@@ -208,6 +208,7 @@ class Evaluation:
         complete: bool = False,
         n_given: int | None = None,
         has_mask: bool | None = None,
+        of_set: bool = False,
     ) -> None:
         """Add pose data.
 
@@ -225,6 +226,8 @@ class Evaluation:
             How many poses came, those among them that were dropped; as many by default.
         has_mask : bool, optional
             Of poses that :func:`posecal.engine.prepare.select_scored` gave: whether the user masks joints.
+        of_set : bool
+            Whether these are a part of a set of which others count, so that none of these needs to.
 
         Raises
         ------
@@ -237,7 +240,7 @@ class Evaluation:
         data, place = (data, self._place) if complete else continued(data, n_given, self._place)
         if has_mask is None:
             has_mask, data = data.where is not None, select_scored(data, self.protocol)
-        if (lack := lack_of_scored(data, self.protocol)) and complete:
+        if (lack := "" if of_set else lack_of_scored(data, self.protocol)) and complete:
             raise PoseDataError(lack)
         remarks = [*data.remarks]
         if len(data.truth):
@@ -296,9 +299,8 @@ class Evaluation:
         if not (parts := self._parts()):
             raise PoseDataError("evaluation: no batch so far; expected at least one update before compute.")
         totals = parts[0] if len(parts) == 1 else merge_totals(parts)
-        totals.n_frames = self._n_frames
-        remarks = [*self._remarks, *self._frame_check.remarks(), *totals.remarks]
-        totals.remarks = join_remarks(remarks, self._n_frames if self._batches > 1 else None)
+        remarks, n = [*self._remarks, *self._frame_check.remarks(), *totals.remarks], self._n_frames
+        totals.n_frames, totals.remarks = n, join_remarks(remarks, n if self._batches > 1 else None)
         return totals
 
     def _parts(self) -> list[Totals]:

@@ -357,5 +357,5 @@ def accumulate(task: Task, method: Method) -> Totals | None:
     prepared = replace(method.prepared, first=task.first)
     options: dict[str, Any] = {"preranks": method.preranks, "prepared": prepared, "threads": method.threads}
     evaluation = Evaluation(by=method.by, protocol=method.protocol, gallery=method.gallery, **options)
-    evaluation.add(data, complete=True, has_mask=method.has_mask)
+    evaluation.add(data, complete=True, has_mask=method.has_mask, of_set=True)
     return evaluation.totals()

@@ -180,7 +180,7 @@ def evaluate_shards(
         find = partial(summarize, method=method, is_pooled=is_pooled)
         summaries = list(_without_pools(passes.attempts("summing up once more", find, shards), pools))
         refuse_failures([result for result in summaries if isinstance(result, Failure)])
-    if not any(summary.n_scored for summary in summaries):
+    if all(summary.lack for summary in summaries):
         raise PoseDataError(summaries[0].lack)
     spec = common_spec(shards, summaries)
     refuse_shared_clips(shards, summaries)
@@ -219,7 +219,7 @@ class _Passes:
 
     def attempts(self, what: str, function: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Any]:
         """Give the result of each item, or why it failed, in their order."""
-        step = None if self._progress is None else self._progress(what, len(items))
+        step, done = None if self._progress is None else self._progress(what, len(items)), 0
         try:
             for done, result in enumerate(self._map(Attempt(function), items), 1):
                 yield result
@@ -233,6 +233,8 @@ class _Passes:
                 f"map: the executor failed while {what} ({type(error).__name__}: {error}); expected a result or an "
                 f"error for each shard. Was a process killed, or is there a function that can't be pickled?{kept}"
             ) from error
+        if done < len(items):
+            raise PoseDataError(f"map: {done:,} results while {what}; expected one for each of {len(items):,} shards.")
 
     def run(self, what: str, function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
         """Give the results of all items.

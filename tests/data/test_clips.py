@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -41,6 +43,38 @@ def test_a_label_may_have_a_value_for_each_clip() -> None:
     assert labels["sequence"].tolist() == [*"aaaaabbbbbbbbbb"]
     assert labels["action"][[4, 5]].tolist() == ["walk", "sit"]
     assert labels["clip"].tolist() == [*"000001111122222"]
+
+
+def test_labels_and_masks_may_be_of_each_frame_of_clips(tmp_path: Path) -> None:
+    phase = np.array([[f"{c}{t}" for t in range(5)] for c in range(3)])
+    mask = np.random.default_rng(0).random((3, 5, 4)) < 0.7
+    given = {"labels": {"sequence": phase, "phase": phase}, "frame_id": phase, "occluded": ~mask, "where": mask}
+    data = in_clips(**given)
+    ravelled = {"labels": {"sequence": phase.ravel(), "phase": phase.ravel()}, "frame_id": phase.ravel()}
+    one = in_clips(**ravelled, occluded=~mask.reshape(15, 4), where=mask.reshape(15, 4))
+    assert data.where is not None
+    assert data.occluded is not None
+    assert data.where.tolist() == (~data.occluded).tolist() == mask.reshape(15, 4).tolist()
+    for name in ("sequence", "phase", "clip"):
+        assert data.labels[name].tolist() == one.labels[name].tolist()
+    assert data.frame_id.tolist() == phase.ravel().tolist()
+    members = {"sequence": phase, "valid": mask, "frame_id": phase}
+    np.savez(tmp_path / "gt.npz", truth=TRUTH, axes="MTKD", **members)  # type: ignore[arg-type]
+    stored = PoseData(HYPOTHESES, tmp_path / "gt.npz", axes="NMTKD", **OPTIONS)  # type: ignore[arg-type]
+    assert stored.labels["sequence"].tolist() == phase.ravel().tolist()
+    assert stored.where is not None
+    assert stored.where.tolist() == mask.reshape(15, 4).tolist()
+
+
+def test_a_label_of_other_clips_is_refused(tmp_path: Path) -> None:
+    expected = (
+        r"sequence \(5, 3\); expected one for each pose, \(M,\) = \(15,\), or each frame of clips, \(C, T\) = \(3, 5\)"
+    )
+    with pytest.raises(PoseDataError, match=expected):
+        in_clips(labels={"sequence": np.full((5, 3), "a")})
+    np.savez(tmp_path / "gt.npz", truth=TRUTH, axes="MTKD", sequence=np.full((5, 3), "a"))
+    with pytest.raises(PoseDataError, match=expected):
+        PoseData(HYPOTHESES, tmp_path / "gt.npz", axes="NMTKD", **OPTIONS)  # type: ignore[arg-type]
 
 
 def test_a_label_of_another_length_is_refused() -> None:

@@ -64,4 +64,9 @@ def test_options_stand_beside_data() -> None:
 
 def test_labels_of_another_type_stand_beside_a_wrong_shape() -> None:
     found = problems(HYPOTHESES[:3], TRUTH[:7], axes="NMKD", labels={"action": [[1]]}, occluded=[["x"]])
-    assert_each(found, "action: int64 (1, 1)", "occluded: dtype", "hypotheses has M = 20 poses and truth 7")
+    assert_each(
+        found,
+        "truth: action (1, 1); expected one for each pose, (M,) = (7,)",
+        "occluded: dtype",
+        "hypotheses has M = 20 poses and truth 7",
+    )

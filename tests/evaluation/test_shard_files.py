@@ -224,6 +224,12 @@ def test_an_executor_that_fails_is_one_error(pairs: list[tuple[str, str]]) -> No
     ):
         posecal.evaluate_shards(pairs, map=broken, **OPTIONS)
 
+    def short(function: Any, items: Any) -> Any:
+        return [function(item) for item in items[:2]]
+
+    with pytest.raises(posecal.PoseDataError, match=r"^map: 2 results while summing up; expected one for each of 6"):
+        posecal.evaluate_shards(pairs, map=short, **OPTIONS)
+
 
 def test_shards_of_which_nothing_is_scored_count_nothing(one: posecal.Report) -> None:
     hard = np.where(np.arange(192) < 100, "yes", "no")

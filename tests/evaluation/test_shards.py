@@ -108,6 +108,32 @@ def test_masks_of_some_shards_and_frames_that_are_not_scored_are_those_of_one_ru
     assert_equal_numbers(posecal.evaluate_shards(shards, **options), posecal.evaluate(data(np.arange(192)), **options))
 
 
+def test_a_shard_without_an_occluded_joint_leaves_the_numbers_of_one_run() -> None:
+    occluded = np.zeros(WORLD.truth.shape[:2], dtype=bool)
+    occluded[100:130, 3:5] = True
+
+    def data(rows: Any) -> posecal.PoseData:
+        return WORLD.data(rows, occluded=occluded[rows])
+
+    protocol = posecal.Protocol(where="occluded")
+    options: dict[str, Any] = {"metrics": "default, mpjve", "protocol": protocol, "threads": 1}
+    shards = [data(rows) for rows in np.split(np.arange(192), [60, 133])]
+    assert_equal_numbers(posecal.evaluate_shards(shards, **options), posecal.evaluate(data(np.arange(192)), **options))
+    with pytest.raises(posecal.PoseDataError, match=r"^where: no joint of truth is occluded; expected some"):
+        posecal.evaluate_shards(shards[::2], **options)
+
+
+def test_a_remark_of_shards_names_the_first_frames_and_counts_the_others() -> None:
+    where = np.ones(WORLD.truth.shape[:2], dtype=bool)
+    where[[3, 4, 5, 6, 70, 150], 0] = False  # the root
+    shards = [WORLD.data(rows, where=where[rows]) for rows in np.split(np.arange(192), [60, 120])]
+    found = posecal.evaluate_shards(shards, metrics="mpjpe", threads=1)
+    names = ", ".join(WORLD.frame_id[3:6])
+    lost = f"the root Hip does not count in 6 of 192 frames (first: {names} and 3 more)"
+    assert [remark for remark in found.remarks if remark.startswith(lost)]
+    assert {*found.remarks} == {*posecal.evaluate(WORLD.data(where=where), metrics="mpjpe").remarks}
+
+
 def test_labels_that_split_a_sequence_over_shards_make_no_cells() -> None:
     labels = [{"sequence": WORLD.sequence[rows], "shard": str(n)} for n, rows in enumerate(CUTS["5 strided"])]
     shards = [WORLD.data(rows, labels=some) for rows, some in zip(CUTS["5 strided"], labels, strict=True)]
