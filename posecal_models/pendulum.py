@@ -225,7 +225,7 @@ def _distributions(
             else:
                 names = _CHAIN.joints
                 estimator = AmortizedPosterior(
-                    names, names, origin="none", position=False, width=64, residuals=1, joint_dimensions=2
+                    names, names, origin="none", position=False, components=4, width=64, residuals=1, joint_dimensions=2
                 )
         fit(
             estimator,

@@ -144,7 +144,8 @@ def two_modes(
     -------
     bool array (B, K)
         None where N, with weights the effective one, is below :data:`LEAST`, with weights :data:`LEAST_WEIGHTED`, and
-        where more than half of the hypotheses are copies of others: of few draws groups appear by chance.
+        where, without weights, more than half of the hypotheses are copies of others: of few draws groups appear by
+        chance.
     """
     B, K, _, N = ordered.shape
     if N < LEAST:

@@ -28,9 +28,6 @@ _FEWEST_COORDINATES = 6
 _FILL = 1000.0
 """Three coordinates of this size, in any unit, are not equal by chance."""
 
-_APART = 2.0
-"""A joint of a body is not so many times as far from others as these are from each other; one that is 0 may be."""
-
 _FACTORS = np.sqrt([2.0, 3.0, 5.0])
 """What coordinates are weighted by, so that sums of other coordinates are equal by chance only."""
 
@@ -222,12 +219,11 @@ class Fills:
 
 
 def _is_apart(poses: FloatArray, joint: int) -> BoolArray:
-    """Find poses (N, M, K, D) of which a joint is over twice as far from some others as these are from each other."""
-    k = poses.shape[2]
-    a, b, c = (poses[:, :, (joint + step) % k] for step in (max(1, k // 3), max(1, 2 * k // 3), k - 1))
-    sides = [np.linalg.norm(one - other, axis=-1) for one, other in ((a, b), (b, c), (c, a))]
-    away = [np.linalg.norm(other - poses[:, :, joint], axis=-1) for other in (a, b, c)]
-    return np.asarray(np.minimum.reduce(away) > _APART * np.maximum.reduce(sides))
+    """Find poses (N, M, K, D) of which a joint is farther from every other than the box around these is large."""
+    others = np.delete(poses, joint, axis=2)
+    away = np.fmin.reduce(np.linalg.norm(others - poses[:, :, [joint]], axis=-1), axis=2)
+    size = np.linalg.norm(np.fmax.reduce(others, axis=2) - np.fmin.reduce(others, axis=2), axis=-1)
+    return np.asarray(away > size)
 
 
 class Repeats:

@@ -7,6 +7,7 @@ import os
 import zipfile
 from collections.abc import Callable, Mapping
 from io import FileIO
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -221,7 +222,7 @@ def _declared(
         key: read(_label, key)
         for key, (shape, _, dtype) in headers.items()
         if key not in (*_RESERVED, chosen) and (key in COMMON_LABELS or key not in larger)
-        if len(shape) == 1 or (len(shape) == 2 and key in COMMON_LABELS)
+        if len(shape) == 1 or (key in COMMON_LABELS and _is_of_poses(shape, coordinates))
         if dtype.kind in LABEL_KINDS or (dtype.hasobject and key in COMMON_LABELS)
     }
     marks = {key: read(as_marks, key) for key in _MARKS}
@@ -277,7 +278,17 @@ def _word(array: npt.NDArray[Any], name: str) -> str:
 
 def _label(array: npt.NDArray[Any], name: str) -> npt.NDArray[np.str_]:
     """Read a label of each pose, or of each frame of clips; a row or a column is one of each pose."""
-    return as_labels(array.ravel() if 1 in array.shape else array, name, or_clips=True)
+    found = array.reshape(()) if array.size == 1 else array.ravel() if 1 in array.shape else array
+    return as_labels(found, name, or_one=True, or_clips=True)
+
+
+def _is_of_poses(shape: tuple[int, ...], coordinates: tuple[int, ...]) -> bool:
+    """Whether a table may hold a label: of all poses, of each in a row or a column, or of frames of clips (C, T)."""
+    if len(shape) != 2:
+        return False
+    frames = coordinates[:-2]
+    is_of_clips = math.prod(shape) in map(math.prod, pairwise(frames))
+    return math.prod(shape) == 1 or (1 in shape and max(shape) in frames) or is_of_clips
 
 
 def _parents(array: npt.NDArray[Any], name: str) -> tuple[int | str, ...]:

@@ -116,7 +116,8 @@ class PoseRemarks:
             self._note("some points", points & ~empty, frames)
             self._note("score 0", _without_weight(chunk.scores, there), frames)
             self._note_equal(x, where, there & ~points, frames)
-            self._note_repeated(x, where, there & ~points, frames)
+            if len(x) > 1 or not spec.clip_length:  # one pose over a clip is a prediction
+                self._note_repeated(x, where, there & ~points, frames)
             root = root_joints(spec.root)
             self._note_truth(x, y, where, frames, root)
             if x.shape[2] >= FEWEST_JOINTS and x.shape[3] > 1:
@@ -221,9 +222,14 @@ class PoseRemarks:
         true = y.astype(x.dtype, copy=False)
         ignored = np.zeros(y.shape[:2], dtype=bool) if where is None else ~where
         shift = x[:, :, root[0], 0] - true[:, root[0], 0] if root else np.zeros((), dtype=x.dtype)
-        away = np.abs(x[:, :, [k // 2, k - 1], 0] - true[:, [k // 2, k - 1], 0] - shift[..., None])
-        near = _ROUNDED * np.sort(away[..., 1], axis=0)[len(x) // 2]
-        may = ((away <= near[:, None]) | ignored[:, [k // 2, k - 1]]).all(axis=2)
+        ends = [k // 2, k - 1]
+        away, left = np.abs(x[:, :, ends, 0] - true[:, ends, 0] - shift[..., None]), ignored[:, ends]
+        there = np.isfinite(np.where(left, 0, away)).all(axis=2)
+        ordered = np.sort(np.where(there[..., None], away, np.inf), axis=0)
+        middle = np.minimum(there.sum(axis=0) // 2, len(x) - 1)[None, :, None]
+        most = np.where(left, np.inf, np.take_along_axis(ordered, middle, axis=0)[0]).min(axis=1)
+        near = np.where(np.isfinite(most), _ROUNDED * most, 0)
+        may = ((away <= near[:, None]) | left).all(axis=2)
         numbers, rows = np.nonzero(may)  # few are left to look at closely
         offsets = x[numbers, rows] - true[rows]
         if root:

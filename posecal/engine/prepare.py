@@ -225,6 +225,8 @@ def _with_trials(data: PoseData, protocol: Protocol) -> PoseData:
 
 def _numbered_remarks(name: str, values: Sequence[str]) -> list[str]:
     """Remark on some labels that differ in case or in a number at their end alone, unless all do, as numbers do."""
+    if name in {"subject", "camera", "clip"}:  # which have numbers in their names
+        return []
     stems = [re.sub(r"[\W_]*\d+$", "", value).casefold() for value in values]
     alike = next((stem for stem in stems if stems.count(stem) > 1), "")
     if not alike or len({*stems}) == 1:

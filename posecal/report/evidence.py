@@ -70,7 +70,7 @@ class Estimate:
     bounds : tuple of two float
         Smallest and largest possible value.
     slack : float
-        By so much a calibrated model's may differ from what is best, with weights.
+        By so much that of calibrated draws with weights may differ from what is best.
     """
 
     label: str

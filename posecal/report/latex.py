@@ -1,6 +1,6 @@
 """Tables as LaTeX tabulars (package booktabs) that fit the text of a plain article.
 
-A table that is too wide is set smaller, has its words folded over lines, is turned (a row for each column), or is cut
+A table that is too wide is set smaller, has its words folded over lines, is transposed, or is cut
 into several with the same first column: the first of these that is enough.
 """
 
@@ -127,20 +127,24 @@ class Grid:
         too_long = any(cell.count("\n") >= MOST_LINES for column in words for cell in columns[column])
         return None if too_long else replace(self, columns=columns)
 
-    def turned(self) -> Grid | None:
+    def transposed(self) -> Grid | None:
         """Make its columns rows, where all but the first hold numbers."""
         if not all(self.is_number[1:]):
             return None
         rows = [list(row) for row in zip(*self.columns, strict=True)]
         head = [heading.replace("\n", " ") for heading in rows[0]]
-        turned = [head, *([_heading(name), *cells] for name, *cells in rows[1:])]
-        return Grid(turned, [column > 0 for column in range(len(turned))], {(row, column) for column, row in self.best})
+        columns = [head, *([_heading(name), *cells] for name, *cells in rows[1:])]
+        return Grid(
+            columns, [column > 0 for column in range(len(columns))], {(row, column) for column, row in self.best}
+        )
 
     def cut(self) -> list[Grid]:
         """Give the fewest parts of about as many columns that fit, each with the first column."""
         parts = [self]
+        if len(self.columns) < 3:
+            return parts
         narrowest = self.width(0, SMALLEST) + GAP + max(self.width(c, SMALLEST) for c in range(1, len(self.columns)))
-        text = max(TEXT, narrowest)  # a column that is too wide has company as well
+        text = max(TEXT, narrowest)  # a column that is too wide stands beside another all the same
         for number in range(2, len(self.columns)):
             some = np.array_split(range(1, len(self.columns)), number)
             parts = [self._part([0, *map(int, columns)]) for columns in some]
@@ -204,7 +208,7 @@ def grid_of(
 
 def fitted(grid: Grid) -> list[Grid]:
     """Lay a table out so that it fits the text, in several parts where it can't otherwise."""
-    layouts = [grid, grid.folded(), grid.turned()]
+    layouts = [grid, grid.folded(), grid.transposed()]
     return next(([layout] for layout in layouts if layout is not None and layout.fits()), None) or grid.cut()
 
 

@@ -102,7 +102,8 @@ def _chance(e: Evidence, words: str, value: float) -> str:
     differ = e.sequences is not None and e.sequences.p < STRONG
     alike = "a model that is calibrated on average, with sequences that differ as much,"
     model = alike if differ else "a calibrated model"
-    return f"chance alone gives {model} {words} {value:.3f} ({p_value(e.ece.p)})"
+    what = "chance and unequal weights give" if e.area.slack else "chance alone gives"
+    return f"{what} {model} {words} {value:.3f} ({p_value(e.ece.p)})"
 
 
 def _nothing_shown(e: Evidence) -> str:

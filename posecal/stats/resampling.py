@@ -285,7 +285,7 @@ def sign_flips(
     return Null(
         observed=observed,
         mean=float(null.mean(dtype=np.float64)),
-        high=max(high, observed) if p >= LEVEL else min(high, observed),
+        high=slack + (max if p >= LEVEL else min)(high, observed - slack),  # it never contradicts p
         p=p,
         band=float(np.quantile(sup, 0.95)),
         sequences=sequences,

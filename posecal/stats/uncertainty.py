@@ -29,7 +29,7 @@ from posecal.stats.jackknife import (
 from posecal.stats.resampling import LEVEL, Null, counting, n_patterns, sign_flips, sign_flips_of_each, thin
 
 BIAS = 0.6
-"""Over the effective number of hypotheses this is the largest ECE of weighted ones that are calibrated."""
+"""Over the effective number of hypotheses, about the largest ECE of calibrated draws of a proposal with weights."""
 
 FEW_DRAWS = 500
 """Sign patterns of each p-value without a sequence."""
@@ -210,7 +210,7 @@ def weights_allow_no_test(totals: Totals) -> bool:
 
 
 def bias_of_weights(totals: Totals) -> float:
-    """Give the largest ECE that unequal weights leave a calibrated model of endless data; 0 without."""
+    """Give about the largest ECE that weights leave draws that are calibrated, of endless data; 0 without weights."""
     return BIAS / effective_hypotheses(totals) if totals.spec.has_weights else 0.0
 
 

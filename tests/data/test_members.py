@@ -113,3 +113,20 @@ def test_names_beside_those_of_both_files_are_refused_where_they_differ(tmp_path
     few = [k for k, name in enumerate(JOINTS) if name != "Spine"]
     np.savez(paths[1], truth=TRUTH[:, few], unit="mm", joints=[JOINTS[k] for k in few])
     assert posecal.PoseData(HYPOTHESES, paths[1], unit="mm", joints="h36m-17", shared_joints="common").shape[2] == 16
+
+
+def labels(folder: Path, truth: dict[str, Any]) -> dict[str, Any]:
+    remarks(folder, truth)
+    return dict(posecal.PoseData(folder / "hyps.npz", folder / "gt.npz").labels)
+
+
+@pytest.mark.parametrize("shape", [(M, 15), (M, 9), (2, 1)])
+def test_tables_that_are_no_label_of_poses_are_not_read_as_one(tmp_path: Path, shape: tuple[int, int]) -> None:
+    assert "action" not in labels(tmp_path, {"action": np.ones(shape, dtype=np.uint16)})
+
+
+def test_a_number_in_brackets_is_a_label_of_all_poses_and_a_column_one_of_each(tmp_path: Path) -> None:
+    """As MATLAB writes them."""
+    found = labels(tmp_path, {"subject": [[9]], "action": np.arange(M)[:, None]})
+    assert found["subject"].tolist() == ["9"] * M
+    assert found["action"].tolist() == [str(number) for number in range(M)]

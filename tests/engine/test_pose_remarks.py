@@ -142,6 +142,30 @@ def test_the_truth_in_fewer_digits_or_elsewhere_is_found_and_a_sharp_model_is_no
     assert said(sharp, Y, words) == said(X[:1], Y, words) == []
 
 
+def test_the_truth_is_found_where_joints_or_hypotheses_are_absent_and_a_joint_is_not_judged_by_another() -> None:
+    words, last = "a hypothesis equals the truth", Y.shape[1] - 1
+    where = np.ones(Y.shape[:2], dtype=bool)
+    where[:, last] = False
+    x = np.concatenate([X, Y[None]])
+    x[:, :, last] = np.nan
+    assert said(x, Y, words, where=where)
+    absent = np.concatenate([np.full((len(X) + 5, *Y.shape), np.nan), X, Y[None]])
+    assert said(absent, Y, words)
+    spread = np.full(Y.shape[1], 0.5)
+    spread[last] = 300.0
+    sharp = Y + _RANDOM.normal(0, 1, (50, *Y.shape)) * spread[:, None]
+    where[:] = False
+    where[:, 1] = True
+    assert said(sharp, Y, words, where=where, root_joint="none") == []
+
+
+def test_one_pose_over_a_clip_is_a_prediction() -> None:
+    truth = np.random.default_rng(3).normal(0, 300, (6, 5, 9, 3))
+    still = np.repeat(truth[:, :1] + 20.0, 5, axis=1)[:, :, None]
+    report = posecal.evaluate(still, truth, unit="mm", axes="MTNKD", root_joint="none", metrics="mpjpe")
+    assert not [remark for remark in report.remarks if "earlier frame" in remark]
+
+
 def test_hypotheses_of_an_earlier_frame_are_counted_also_in_batches() -> None:
     x, words = X.copy(), "the hypotheses are those of an earlier frame. Were they stored twice, or beside other frames?"
     assert said(x, Y, words) == []

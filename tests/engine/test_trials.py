@@ -126,3 +126,15 @@ def test_the_best_of_a_batch_is_chosen_over_all_of_it_also_in_groups(average: st
     assert report["min_mpjpe"] == pytest.approx(mean(np.ones(60, dtype=bool)), rel=1e-9)
     for group, poses in {"half=0": half == 0, "half=1": half == 1, "action=sit": action == "sit"}.items():
         assert report.value("min_mpjpe", group) == pytest.approx(mean(poses), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("label", "values", "number"), [("subject", ["S1", "S2", "TS1"], 0), ("camera", ["cam0", "cam1", "gopro"], 0),
+                                    ("action", ["Eat_1", "Eat_2", "Walk"], 1)]
+)  # fmt: skip
+def test_names_with_numbers_may_be_trials_but_of_people_and_cameras(label: str, values: list[str], number: int) -> None:
+    x, y = gaussian(3, 6, 12, 5)
+    how = posecal.Protocol(metrics="mpjpe", average=label)
+    options: dict[str, Any] = {"unit": "mm", "axes": "NMKD", "root_joint": "none", "protocol": how}
+    report = posecal.evaluate(x, y, labels={label: np.repeat(values, 4)}, **options)
+    assert sum("trials of one" in remark for remark in report.remarks) == number

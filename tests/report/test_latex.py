@@ -34,11 +34,11 @@ def test_what_fits_stays_as_it_is() -> None:
 
 
 def test_few_groups_of_many_metrics_have_a_row_for_each_metric() -> None:
-    (turned,) = fitted_rows(3)
-    assert [cells[0] for cells in turned.columns] == ["action", "action 0", "action 1", "action 2"]
-    assert turned.columns[0][2] == "minMPJPE [mm]\u00a0↓"
-    assert turned.columns[1][1:3] == ["1,000", "59.2"]
-    assert turned.best == {(2, 1)}
+    (transposed,) = fitted_rows(3)
+    assert [cells[0] for cells in transposed.columns] == ["action", "action 0", "action 1", "action 2"]
+    assert transposed.columns[0][2] == "minMPJPE [mm]\u00a0↓"
+    assert transposed.columns[1][1:3] == ["1,000", "59.2"]
+    assert transposed.best == {(2, 1)}
 
 
 def test_many_groups_of_many_metrics_are_cut_in_parts_of_like_width() -> None:
