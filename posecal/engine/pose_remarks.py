@@ -224,7 +224,7 @@ class PoseRemarks:
         shift = x[:, :, root[0], 0] - true[:, root[0], 0] if root else np.zeros((), dtype=x.dtype)
         ends = [k // 2, k - 1]
         away, left = np.abs(x[:, :, ends, 0] - true[:, ends, 0] - shift[..., None]), ignored[:, ends]
-        there = np.isfinite(np.where(left, 0, away)).all(axis=2)
+        there = np.asarray(np.isfinite(np.where(left, 0, away)).all(axis=2))
         ordered = np.sort(np.where(there[..., None], away, np.inf), axis=0)
         middle = np.minimum(there.sum(axis=0) // 2, len(x) - 1)[None, :, None]
         most = np.where(left, np.inf, np.take_along_axis(ordered, middle, axis=0)[0]).min(axis=1)
