@@ -100,10 +100,9 @@ def _chance(e: Evidence, words: str, value: float) -> str:
     if math.isnan(value):
         return f"what chance alone gives a calibrated model is not known ({p_value(e.ece.p)})"
     differ = e.sequences is not None and e.sequences.p < STRONG
-    alike = "a model that is calibrated on average, with sequences that differ as much,"
-    model = alike if differ else "a calibrated model"
+    alike = "model that is calibrated on average, with sequences that differ as much,"
     what = "chance and unequal weights give" if e.area.slack else "chance alone gives"
-    return f"{what} {model} {words} {value:.3f} ({p_value(e.ece.p)})"
+    return f"{what} a {alike if differ else 'calibrated model'} {words} {value:.3f} ({p_value(e.ece.p)})"
 
 
 def _nothing_shown(e: Evidence) -> str:
