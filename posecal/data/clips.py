@@ -193,6 +193,12 @@ def pose_names(data: PoseData) -> list[str]:
     return [f"{name} at horizon {place}" for name, place in zip(names, places.tolist(), strict=True)]
 
 
+def given_labels(data: PoseData) -> Labels:
+    """Give the labels of poses but numbers of clips, which follow from their place."""
+    numbered = () if data.clips is None else data.clips.numbered
+    return {name: values for name, values in data.labels.items() if name not in numbered}
+
+
 def select_clips(data: PoseData, rows: Rows) -> PoseData:
     """Select poses whose frames did not come before; whole clips where poses form such.
 

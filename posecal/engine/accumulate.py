@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 import posecal
 from posecal.data.arrays import BoolArray, FloatArray
+from posecal.data.clips import given_labels
 from posecal.data.pose_data import PoseData
 from posecal.engine.block import block_length
 from posecal.engine.cells import CellIndex
@@ -254,7 +255,7 @@ class Accumulator:
     def _located(self, data: PoseData, cells: Indices, numbers: Indices) -> Iterator[Chunk]:
         """Read the poses with their cells, and with the numbers of their sequences in the coordinate range."""
         start, first = 0, _place(data, 0)
-        numbered = () if data.clips is None else data.clips.numbered  # numbers of clips follow from their place
+        given = given_labels(data)
         continues = first is not None and (*first[:2], first[2] - 1) == self._last
         for chunk in read_chunks(data, self._length):
             chunk, stop = with_weights(chunk, self.spec), start + len(chunk)
@@ -262,7 +263,7 @@ class Accumulator:
             follows[0] |= continues and start == 0
             self._remarks.add(data.names, chunk, data.frame_id[start:stop], self.spec)
             part = slice(start, stop)
-            labels = {name: values[part] for name, values in data.labels.items() if name not in numbered}
+            labels = {name: values[part] for name, values in given.items()}
             hashes = pose_hashes(chunk.truth, labels, data.frame_id[part] if data.has_frame_id else None)
             yield replace(chunk, cells=cells[part], sequence=numbers[part], hashes=hashes, follows=follows)
             start = stop

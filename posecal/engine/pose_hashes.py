@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from posecal.data.arrays import FloatArray
+from posecal.data.clips import given_labels
 from posecal.data.fitted_poses import FEWEST_COORDINATES, pose_words, row_hashes
 from posecal.data.pose_data import PoseData
 from posecal.data.remarks import Count, Remark
@@ -51,10 +52,8 @@ def pose_keys(data: PoseData) -> npt.NDArray[np.uint64]:
     keys = np.zeros(len(data.truth), dtype=np.uint64)
     for part in slices(len(keys), data.truth[:1].nbytes):
         keys[part] = row_hashes(pose_words(data.truth[part]))
-    numbered = () if data.clips is None else data.clips.numbered
-    for name, values in data.labels.items():
-        if name not in numbered:
-            keys += _hash_of_label(name, values)
+    for name, values in given_labels(data).items():
+        keys += _hash_of_label(name, values)
     if data.has_frame_id:
         keys += row_hashes(data.frame_id) * _OF_FRAMES
     return keys

@@ -9,7 +9,7 @@ from posecal.calibration import DEFINITIONS, LEVELS, CalibrationCurve, Definitio
 from posecal.calibration.curve import MANY, inside_table, joint_median
 from posecal.engine.block import Block
 from posecal.errors import PoseDataError
-from tests.helpers import oracles
+from tests.helpers import calibration_oracles, oracles
 from tests.helpers.random_worlds import Array, Mask, mostly, skewed
 
 N, M, K = 6, 17, 4
@@ -35,12 +35,14 @@ def test_curves_are_means_over_the_poses_in_which_a_joint_counts(
 ) -> None:
     x, y = (oracles.relative(array, None if root is None else 1) for array in arrays)
     w = where if root is None else oracles.relative_mask(where, 1) & (np.arange(K) != 1)
-    weights = oracles.inside(x, y, w, definition)
+    weights = calibration_oracles.inside(x, y, w, definition)
     found = calibration_curve(*arrays, definition=definition, where=where, root=root)
     assert found.definition == definition
-    np.testing.assert_allclose(found.joints, oracles.curves(weights), atol=1e-12)
-    np.testing.assert_allclose(found.pooled, oracles.pooled_curve(weights), atol=1e-12)
-    np.testing.assert_allclose(found.median, oracles.over_joints(found.joints, found.pooled, "median"), atol=1e-12)
+    np.testing.assert_allclose(found.joints, calibration_oracles.curves(weights), atol=1e-12)
+    np.testing.assert_allclose(found.pooled, calibration_oracles.pooled_curve(weights), atol=1e-12)
+    np.testing.assert_allclose(
+        found.median, calibration_oracles.over_joints(found.joints, found.pooled, "median"), atol=1e-12
+    )
 
 
 def test_a_pooled_curve_weights_each_pose_alike() -> None:
@@ -111,10 +113,10 @@ def test_joints_that_never_count_are_no_part_of_the_median() -> None:
 def test_a_table_has_a_row_per_joint_and_one_for_the_pose(arrays: tuple[Array, Array], where: Mask) -> None:
     joints = np.array([True, False, True, True])
     found = inside_table(Block(*arrays, where), "paper", joints)
-    expected = oracles.inside(*arrays, where & joints, "paper")
+    expected = calibration_oracles.inside(*arrays, where & joints, "paper")
     np.testing.assert_array_equal(found[:, :K], expected)
     for m in range(M):
-        np.testing.assert_allclose(found[m, K], oracles.pooled_curve(expected[m : m + 1]))
+        np.testing.assert_allclose(found[m, K], calibration_oracles.pooled_curve(expected[m : m + 1]))
 
 
 def test_swapped_arguments_are_refused(arrays: tuple[Array, Array]) -> None:

@@ -33,7 +33,7 @@ from posecal.engine.metric import Metric
 from posecal.engine.protocol import Protocol
 from posecal.engine.scope import DataSpec, Scope
 from posecal.errors import PoseDataError
-from tests.helpers import oracles
+from tests.helpers import calibration_oracles, oracles
 from tests.helpers.random_worlds import skewed
 
 Array = npt.NDArray[np.floating]
@@ -54,23 +54,23 @@ def curve() -> CalibrationCurve:
 
 
 def test_the_ece_of_a_joint_is_its_mean_distance_from_the_diagonal(curve: CalibrationCurve) -> None:
-    expected = [oracles.curve_ece(row) for row in curve.joints]
+    expected = [calibration_oracles.curve_ece(row) for row in curve.joints]
     np.testing.assert_allclose(joint_ece(curve.joints), expected)
     np.testing.assert_allclose(curve.joint_ece(), expected)
 
 
 @pytest.mark.parametrize("over", OVER_JOINTS)
 def test_the_ece_over_joints_is_the_summary_s(curve: CalibrationCurve, over: OverJoints) -> None:
-    np.testing.assert_allclose(curve.ece(over), oracles.ece(curve.joints, curve.pooled, over))
+    np.testing.assert_allclose(curve.ece(over), calibration_oracles.ece(curve.joints, curve.pooled, over))
 
 
 @pytest.mark.parametrize("over", OVER_JOINTS)
 def test_the_summary_curve_is_the_loops(curve: CalibrationCurve, over: OverJoints) -> None:
-    expected = oracles.over_joints(curve.joints, curve.pooled, over)
+    expected = calibration_oracles.over_joints(curve.joints, curve.pooled, over)
     table = np.concatenate([curve.joints, curve.pooled[None]])
     np.testing.assert_allclose(summary_curve(table, over), expected)
     np.testing.assert_allclose(curve.summary(over), expected)
-    np.testing.assert_allclose(curve.signed_area(over), oracles.curve_area(expected))
+    np.testing.assert_allclose(curve.signed_area(over), calibration_oracles.curve_area(expected))
     np.testing.assert_array_equal(curve_of(table, "paper").joints, curve.joints)
     np.testing.assert_array_equal(curve_of(table, "paper").pooled, curve.pooled)
 
@@ -82,7 +82,7 @@ def test_the_ece_is_of_the_median_unless_it_is_said(curve: CalibrationCurve) -> 
 
 
 def test_the_signed_area_is_the_trapezoid(curve: CalibrationCurve) -> None:
-    expected = [oracles.curve_area(row) for row in curve.joints]
+    expected = [calibration_oracles.curve_area(row) for row in curve.joints]
     np.testing.assert_allclose(signed_area(curve.joints), expected)
     np.testing.assert_allclose(curve.joint_signed_area(), expected)
 
@@ -207,8 +207,11 @@ def test_the_ece_of_arrays_is_that_of_their_curve(over: OverJoints, definition: 
     assert type(found) is float
     assert found == calibration_curve(x, y, **options).ece(over)  # type: ignore[arg-type]
     x, y = oracles.relative(x, 1), oracles.relative(y, 1)
-    weights = oracles.inside(x, y, oracles.relative_mask(where, 1) & (np.arange(4) != 1), definition)
-    np.testing.assert_allclose(found, oracles.ece(oracles.curves(weights), oracles.pooled_curve(weights), over))
+    weights = calibration_oracles.inside(x, y, oracles.relative_mask(where, 1) & (np.arange(4) != 1), definition)
+    np.testing.assert_allclose(
+        found,
+        calibration_oracles.ece(calibration_oracles.curves(weights), calibration_oracles.pooled_curve(weights), over),
+    )
 
 
 @pytest.mark.parametrize("K", [MANY, MANY + 1, MANY + 2])
@@ -230,9 +233,11 @@ def test_a_stack_of_tables_is_summarized_one_by_one(over: OverJoints, K: int) ->
     tables[np.isnan(tables[..., :-1, 0]).all(axis=-1)] = np.nan
     for index in np.ndindex(2, 6):
         by_joint, pooled = tables[index][:-1], tables[index][-1]
-        expected = oracles.over_joints(by_joint, pooled, over)
+        expected = calibration_oracles.over_joints(by_joint, pooled, over)
         np.testing.assert_allclose(summary_curve(tables, over)[index], expected)
-        np.testing.assert_allclose(ece_over_joints(tables, over)[index], oracles.ece(by_joint, pooled, over))
+        np.testing.assert_allclose(
+            ece_over_joints(tables, over)[index], calibration_oracles.ece(by_joint, pooled, over)
+        )
 
 
 # --- entries of reports ----------------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ import posecal
 from posecal.calibration import interval_coverage, interval_width
 from posecal.calibration.intervals import attained, ends
 from posecal.errors import PoseDataError
-from tests.helpers import oracles
+from tests.helpers import calibration_oracles, oracles
 from tests.helpers.random_worlds import skewed
 
 
@@ -52,8 +52,10 @@ def test_they_are_what_the_naive_formulas_give_with_ties_and_masks(level: float)
     where = np.random.default_rng(3).random(y.shape[:2]) < 0.7
     where[4] = False
     percent = round(100 * level)
-    held = oracles.over_axes(x, y, lambda values, truth: oracles.held(values, truth, percent))
-    width = oracles.over_axes(x, y, lambda values, _: float(np.ptp(oracles.interval(values, percent))))
+    held = calibration_oracles.over_axes(x, y, lambda values, truth: calibration_oracles.held(values, truth, percent))
+    width = calibration_oracles.over_axes(
+        x, y, lambda values, _: float(np.ptp(calibration_oracles.interval(values, percent)))
+    )
     for function, values in ((interval_coverage, held), (interval_width, width)):
         expected = [oracles.mean(list(row[kept])) for row, kept in zip(values, where, strict=True)]
         np.testing.assert_allclose(function(x, y, level=level, where=where, unit="mm"), expected, atol=1e-12)

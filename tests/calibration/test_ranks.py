@@ -16,7 +16,7 @@ from posecal.calibration import DEFINITIONS, LEVELS, Definition, calibration_cur
 from posecal.calibration.ranks import coincide, inside, known_definition, nearness, rank_weights
 from posecal.engine.block import Block
 from posecal.errors import PoseDataError
-from tests.helpers import oracles
+from tests.helpers import calibration_oracles, oracles
 from tests.helpers.random_worlds import skewed
 
 Array = npt.NDArray[np.floating]
@@ -31,7 +31,7 @@ def everywhere(y: Array) -> npt.NDArray[np.bool_]:
 @pytest.mark.parametrize("definition", DEFINITIONS)
 def test_weights_are_those_of_the_definition(definition: Definition, N: int, D: int) -> None:
     x, y = skewed(N + D, N, 13, 4, D)
-    expected = oracles.inside(x, y, everywhere(y), definition)
+    expected = calibration_oracles.inside(x, y, everywhere(y), definition)
     np.testing.assert_allclose(inside(Block(x, y), definition), expected, atol=1e-12)
 
 
@@ -41,7 +41,7 @@ def test_counts_are_right_beyond_a_byte(definition: Definition, N: int) -> None:
     x, y = skewed(N, N, 3, 2)
     y[0] += 5000  # outside all hypotheses
     y[1, 0] = np.median(x[:, 1, 0], axis=0)  # inside all of them
-    expected = oracles.inside(x, y, everywhere(y), definition)
+    expected = calibration_oracles.inside(x, y, everywhere(y), definition)
     np.testing.assert_allclose(inside(Block(x, y), definition), expected, atol=1e-12)
 
 
@@ -58,7 +58,9 @@ def test_weights_are_those_of_the_definition_for_every_shape(
 ) -> None:
     x, y = skewed(seed, N, M, K, D)
     w = np.random.default_rng(seed).random((M, K)) < 0.7
-    np.testing.assert_allclose(inside(Block(x, y, w), definition), oracles.inside(x, y, w, definition), atol=1e-12)
+    np.testing.assert_allclose(
+        inside(Block(x, y, w), definition), calibration_oracles.inside(x, y, w, definition), atol=1e-12
+    )
 
 
 def test_positions_are_relative_to_the_root() -> None:
@@ -66,7 +68,9 @@ def test_positions_are_relative_to_the_root() -> None:
     moved, true = oracles.relative(x, 2), oracles.relative(y, 2)
     found = inside(Block(x, y, root=2))
     kept = [0, 1, 3]
-    np.testing.assert_allclose(found[:, kept], oracles.inside(moved, true, everywhere(y), "exchangeable")[:, kept])
+    np.testing.assert_allclose(
+        found[:, kept], calibration_oracles.inside(moved, true, everywhere(y), "exchangeable")[:, kept]
+    )
 
 
 @pytest.mark.parametrize("definition", DEFINITIONS)
@@ -149,7 +153,7 @@ def test_a_truth_that_ties_with_none_takes_one_share_of_the_pool(less: int) -> N
 
 def exact_reference(points: Array, truth: Array) -> list[float]:
     """The reference definition with the place of the quantile in fractions, so that ties stay ties."""
-    c = oracles.centre(points, truth, "reference")
+    c = calibration_oracles.centre(points, truth, "reference")
     distances, true = sorted(math.dist(p, c) for p in points), math.dist(truth, c)
     found = []
     for q in oracles.QUANTILES:
@@ -169,7 +173,7 @@ def test_points_on_a_lattice_tie_exactly(N: int, D: int, dtype: str) -> None:
     y = random.integers(-2, 3, (60, 2, D)).astype(dtype)
     block, w = Block(x, y), everywhere(y)
     for definition in ("exchangeable", "paper"):
-        expected = oracles.inside(x.astype("f8"), y.astype("f8"), w, definition)
+        expected = calibration_oracles.inside(x.astype("f8"), y.astype("f8"), w, definition)
         np.testing.assert_allclose(inside(block, definition), expected, atol=1e-12, err_msg=definition)  # type: ignore[arg-type]
     expected = [[exact_reference(x[:, m, k], y[m, k]) for k in range(2)] for m in range(60)]
     np.testing.assert_array_equal(inside(block, "reference"), expected)
@@ -225,7 +229,7 @@ def test_the_three_centres_are_those_of_the_definitions(N: int) -> None:
     found = nearness(Block(x, y))
     for place, definition in enumerate(DEFINITIONS):
         for m, k in np.ndindex(8, 3):
-            centre = oracles.centre(x[:, m, k], y[m, k], definition)
+            centre = calibration_oracles.centre(x[:, m, k], y[m, k], definition)
             np.testing.assert_allclose(found.centres[m, k, place] + y[m, k], centre, atol=1e-10)
             inner = [math.dist(point, centre) <= math.dist(y[m, k], centre) * (1 + 1e-12) for point in x[:, m, k]]
             np.testing.assert_array_equal(found.within[m, k, place], inner)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from posecal.data.skeleton import JOINT_SETS, Skeleton
 from posecal.engine.protocol import Protocol
-from tests.helpers import oracles, score_oracles
+from tests.helpers import calibration_oracles, oracles, score_oracles
 from tests.helpers.random_worlds import JOINTS, World
 
 Array = npt.NDArray[np.float64]
@@ -89,12 +89,14 @@ class Twin:
 
     def curves(self, weights: Array, poses: Poses) -> Array:
         """ω_k(q), (K, 21): the mean of those of the groups in which joint k counts."""
-        return oracles.curves(np.array([oracles.curves(weights[group]) for group in self.groups(poses)]))
+        return calibration_oracles.curves(
+            np.array([calibration_oracles.curves(weights[group]) for group in self.groups(poses)])
+        )
 
     def pooled(self, weights: Array, poses: Poses) -> Array:
         """The mean of the groups' pooled curves."""
-        found = [oracles.pooled_curve(weights[group]) for group in self.groups(poses)]
-        return oracles.curves(np.array(found)[:, None])[0]
+        found = [calibration_oracles.pooled_curve(weights[group]) for group in self.groups(poses)]
+        return calibration_oracles.curves(np.array(found)[:, None])[0]
 
     def over_poses(self, name: str, values: Array, factor: float = 1.0) -> None:
         self.numbers[name] = lambda poses: factor * mean_known(values[poses])
@@ -125,7 +127,9 @@ class Twin:
         for share in (50, 90):
             self.define_spread(f"radius_{share}", oracles.radii(self.x, share / 100))
         for percent in (50, 90):
-            width = oracles.over_axes(self.x, self.y, lambda x, _, c=percent: float(np.ptp(oracles.interval(x, c))))
+            width = calibration_oracles.over_axes(
+                self.x, self.y, lambda x, _, c=percent: float(np.ptp(calibration_oracles.interval(x, c)))
+            )
             self.define_spread(f"interval_width_{percent}", width)
         self.define_scores()
         self.define_uncertainty()
@@ -213,30 +217,30 @@ class Twin:
         if over == "auto":
             over = "median" if self.protocol.where == "all" else "pooled"
         for definition, suffix in (("exchangeable", ""), ("paper", "_paper"), ("reference", "_reference")):
-            weights = oracles.inside(self.x, self.y, self.moving, definition)
+            weights = calibration_oracles.inside(self.x, self.y, self.moving, definition)
             for ending, how in (("", over), ("_mean", "mean"), ("_worst", "worst")):
-                self.numbers[f"ece{suffix}{ending}"] = lambda poses, weights=weights, how=how: oracles.ece(
+                self.numbers[f"ece{suffix}{ending}"] = lambda poses, weights=weights, how=how: calibration_oracles.ece(
                     self.curves(weights, poses), self.pooled(weights, poses), how
                 )
             self.by_joint[f"ece{suffix}"] = lambda poses, weights=weights: np.array(
-                [oracles.curve_ece(curve) for curve in self.curves(weights, poses)]
+                [calibration_oracles.curve_ece(curve) for curve in self.curves(weights, poses)]
             )
             if definition == "exchangeable":
                 self.define_exchangeable(weights, over)
 
     def define_exchangeable(self, weights: Array, over: str) -> None:
         def summary(poses: Poses) -> Array:
-            return oracles.over_joints(self.curves(weights, poses), self.pooled(weights, poses), over)
+            return calibration_oracles.over_joints(self.curves(weights, poses), self.pooled(weights, poses), over)
 
         def areas(poses: Poses) -> list[float]:
-            found = [oracles.curve_area(curve) for curve in self.curves(weights, poses)]
+            found = [calibration_oracles.curve_area(curve) for curve in self.curves(weights, poses)]
             return [area for area in found if not math.isnan(area)] or [math.nan]
 
-        self.numbers["signed_area"] = lambda poses: oracles.curve_area(summary(poses))
+        self.numbers["signed_area"] = lambda poses: calibration_oracles.curve_area(summary(poses))
         self.numbers["signed_area_min"] = lambda poses: min(areas(poses))
         self.numbers["signed_area_max"] = lambda poses: max(areas(poses))
         self.by_joint["signed_area"] = lambda poses: np.array(
-            [oracles.curve_area(curve) for curve in self.curves(weights, poses)]
+            [calibration_oracles.curve_area(curve) for curve in self.curves(weights, poses)]
         )
         for percent, level in ((50, 10), (80, 16), (90, 18), (95, 19)):
             known = 1.0 if self.has_ball(percent) else math.nan
@@ -246,7 +250,9 @@ class Twin:
             )
 
         for percent in (50, 90):
-            held = oracles.over_axes(self.x, self.y, lambda x, y, c=percent: oracles.held(x, y, c))
+            held = calibration_oracles.over_axes(
+                self.x, self.y, lambda x, y, c=percent: calibration_oracles.held(x, y, c)
+            )
             held = np.where(self.moving, held, math.nan)[..., None] * np.ones(21)
             name = f"interval_coverage_{percent}"
             self.by_joint[name] = lambda poses, held=held: self.curves(held, poses)[:, 0]
@@ -309,7 +315,9 @@ class Twin:
             box = [ends for ends, there in zip(others, self.moving[m], strict=True) if there]
             ranks["tarp_box"][m] = score_oracles.rank_inside(score_oracles.tarp_box(pool, box, share))
         for name, weights in ranks.items():
-            self.numbers[name] = lambda poses, weights=weights: oracles.curve_ece(self.pooled(weights[:, None], poses))
+            self.numbers[name] = lambda poses, weights=weights: calibration_oracles.curve_ece(
+                self.pooled(weights[:, None], poses)
+            )
         single = np.full((M, K, D, 21), math.nan)
         for m, k, d in np.ndindex(M, K, D):
             if self.moving[m, k]:
@@ -317,7 +325,7 @@ class Twin:
 
         def by_joint(poses: Poses) -> Array:
             axes = [self.curves(single[:, :, d], poses) for d in range(D)]
-            return np.array([oracles.mean([oracles.curve_ece(axis[k]) for axis in axes]) for k in range(K)])
+            return np.array([oracles.mean([calibration_oracles.curve_ece(axis[k]) for axis in axes]) for k in range(K)])
 
         self.by_joint["coordinate_pit"] = by_joint
         self.numbers["coordinate_pit"] = lambda poses: mean_known(by_joint(poses))
@@ -344,13 +352,13 @@ class Twin:
         """The numbers over the occluded or over the visible joints: per pose their mean, then over poses."""
         mask = self.moving & (self.world.occluded if occlusion == "occluded" else ~self.world.occluded)
         e = oracles.pose_errors(self.x, self.y, mask)
-        curve = oracles.pooled_curve(oracles.inside(self.x, self.y, mask, "exchangeable"))
+        curve = calibration_oracles.pooled_curve(calibration_oracles.inside(self.x, self.y, mask, "exchangeable"))
         radii = oracles.radii(self.x, 0.5)
         return {
             "min_mpjpe": oracles.best_per_frame(e),
             "mpjpe": mean_known(e.mean(axis=0)),
-            "ece": oracles.curve_ece(curve),
-            "signed_area": oracles.curve_area(curve),
+            "ece": calibration_oracles.curve_ece(curve),
+            "signed_area": calibration_oracles.curve_area(curve),
             "coverage_90": float(curve[18]) if self.has_ball(90) else math.nan,
             "radius_50": mean_known(np.array([oracles.mean(list(row[w])) for row, w in zip(radii, mask, strict=True)])),
         }
