@@ -324,6 +324,18 @@ def test_a_root_that_is_0_far_from_its_pose_is_a_fill_value() -> None:
     assert said(X, np.where(np.arange(LONG)[:, None, None] < 3, Y - Y[:, :1], Y), "exactly") == []
 
 
+def test_a_wrist_that_is_0_before_straight_fingers_is_none() -> None:
+    """Three fingertips lie closer to each other than to the wrist, about which the hypotheses are."""
+    random = np.random.default_rng(8)
+    across, along = np.meshgrid(np.linspace(-30, 30, 5), np.linspace(80, 170, 4))
+    hand = np.vstack([np.zeros(3), np.stack([across.T, along.T, np.zeros((5, 4))], axis=-1).reshape(20, 3)])
+    y = hand + random.normal(0, 3, (40, 21, 3)) + [50, -20, 600]
+    x = y - y[:, :1] + random.normal(0, 5, (8, 40, 21, 3))
+    x[:, :, 0] = 0
+    names = ["Wrist", *(f"finger{number}" for number in range(20))]
+    assert said(x, y, "exactly", joints=names, root_joint="Wrist") == []
+
+
 def test_counts_of_every_kind_add_up_over_batches_and_results() -> None:
     x, y = X.copy(), Y.copy()
     x[5, ::7], x[2, 1::9], x[4, 2::5] = 0, x[3, 1::9], y[2::5]
